@@ -16,7 +16,7 @@ def version() -> str:
 
 
 def share_files(*folders: str) -> list[tuple[str, list[str]]]:
-    """Every file under the folders, as data_files that keep their place below share/tissue_sim."""
+    """Return every file under the folders, as data_files that keep their place below share/tissue_sim."""
     installed: dict[str, list[str]] = {}
     for folder in folders:
         for path in sorted((HERE / folder).rglob("*")):

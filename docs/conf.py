@@ -48,13 +48,15 @@ autoapi_ignore = [
 autoapi_root = "api"
 autoapi_add_toctree_entry = False
 autoapi_options = ["members", "show-module-summary"]
+napoleon_google_docstring = False
+napoleon_use_ivar = True  # fields are on the page already
 default_role = "code"  # `x` in a docstring
 # Constants without a docstring are not on the pages; two modules may have a class of one name.
 suppress_warnings = ["autoapi.python_import_resolution", "ref.python"]
 
 
 class _FromCode(SphinxDirective):
-    """Puts a table from the code on the page; ROS, where it isn't installed, is stood in for."""
+    """Directive of a table from the code; ROS is replaced by a mock where it isn't installed."""
 
     required_arguments = 1
     final_argument_whitespace = True
@@ -79,7 +81,7 @@ class Parameters(_FromCode):
 
 
 def _plain(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Docstrings are plain text but for `code`: |x| is a length there, x* and x_ are names."""
+    """Escape a docstring, which is plain text except for `code`: |x| is a length there, x* and x_ are names."""
     for i, line in enumerate(lines):
         parts = line.split("`")
         parts[::2] = [re.sub(r"([|*]|(?<=\w)_\b)", r"\\\1", part) for part in parts[::2]]
@@ -87,7 +89,7 @@ def _plain(app: Sphinx, what: str, name: str, obj: object, options: object, line
 
 
 def _short_title(app: Sphinx, page: str, source: list[str]) -> None:
-    """A module's page is headed by its own name: those of its packages stand above it in the list."""
+    """Head a module's page by its own name: those of its packages stand above it in the list."""
     title, _, rest = source[0].partition("\n")
     if page.startswith("api/"):
         source[0] = f"{title.rpartition('.')[2]}\n{rest}"
@@ -105,7 +107,7 @@ def _public_names() -> str:
 
 
 def setup(app: Sphinx) -> None:
-    """Called by Sphinx."""
+    """Register directives and handlers; called by Sphinx."""
     app.add_directive("options", Options)
     app.add_directive("parameters", Parameters)
     app.connect("autodoc-process-docstring", _plain)

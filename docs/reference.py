@@ -1,4 +1,4 @@
-"""What the pages take from the code, as Markdown: the options of every command, and the node's parameters."""
+"""Tables of the pages from the code, as Markdown: the options of every command, and the node's parameters."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from unittest import mock
 
 
 def parser_of(*words: str) -> argparse.ArgumentParser:
-    """The parser of `tissue_sim WORDS`, as the command line makes it to answer --help."""
+    """Return the parser of `tissue_sim WORDS`, as the command line makes it to answer --help."""
     from tissue_sim.cli import main
 
     asked: list[argparse.ArgumentParser] = []
@@ -22,13 +22,13 @@ def parser_of(*words: str) -> argparse.ArgumentParser:
 
 
 def subcommands(*words: str) -> dict[str, str]:
-    """Summary of every command below `tissue_sim WORDS`, by its name."""
+    """Return the summary of every command below `tissue_sim WORDS`, by its name."""
     below = [action for action in parser_of(*words)._actions if isinstance(action, argparse._SubParsersAction)]
     return {choice.dest: choice.help or "" for action in below for choice in action._choices_actions}
 
 
 def options(*words: str) -> dict[str, str]:
-    """Help of everything that `tissue_sim WORDS` takes, by how it is written: `--rate RATE`, `ORGAN`."""
+    """Return the help of every argument of `tissue_sim WORDS`, by how it is written: `--rate RATE`, `ORGAN`."""
     parser = parser_of(*words)
     form = parser._get_formatter()
     taken = [a for a in parser._actions if not isinstance(a, argparse._HelpAction | argparse._SubParsersAction)]
@@ -36,7 +36,7 @@ def options(*words: str) -> dict[str, str]:
 
 
 def options_table(*words: str) -> list[str]:
-    """Lines of a table of what `tissue_sim WORDS` takes, and of one for each command below it."""
+    """Return the lines of a table of the arguments of `tissue_sim WORDS`, and of one for each command below it."""
     lines = []
     if taken := options(*words):
         lines = _table(("option", ""), ((f"`{written}`", _prose(text)) for written, text in taken.items()))
@@ -46,7 +46,7 @@ def options_table(*words: str) -> list[str]:
 
 
 def parameters_table(of: str) -> list[str]:
-    """Lines of a table of the parameters: `node`, or `tool` for those of each tool."""
+    """Return the lines of a table of the parameters: `node`, or `tool` for those of each tool."""
     from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
 
     specs, prefix = {"node": (NODE_SPECS, ""), "tool": (TOOL_SPECS, "<tool>.")}[of]
@@ -66,7 +66,7 @@ def parameters_table(of: str) -> list[str]:
 
 
 def _value(value: Any) -> str:
-    """As YAML has it."""
+    """Return a value as YAML has it."""
     if isinstance(value, bool):
         return str(value).lower()
     return '""' if value == "" else str(value)
@@ -84,5 +84,5 @@ def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
 
 
 def _prose(text: str) -> str:
-    """Help as Markdown: <name> is no tag, * no emphasis."""
+    """Return help as Markdown: <name> is no tag, * no emphasis."""
     return re.sub(r"([<>*])", r"\\\1", text)

@@ -1,4 +1,4 @@
-"""Starts the node, the scripted haptic bridge and the viewer: `ros2 launch tissue_sim demo.launch.py`."""
+"""Launch file of the node, the scripted haptic bridge and the viewer: `ros2 launch tissue_sim demo.launch.py`."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription
@@ -11,7 +11,7 @@ PASSED_ON = ("params_file", "profile", "organ_file", "scene_file", "namespace", 
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The node of tissue_node.launch.py with a bridge that pokes the organ and a viewer in the browser."""
+    """Return the node of tissue_node.launch.py with a bridge that pokes the organ and a viewer in the browser."""
     share = FindPackageShare("tissue_sim")
     # Not Node actions: those append --ros-args, which the sub-commands do not take.
     command = PathJoinSubstitution([FindPackagePrefix("tissue_sim"), "lib", "tissue_sim", "tissue_sim"])

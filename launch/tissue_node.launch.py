@@ -1,4 +1,4 @@
-"""Starts the node: `ros2 launch tissue_sim tissue_node.launch.py organ_file:=liver.npz profile:=dvrk`."""
+"""Launch file of the node: `ros2 launch tissue_sim tissue_node.launch.py organ_file:=liver.npz profile:=dvrk`."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from launch_ros.substitutions import FindPackageShare
 
 
 def _start_node(context: LaunchContext) -> list[Node]:
-    """The node with its parameters, the later over the earlier: params_file, profile, single ones."""
+    """Return the node with its parameters, the later over the earlier: params_file, profile, single ones."""
 
     def given(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
@@ -41,7 +41,7 @@ def _start_node(context: LaunchContext) -> list[Node]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The node; the launch ends when it ends."""
+    """Return the node; the launch ends when it ends."""
     return LaunchDescription(
         [
             DeclareLaunchArgument(

@@ -1,4 +1,4 @@
-"""`python -m tissue_sim COMMAND`, where the program isn't on the path."""
+"""Entry point of `python -m tissue_sim COMMAND`, where the program isn't on the path."""
 
 import sys
 

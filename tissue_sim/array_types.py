@@ -1,4 +1,4 @@
-"""Names for the arrays that the whole package passes about."""
+"""Type names for the arrays that the whole package passes around."""
 
 from __future__ import annotations
 

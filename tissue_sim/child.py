@@ -1,4 +1,4 @@
-"""What every process that works for another one does first."""
+"""First steps of every process that works for another one."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def end_with_parent() -> None:
-    """In a child process: end when the parent is gone, however that ended; it would keep a core busy for nobody.
+    """End this child process when its parent is gone, however that ended; otherwise it would run on unused.
 
-    By SIGTERM, not SIGINT: an interpreter that is about to start anew, as over the wheels, would lose that. Linux alone
-    has this; elsewhere nothing happens.
+    The signal is SIGTERM, not SIGINT, which would get lost while an interpreter starts again, as it does with the
+    wheels. Only Linux has this; elsewhere nothing happens.
     """
     if hasattr(_libc, "prctl"):
         _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     parent = multiprocessing.parent_process()
-    if parent is not None and not parent.is_alive():  # it was gone before it could be asked for
+    if parent is not None and not parent.is_alive():  # it ended before the signal was requested
         os._exit(1)

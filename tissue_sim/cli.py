@@ -1,4 +1,4 @@
-"""`tissue_sim COMMAND`: finds the command and runs it."""
+"""Entry point of `tissue_sim COMMAND`: finds the command and runs it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from tissue_sim.errors import UserError, give_up_output, output_is_gone, printab
 from tissue_sim.unexpected import INTERRUPTED, catch_all, tell
 from tissue_sim.version import __version__
 
-UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends as it should; they tell no progress once they run
+UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends normally; they report no progress once they run
 
 
 def _with_signs(words: Sequence[str]) -> list[str]:
-    """Words in which `--seed -5,2,3` reads `--seed=-5,2,3`: argparse takes a leading minus for an option."""
+    """Return words in which `--seed -5,2,3` reads `--seed=-5,2,3`: argparse takes a leading minus for an option."""
     joined: list[str] = []
     for word in words:
         signed = len(word) > 1 and word[0] == "-" and (word[1].isdigit() or word[1] == ".")
@@ -32,7 +32,7 @@ def _with_signs(words: Sequence[str]) -> list[str]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose mistakes take one line, with the word that may have been meant."""
+    """Parser that reports mistakes in one line, with the word that may have been meant."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
         chosen = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)$", message)
@@ -43,13 +43,13 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _meant(word: str, choices: Sequence[str]) -> str:
-    """The question whether a choice was meant that is almost the word; empty where there is none."""
+    """Return the question whether a similar choice was meant; empty where there is none."""
     close = get_close_matches(word, choices, n=1)
     return f"; did you mean {close[0]}?" if close else ""
 
 
 class _Help(argparse.ArgumentDefaultsHelpFormatter):
-    """Help that names a default only where there is one to name."""
+    """Help formatter that names a default only where there is one."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         if action.default is None or action.default is False or "default:" in (action.help or ""):
@@ -58,15 +58,26 @@ class _Help(argparse.ArgumentDefaultsHelpFormatter):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns its exit code: 0, 1 for a failed check, 2 for wrong use."""
-    if arguments is None:  # not for who calls this from a program of its own
+    """Run a command.
+
+    Parameters
+    ----------
+    arguments : Sequence[str] | None, optional
+        Arguments; None for those of the process.
+
+    Returns
+    -------
+    int
+        Exit code: 0, 1 for a failed check, 2 for wrong use.
+    """
+    if arguments is None:  # not where another program calls this
         catch_all("tissue_sim")
     words = _with_signs(sys.argv[1:] if arguments is None else arguments)
     chosen = next((word for word in words if not word.startswith("-")), None)
     try:
         with progress.task(_title(words)):
             code = _run(words, chosen)
-        sys.stdout.flush()  # what fails there is to be told here
+        sys.stdout.flush()  # so that a failure to write is reported here
         return code
     except UserError as error:
         sys.stderr.write(f"tissue_sim: error: {printable(str(error))}\n")
@@ -81,13 +92,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0 if chosen in UNTIL_ASKED else INTERRUPTED
     except Exception as error:  # what nobody thought of
         tell(error, "tissue_sim")
-        if isinstance(error, OSError):  # a full disk, perhaps, and what is still to be printed would fail once more
+        if isinstance(error, OSError):  # perhaps a full disk, where the remaining output would fail again
             give_up_output()
         return 1
 
 
 def _title(words: Sequence[str]) -> str:
-    """The command, with its benchmark."""
+    """Return the command, with its benchmark."""
     named = [word for word in words if not word.startswith("-")]
     return " ".join(named[: 2 if named[:1] == ["bench"] else 1]) or "tissue_sim"
 

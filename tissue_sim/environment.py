@@ -1,4 +1,4 @@
-"""Variables of the environment, for a while."""
+"""Environment variables that are set for a while."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ from contextlib import contextmanager
 
 @contextmanager
 def environment(values: Mapping[str, str]) -> Iterator[None]:
-    """While entered, this process and those begun in it have these variables; then what they were before."""
+    """Set environment variables of this process and its children while entered, and restore them afterwards.
+
+    Parameters
+    ----------
+    values : Mapping[str, str]
+        Values by name.
+    """
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

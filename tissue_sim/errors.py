@@ -6,19 +6,43 @@ import sys
 
 
 class UserError(Exception):
-    """Wrong use or bad input, told in one line.
+    """Wrong use or bad input, reported in one line.
 
-    The command line prints the message and exits with code 2; the node logs it and goes on.
+    The command line prints the message and exits with code 2; the node logs it and continues.
     """
 
 
 def shown(text: str, longest: int = 60) -> str:
-    """What comes from outside as a line may have it: short, and without what a terminal would obey."""
+    """Return external text for a message: short, and without control characters.
+
+    Parameters
+    ----------
+    text : str
+        The text.
+    longest : int, optional
+        Number of characters after which it is cut.
+
+    Returns
+    -------
+    str
+        The printable text.
+    """
     return printable(text if len(text) <= longest else f"{text[:longest]}...")
 
 
 def printable(text: str) -> str:
-    """Text in one line, without what a terminal would obey."""
+    """Return text in one line, without control characters.
+
+    Parameters
+    ----------
+    text : str
+        The text.
+
+    Returns
+    -------
+    str
+        The printable text.
+    """
     return (
         text
         if text.isprintable()
@@ -27,12 +51,12 @@ def printable(text: str) -> str:
 
 
 def output_is_gone() -> bool:
-    """Whether who read the standard output has closed it, as `head` does."""
+    """Return whether the reader of the standard output has closed it, as `head` does."""
     looked = select.poll()
     looked.register(sys.stdout.fileno(), select.POLLERR)
     return bool(looked.poll(0))
 
 
 def give_up_output() -> None:
-    """After a BrokenPipeError: what is still to be printed, and flushed at the end, has nowhere to go."""
+    """Discard the standard output after a BrokenPipeError: what is still printed or flushed would fail."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

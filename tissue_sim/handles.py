@@ -1,4 +1,4 @@
-"""Handles: NamedTuples of arrays, and rows of such, that kernels take by reference."""
+"""Handles: NamedTuples of arrays, and rows of them, that kernels take by reference."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from numba.extending import NativeValue, intrinsic, unbox
 
 from tissue_sim.jit import folder_of
 
-_PAYLOAD = 3  # where Numba's reference-counted memory keeps the pointer to what it holds
+_PAYLOAD = 3  # index of the pointer to the content in Numba's reference-counted memory
 
 
 def has(values: Any, *path: str) -> bool:
@@ -43,11 +43,11 @@ def has(values: Any, *path: str) -> bool:
 
 
 class Handle(types.StructRef):  # type: ignore[name-defined]
-    """Compiled type of a NamedTuple that is passed by reference; the tuples in it are by reference too."""
+    """Compiled type of a NamedTuple that is passed by reference; the tuples in it are by reference, too."""
 
 
 class HandleProxy(structref.StructRefProxy):
-    """A handle as Python holds it; only kernels look inside."""
+    """Handle as Python holds it; only kernels look inside."""
 
 
 default_manager.register(Handle, models.StructRefModel)
@@ -56,24 +56,24 @@ structref.define_boxing(Handle, HandleProxy)
 
 @infer_getattr
 class _Fields(AttributeTemplate):
-    """Types of a handle's fields."""
+    """Typing of a handle's fields."""
 
     key = Handle
 
     def generic_resolve(self, kind: Any, name: str) -> Any:
-        """Type of a field, or None when there is none of that name; of a record the record, not the array around it."""
+        """Return the type of a field, None for an unknown one; for a record the record, not its array."""
         field = kind.field_dict.get(name)
         return field.dtype if _is_record(field) else field
 
 
 def _is_record(field: Any) -> bool:
-    """True for an array without dimensions that holds a record, as `handle` passes one."""
+    """Return whether a type is an array without dimensions that holds a record, as `handle` passes one."""
     return isinstance(field, types.Array) and field.ndim == 0 and isinstance(field.dtype, types.Record)
 
 
 @lower_getattr_generic(Handle)
 def _field(context, builder, kind, value, name):  # type: ignore[no-untyped-def]
-    """A field as it lies in the handle, borrowed: kernels hold no references, and count none."""
+    """Return a field as it lies in the handle, borrowed: kernels hold no references, and count none."""
     memory = context.make_helper(builder, kind, value).meminfo
     fields = builder.load(cgutils.gep_inbounds(builder, builder.bitcast(memory, _MEMORY.as_pointer()), 0, _PAYLOAD))
     payload = context.data_model_manager[kind.get_data_type()].get_value_type()
@@ -86,7 +86,7 @@ def _field(context, builder, kind, value, name):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def _by_reference(typing_context, values):  # type: ignore[no-untyped-def]
-    """A new handle with the fields of a named tuple."""
+    """Return a new handle with the fields of a named tuple."""
     kind = Handle(tuple(zip(values.fields, values.types, strict=True)))
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
@@ -112,12 +112,21 @@ def _refer(values: Any) -> Any:
 
 
 def handle(values: Any) -> Any:
-    """A NamedTuple of arrays, records, numbers and further such tuples, for kernels to take by reference.
+    """Return a NamedTuple of arrays, records, numbers and further such tuples, for kernels to take by reference.
 
     As plain arguments a hundred arrays are unpacked at every call, and again in every kernel that is compiled:
-    microseconds at each tick and minutes at the first one. Arrays and records (tissue_sim.model.records) are shared,
+    microseconds per tick and minutes at the first one. Arrays and records (tissue_sim.model.records) are shared,
     numbers copied.
-    Without the compiler kernels take the tuple itself.
+
+    Parameters
+    ----------
+    values : Any
+        The tuple.
+
+    Returns
+    -------
+    Any
+        The handle; the tuple itself where nothing is compiled.
     """
     if numba.config.DISABLE_JIT:
         return values
@@ -125,7 +134,7 @@ def handle(values: Any) -> Any:
 
 
 def _held(value: Any) -> Any:
-    """What a handle holds of a value."""
+    """Return what a handle holds of a value."""
     if isinstance(value, np.record):
         around: Any = value.base  # the array of one record that it lies in
         return around.reshape(())
@@ -133,7 +142,7 @@ def _held(value: Any) -> Any:
 
 
 class Row(types.Type):  # type: ignore[name-defined]
-    """Compiled type of a HandleRow: that of its handles, not how many they are."""
+    """Compiled type of a HandleRow: that of its handles, independent of their number."""
 
     def __init__(self, dtype: Handle) -> None:
         self.dtype = dtype
@@ -154,15 +163,28 @@ class HandleRow:
 
 
 def row(handles: Sequence[Any]) -> Any:
-    """Handles of one type, for kernels to take by reference, however many: as a tuple each number is another type.
+    """Return handles of one type, for kernels to take by reference; in a tuple each length would be another type.
 
-    Raises ValueError where their types differ, or there is none. Without the compiler kernels take a tuple.
+    Parameters
+    ----------
+    handles : Sequence[Any]
+        The handles.
+
+    Returns
+    -------
+    Any
+        The row; a tuple where nothing is compiled.
+
+    Raises
+    ------
+    ValueError
+        Where their types differ, or there is none.
     """
     return tuple(handles) if numba.config.DISABLE_JIT else HandleRow(handles)
 
 
 class _RowModel(models.StructModel):
-    """Where the handles' memory is, one after the other."""
+    """Data model of a row: the addresses of its handles."""
 
     def __init__(self, manager: Any, kind: Row) -> None:
         super().__init__(manager, kind, [("places", types.CPointer(types.intp)), ("count", types.intp)])  # type: ignore[attr-defined]
@@ -173,7 +195,7 @@ default_manager.register(Row, _RowModel)
 
 @unbox(Row)
 def _unbox_row(kind, row, c):  # type: ignore[no-untyped-def]
-    """As kernels take it."""
+    """Convert a row for kernels."""
     made = c.context.make_helper(c.builder, kind)
     address, count = (c.pyapi.object_getattr_string(row, name) for name in ("address", "count"))
     made.places = c.builder.inttoptr(c.unbox(types.intp, address).value, made.places.type)
@@ -185,10 +207,10 @@ def _unbox_row(kind, row, c):  # type: ignore[no-untyped-def]
 
 @infer_global(operator.getitem)
 class _Item(AbstractTemplate):
-    """Type of a row's handle."""
+    """Typing of a row's item."""
 
     def generic(self, arguments: Any, _: Any) -> Any:
-        """As numba asks for it; None for what isn't a row."""
+        """Return the signature for numba; None for what isn't a row."""
         if isinstance(arguments[0], Row) and isinstance(arguments[1], types.Integer):
             return signature(arguments[0].dtype, arguments[0], types.intp)
         return None
@@ -196,7 +218,7 @@ class _Item(AbstractTemplate):
 
 @lower_builtin(operator.getitem, Row, types.intp)
 def _item(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-    """A handle, borrowed as fields are."""
+    """Return a handle, borrowed as fields are."""
     places = context.make_helper(builder, signature.args[0], arguments[0]).places
     made = context.make_helper(builder, signature.return_type)
     made.meminfo = builder.inttoptr(builder.load(builder.gep(places, [arguments[1]])), made.meminfo.type)
@@ -205,22 +227,22 @@ def _item(context, builder, signature, arguments):  # type: ignore[no-untyped-de
 
 @infer_global(len)
 class _Length(AbstractTemplate):
-    """Type of how many there are."""
+    """Typing of a row's length."""
 
     def generic(self, arguments: Any, _: Any) -> Any:
-        """As numba asks for it; None for what isn't a row."""
+        """Return the signature for numba; None for what isn't a row."""
         return signature(types.intp, arguments[0]) if isinstance(arguments[0], Row) else None
 
 
 @lower_builtin(len, Row)
 def _length(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-    """How many."""
+    """Return the number of handles."""
     return context.make_helper(builder, signature.args[0], arguments[0]).count
 
 
 @intrinsic
 def _memory_of(typing_context, made):  # type: ignore[no-untyped-def]
-    """Where a handle's memory is."""
+    """Return the address of a handle's memory."""
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         memory = context.make_helper(builder, signature.args[0], arguments[0]).meminfo

@@ -1,4 +1,4 @@
-"""How every kernel is compiled: without the GIL, strictly IEEE, cached on disk; and telling how long that takes."""
+"""Compilation of kernels: without the GIL, strictly IEEE, cached on disk, and with a report of how long it takes."""
 
 from __future__ import annotations
 
@@ -23,17 +23,16 @@ from numba.extending import overload
 from tissue_sim import progress
 from tissue_sim.store import used_longest_ago, user_cache
 
-VERSIONS = 4  # of a layer's kernels that are kept; those used longest ago go
+VERSIONS = 4  # number of versions of a layer's kernels that are kept; the least recently used are removed
 
 
 def cache_folder(layer: str) -> Path:
-    """Folder of a layer's compiled kernels, one for each version of their source.
+    """Return the folder of a layer's compiled kernels, one for each version of their source.
 
-    Numba notices a change in the file of a kernel but not in the files of the kernels that it
-    calls, so the folder's name carries a digest of all that the layer has, and of the model's, whose kernels those of
-    contact and calibration call. It lies in the user's cache, because
-    the install folder may be read-only, or in the temporary folder when the user has no home. Where it is a new one,
-    those of versions that were used longest ago go.
+    Numba notices a change in the file of a kernel but not in the files of the kernels that it calls, so the folder's
+    name carries a digest of the layer's sources, and of the model's, whose kernels those of contact and calibration
+    call. It lies in the user's cache, because the install folder may be read-only, or in the temporary folder when the
+    user has no home. When it is created, the least recently used versions are removed.
     """
     digest = hashlib.sha256()
     for own in (Path(__file__), Path(__file__).with_name("handles.py")):
@@ -61,8 +60,8 @@ def cache_folder(layer: str) -> Path:
 
 
 def forget_oldest(base: Path, layer: str) -> None:
-    """Remove a layer's kernels but those of the VERSIONS used last: each takes a hundred megabytes or more."""
-    with contextlib.suppress(OSError):  # another process removes some, too
+    """Remove a layer's kernels except the VERSIONS used last: each takes a hundred megabytes or more."""
+    with contextlib.suppress(OSError):  # another process may remove some at the same time
         for folder in used_longest_ago(base, f"{layer}-numba-*", VERSIONS):
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -71,30 +70,61 @@ _chosen: dict[str, str] = {}
 
 
 def folder_of(layer: str) -> str:
-    """Where a layer's kernels are kept in this process: NUMBA_CACHE_DIR, or the layer's own folder."""
+    """Return where a layer's kernels are kept in this process: NUMBA_CACHE_DIR, or the layer's own folder.
+
+    Parameters
+    ----------
+    layer : str
+        Name of the layer.
+
+    Returns
+    -------
+    str
+        The folder.
+    """
     if layer not in _chosen:
         _chosen[layer] = os.environ.get("NUMBA_CACHE_DIR") or str(cache_folder(layer))
     return _chosen[layer]
 
 
 def is_compiled() -> bool:
-    """True when the tick of this version was compiled before on this machine."""
+    """Return whether the tick of this version was compiled before on this machine."""
     return any(Path(folder_of("model")).rglob("*tick*.nbi"))
 
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a kernel: no GIL, cached, no fast maths.
 
-    Strict IEEE arithmetic makes ticks repeat bit for bit, on other x86-64 machines too, which is
-    what the replay of a bag stands on.
+    Strict IEEE arithmetic makes ticks repeat bit for bit, on other x86-64 machines too, on which the replay of a bag
+    relies.
+
+    Parameters
+    ----------
+    function : Callable[..., Any]
+        The function.
+
+    Returns
+    -------
+    Any
+        The compiled kernel.
     """
     return _compiled(function, "never")
 
 
 def part(function: Callable[..., Any]) -> Any:
-    """Compile a kernel that one other kernel calls, as a part of that.
+    """Compile a kernel that one other kernel calls, as a part of it.
 
-    Every level of calls is optimised again with all that lies below it, so that deep ones take most of the time.
+    Every level of calls is optimised again with everything below it, so that deep ones take most of the time.
+
+    Parameters
+    ----------
+    function : Callable[..., Any]
+        The function.
+
+    Returns
+    -------
+    Any
+        The compiled kernel.
     """
     return _compiled(function, "always")
 
@@ -103,16 +133,16 @@ def _compiled(function: Callable[..., Any], inline: str) -> Any:
     numba.config.CACHE_DIR = folder_of(function.__module__.split(".")[1])
     # The model's kernels allocate nothing, so they need no reference counts around every array that they touch.
     counts = not function.__module__.startswith("tissue_sim.model.")
-    # Nobody calls a kernel from C: a wrapper for it would only take time to compile.
+    # No kernel is called from C: a wrapper for it would only take time to compile.
     options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts, "inline": inline}
     return _compiled_once(numba.njit(cache=True, **options)(function))
 
 
 def _compiled_once(dispatcher: Any) -> Any:
-    """Let one process compile what several need at once, as node, viewer and recorder do when they first start.
+    """Let one process compile what several need, as node, viewer and recorder do when they first start.
 
-    The others wait, and load it. Numba's index of a kernel's versions is written by one at a time, too: of two that
-    write it at once, one version would be lost, and compiled again by the next process.
+    The others wait, and load it. Numba's index of a kernel's versions is also written by one process at a time: if two
+    wrote it together, one version would be lost, and compiled again by the next process.
     """
     if numba.config.DISABLE_JIT:
         return dispatcher
@@ -136,7 +166,7 @@ def _compiled_once(dispatcher: Any) -> Any:
 
 @contextlib.contextmanager
 def alone(path: Path) -> Iterator[None]:
-    """Hold a lock between processes; without one where the file system has none, as it only saves work."""
+    """Hold a lock between processes while entered; no lock where the file system has none, as it only saves work."""
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -145,10 +175,18 @@ def alone(path: Path) -> Iterator[None]:
 
 
 def chosen(pick: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """A function whose callers are compiled with one of several kernels in its place, and without the others.
+    """Return a decorator for a function in whose place callers are compiled with one of several kernels.
 
-    pick: which one, of the arguments' compiled types, or of the arguments themselves where nothing is compiled. All
-    kernels take the arguments of the function, of which only name and description count.
+    Parameters
+    ----------
+    pick : Callable[..., Any]
+        Returns the kernel, given the arguments' compiled types, or the arguments themselves where nothing is compiled;
+        all kernels take the arguments of the function, of which only name and description count.
+
+    Returns
+    -------
+    Callable[[Callable[..., Any]], Callable[..., Any]]
+        The decorator.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -167,7 +205,7 @@ def chosen(pick: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[
 
 
 class _Compiling(events.Listener):
-    """Tells how long the compiler takes for kernels of this package. What is read from the disk is no event."""
+    """Listener that reports how long the compiler takes for kernels of this package; cached kernels cause no event."""
 
     def __init__(self) -> None:
         self._depth = 0  # of kernels that are compiled for others; one thread compiles at a time
@@ -175,7 +213,7 @@ class _Compiling(events.Listener):
         self._told = ExitStack()
 
     def on_start(self, event: events.Event) -> None:
-        """A kernel begins."""
+        """Note that a kernel begins."""
         if not _is_own(event):
             return
         self._depth += 1
@@ -185,7 +223,7 @@ class _Compiling(events.Listener):
             task.started -= self._seconds
 
     def on_end(self, event: events.Event) -> None:
-        """It is done, or has failed."""
+        """Note that it is done, or has failed."""
         if not _is_own(event):
             return
         self._depth -= 1
@@ -195,7 +233,7 @@ class _Compiling(events.Listener):
 
 
 def _is_own(event: events.Event) -> bool:
-    """Whether it is about a kernel of this package, and not about one of a program that uses it."""
+    """Return whether an event is about a kernel of this package."""
     return str(event.data["dispatcher"].py_func.__module__).startswith("tissue_sim.")
 
 

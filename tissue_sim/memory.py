@@ -1,4 +1,4 @@
-"""Memory below Python: bounds for libraries that take a damaged file's lengths at their word, and what bursts leave."""
+"""Memory below Python: limits for libraries that trust a damaged file's lengths, and release of what bursts leave."""
 
 from __future__ import annotations
 
@@ -11,9 +11,14 @@ from pathlib import Path
 
 @contextmanager
 def limited(spare: int) -> Iterator[None]:
-    """While entered, this process may reserve so many bytes more than it has; not for use beside busy threads.
+    """Limit the memory that this process may reserve to `spare` bytes more; not for use beside busy threads.
 
-    What asks for more raises what its library makes of it: RuntimeError or MemoryError.
+    A request for more raises whatever the library makes of it: RuntimeError or MemoryError.
+
+    Parameters
+    ----------
+    spare : int
+        Bytes beyond those reserved now.
     """
     before, most = resource.getrlimit(resource.RLIMIT_AS)
     limit = _reserved() + spare
@@ -33,9 +38,9 @@ _trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's
 
 
 def give_back() -> None:
-    """Give the system the room that the allocator keeps of blocks that were freed; a millisecond for some 100 MB.
+    """Return freed memory that the allocator keeps to the system; a millisecond per about 100 MB.
 
-    After bursts, such as a disk that stood still leaves, it keeps some of it for good: MB in an hour of recording.
+    After bursts, such as a stalled disk causes, the allocator keeps some of it for good: MB in an hour of recording.
     """
     if _trim is not None:
         _trim(0)

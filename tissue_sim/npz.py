@@ -1,4 +1,4 @@
-"""Arrays from an npz of unknown origin: checked before anything of it is unpacked, and never unpickled."""
+"""Arrays from an npz of unknown origin: checked before anything is unpacked, and never unpickled."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from tissue_sim.errors import shown
 
-MOST_BYTES = 1 << 30  # that all arrays may take; an organ of a million nodes takes about that
-MOST_TIMES = 200  # of its packed size that an array may take; of numbers that say something it is 20
-_SMALL = 1 << 26  # bytes for which that doesn't matter
+MOST_BYTES = 1 << 30  # of all arrays at most; an organ of a million nodes takes about that
+MOST_TIMES = 200  # largest ratio of an array's size to its packed size; for real data it is 20
+_SMALL = 1 << 26  # bytes up to which the ratio doesn't matter
 _LONGEST_HEADER = 10_000  # characters, as numpy has it
 _NAME = re.compile(r"\w[\w.]{0,99}")  # no path
 _SHOWN = 40  # characters of a name in a message
@@ -27,10 +27,25 @@ _DEFLATED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def read_npz(source: str | os.PathLike[str] | IO[bytes]) -> dict[str, NDArray]:
-    """The arrays of an npz by name, from a file or its bytes.
+    """Return the arrays of an npz by name.
 
-    Raises ValueError with the reason, in a few words, when it is damaged, holds what is no array of numbers or text,
-    or would take more than MOST_BYTES; OSError when it can't be read.
+    Parameters
+    ----------
+    source : str | os.PathLike[str] | IO[bytes]
+        The file, or its bytes.
+
+    Returns
+    -------
+    dict[str, NDArray]
+        Arrays by name.
+
+    Raises
+    ------
+    ValueError
+        With a short reason, where it is damaged, holds anything but arrays of numbers or text, or would take more than
+        MOST_BYTES.
+    OSError
+        Where it can't be read.
     """
     try:
         with zipfile.ZipFile(source) as archive:
@@ -44,7 +59,7 @@ def read_npz(source: str | os.PathLike[str] | IO[bytes]) -> dict[str, NDArray]:
 
 
 def _check(members: list[zipfile.ZipInfo]) -> None:
-    """Names, and sizes before anything is unpacked."""
+    """Check names and sizes before anything is unpacked."""
     names = [member.filename for member in members]
     if len(set(names)) < len(names):
         raise ValueError("an array is contained twice")
@@ -71,7 +86,7 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:
 
 
 def _header(data: bytes, name: str) -> tuple[np.dtype, bool, tuple[int, ...], int]:
-    """Type, order and shape, and where the numbers begin."""
+    """Return type, order and shape, and where the numbers begin."""
     if data[:6] != npy.MAGIC_PREFIX or data[6:7] not in (b"\1", b"\2", b"\3"):
         raise ValueError(f"'{shown(name, _SHOWN)}' is not an array, or is pickled")
     wide = data[6] > 1

@@ -1,4 +1,4 @@
-"""How far a long calculation is: a bar on a terminal, and elsewhere a line now and then.
+"""Progress of a long calculation: a bar on a terminal, and elsewhere a line now and then.
 
 All of it goes to the standard error; the standard output is for results.
 """
@@ -19,12 +19,22 @@ from tissue_sim.errors import UserError
 
 SETTING = "TISSUE_SIM_PROGRESS"  # s between lines where there is no terminal; 0: neither lines nor bars
 FIRST, PERIOD = 3.0, 10.0  # s until the first line, and between lines
-REDRAW = 0.5  # s until a terminal shows a bar, and between its pictures
+REDRAW = 0.5  # s until a terminal shows a bar, and between updates
 PAUSE = 1.0  # s without any task, after which the next one counts as a new beginning
 
 
 class Task:
-    """A piece of work that is under way. total: its steps, None where nobody knows them; unit: %, of shares of it."""
+    """Piece of work in progress.
+
+    Parameters
+    ----------
+    name : str
+        Name of the work.
+    total : float | None
+        Number of steps; None where it isn't known.
+    unit : str, optional
+        `%` where steps are fractions.
+    """
 
     def __init__(self, name: str, total: float | None, unit: str = "") -> None:
         self.name, self.total, self.unit = name, total, unit
@@ -32,11 +42,11 @@ class Task:
         self.started = time.monotonic()
 
     def advance(self, steps: float = 1, remark: str = "") -> None:
-        """Note that so many steps more are done; a remark stays until the next one."""
+        """Note that `steps` more steps are done; a remark stays until the next one."""
         self.reach(self.done + steps, remark)
 
     def reach(self, done: float, remark: str = "") -> None:
-        """Note how many steps are done in all, and tell it when it is time to."""
+        """Note how many steps are done in total, and report it when it is due."""
         self.done, self.remark = done, remark or self.remark
         _teller.look()
 
@@ -57,7 +67,22 @@ class Task:
 
 @contextmanager
 def task(name: str, total: float | None = None, unit: str = "") -> Iterator[Task]:
-    """Tell how far a piece of work is while it is under way, also within its steps. See Task."""
+    """Report the progress of a piece of work while entered, also within its steps; see Task.
+
+    Parameters
+    ----------
+    name : str
+        Name of the work.
+    total : float | None, optional
+        Number of steps; None where it isn't known.
+    unit : str, optional
+        `%` where steps are fractions.
+
+    Yields
+    ------
+    Iterator[Task]
+        The task.
+    """
     one = Task(name, total, unit)
     _teller.begin(one)
     try:
@@ -67,7 +92,22 @@ def task(name: str, total: float | None = None, unit: str = "") -> Iterator[Task
 
 
 def steps[Item](items: Iterable[Item], name: str, total: int | None = None) -> Iterator[Item]:
-    """Items, each of which is a step of a task. total: how many they are, where they have no length."""
+    """Yield items, each of which is a step of a task.
+
+    Parameters
+    ----------
+    items : Iterable[Item]
+        The items.
+    name : str
+        Name of the work.
+    total : int | None, optional
+        Number of items, where they have no length.
+
+    Yields
+    ------
+    Iterator[Item]
+        One item.
+    """
     if total is None and isinstance(items, Sized):
         total = len(items)
     with task(name, total) as one:
@@ -77,41 +117,53 @@ def steps[Item](items: Iterable[Item], name: str, total: int | None = None) -> I
 
 
 def say(line: str) -> None:
-    """Write a line to the standard error, above the bar."""
+    """Write a line to the standard error, above the bar.
+
+    Parameters
+    ----------
+    line : str
+        The line.
+    """
     print(line, file=sys.stderr, flush=True)
     _teller.put_off()
 
 
 @contextmanager
 def still() -> Iterator[None]:
-    """Let no thread of progress run, as while something is timed; how far it is, is told between steps alone."""
+    """Stop the progress thread while entered, as while something is timed; progress is then reported between steps."""
     with _teller.held(1):
         yield
 
 
 @contextmanager
 def moving() -> Iterator[None]:
-    """Let progress run within `still`, for a step that takes long."""
+    """Allow the progress thread within `still`, for a step that takes long."""
     with _teller.held(-1):
         yield
 
 
 def tell_by(write: Callable[[str], object] | None) -> None:
-    """Hand lines to a function instead, such as a log's; None: tell nothing any more."""
+    """Pass lines to a function instead, such as a log's.
+
+    Parameters
+    ----------
+    write : Callable[[str], object] | None
+        The function; None to report nothing any more.
+    """
     _teller.write_by(write)
 
 
 def name_of_all() -> str:
-    """Name of the task that all others are part of; empty where there is none."""
+    """Return the name of the outermost task; empty where there is none."""
     return _teller.name_of_all()
 
 
 class Stages:
-    """The stages of a long calculation: each is a task, and tells in a line what came of it."""
+    """Stages of a long calculation: each is a task, and reports its result in a line."""
 
     @contextmanager
     def stage(self, name: str, total: int) -> Iterator[Callable[..., None]]:
-        """See calibrate.Progress."""
+        """Start a stage; see calibrate.Progress."""
         with task(name, total) as one:
             yield lambda remark="": one.advance(1, remark)
         seconds = time.monotonic() - one.started
@@ -119,7 +171,7 @@ class Stages:
 
 
 class _Above:
-    """A stream of the terminal while a bar is shown there: what is written goes above the bar."""
+    """Stream of the terminal while a bar is shown there: text is written above the bar."""
 
     def __init__(self, stream: TextIO, teller: _Teller) -> None:
         self._stream, self._teller = stream, teller
@@ -130,7 +182,7 @@ class _Above:
             count = self._stream.write(text)
             if text:
                 self._teller.inside_line = not text.endswith("\n")
-            self._stream.flush()  # before the bar is there again
+            self._stream.flush()  # before the bar is drawn again
             return count
 
     def __getattr__(self, name: str) -> Any:
@@ -138,7 +190,7 @@ class _Above:
 
 
 class _Teller:
-    """Tells of the innermost task: one for each process."""
+    """Reporter of the innermost task: one for each process."""
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
@@ -182,7 +234,7 @@ class _Teller:
                 self._run()
 
     def _choose(self) -> None:
-        """Where and how often to tell."""
+        """Choose where and how often to report."""
         interval = _interval()
         if self._write is None or sys.stderr is None or interval == 0.0:
             self._due = math.inf
@@ -199,7 +251,7 @@ class _Teller:
 
     @contextmanager
     def held(self, change: int) -> Iterator[None]:
-        """Stop the thread, or let it run again, while this is entered."""
+        """Stop the thread, or let it run again, while entered."""
         self._hold(change)
         try:
             yield
@@ -219,7 +271,7 @@ class _Teller:
             ticker[0].join()
 
     def _run(self) -> None:
-        """Start the thread where there is something to tell and nothing that it would disturb."""
+        """Start the thread where there is something to report and nothing that it would disturb."""
         if self._ticker is None and self._tasks and self._holds <= 0 and self._due < math.inf:
             ended = threading.Event()
             thread = threading.Thread(target=self._tick, args=(ended,), name="progress", daemon=True)
@@ -238,7 +290,7 @@ class _Teller:
     # telling -------------------------------------------------------------------------------------
 
     def look(self, ended: threading.Event | None = None) -> None:
-        """Tell how far the innermost task is, where that is due. ended: of the thread that asks."""
+        """Report how far the innermost task is, where that is due; ended: event of the thread that asks."""
         if time.monotonic() < self._due:
             return
         with self.lock:
@@ -246,14 +298,14 @@ class _Teller:
             if now < self._due or not self._tasks or (ended is not None and ended.is_set()):
                 return
             self._due = now + self._period
-            with suppress(OSError, ValueError):  # full, closed or gone: nobody is told
+            with suppress(OSError, ValueError):  # a full disk or a closed stream isn't reported
                 if self.terminal is not None:
                     self._draw(now)
                 elif self._write is not None:
                     self._write(self._line(now))
 
     def put_off(self) -> None:
-        """Note that something else was told now."""
+        """Note that something else was reported now."""
         with self.lock:
             if self.terminal is None and self._due < math.inf:
                 self._due = time.monotonic() + self._period
@@ -263,7 +315,7 @@ class _Teller:
         return f"{first}: {', '.join(others)}" if others else first
 
     def _line(self, now: float) -> str:
-        """Name, steps, remark, time so far and to come."""
+        """Return name, steps, remark, elapsed and remaining time."""
         one = self._tasks[-1]
         seconds = now - one.started
         line = f"{self._path()}{', ' + one.remark if one.remark else ''}; {_clock(seconds)}"
@@ -326,14 +378,14 @@ def _to_stderr(line: str) -> None:
 
 
 def _clock(seconds: float) -> str:
-    """Minutes and seconds, with hours before them where there are some."""
+    """Return minutes and seconds, with hours before them where there are some."""
     minutes, left = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{left:02}" if hours else f"{minutes:02}:{left:02}"
 
 
 def _interval() -> float:
-    """Seconds between lines. Raises UserError where the setting is none."""
+    """Return the seconds between lines. Raises UserError where the setting is invalid."""
     text = os.environ.get(SETTING, "")
     if not text:
         return PERIOD

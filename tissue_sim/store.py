@@ -1,4 +1,4 @@
-"""What takes seconds to work out and is asked for at every start, kept in the user's cache."""
+"""Cache of results that take seconds to compute and are needed at every start."""
 
 from __future__ import annotations
 
@@ -11,24 +11,58 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-KEPT = 8  # of a kind; the ones used longest ago go
+KEPT = 8  # number of a kind; the least recently used are removed
 
 
 def user_cache() -> Path:
-    """The folder of this package in the user's cache; it need not exist."""
+    """Return the folder of this package in the user's cache; it need not exist."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     return Path(home) / "tissue_sim"
 
 
 def used_longest_ago(folder: Path, pattern: str, kept: int) -> list[Path]:
-    """What a folder has of a pattern, but for so many that were touched last. Raises OSError where one is gone."""
+    """Return a folder's files of a pattern, except those that were used last.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    pattern : str
+        Glob pattern.
+    kept : int
+        Number of files that are left out, the most recently used ones.
+
+    Returns
+    -------
+    list[Path]
+        The files, the least recently used first.
+
+    Raises
+    ------
+    OSError
+        Where a file is removed meanwhile.
+    """
     return sorted(folder.glob(pattern), key=lambda path: path.stat().st_mtime)[:-kept]
 
 
 def remembered(kind: str, key: str, make: Callable[[], dict[str, NDArray]]) -> dict[str, NDArray]:
-    """Arrays made by `make`, or those of the same kind and key that were kept before.
+    """Return the arrays kept under a kind and key, or those that `make` returns now.
 
     A damaged file, a full disk or a home that may not be written to cost time and nothing else.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of result.
+    key : str
+        Identifies the inputs.
+    make : Callable[[], dict[str, NDArray]]
+        Computes the arrays.
+
+    Returns
+    -------
+    dict[str, NDArray]
+        Arrays by name.
     """
     folder = user_cache()
     path = folder / f"{kind}-{key[:24]}.npz"

@@ -1,4 +1,4 @@
-"""Errors that nobody thought of: a user gets one line that names the place, and the traceback only when asked for."""
+"""Unexpected errors: a user gets one line that names the place, and the traceback only on request."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from types import TracebackType
 
 from tissue_sim.errors import UserError, printable, shown
 
-TRACEBACK = "TISSUE_SIM_TRACEBACK"  # set to anything but nothing: the traceback is shown, too
+TRACEBACK = "TISSUE_SIM_TRACEBACK"  # the traceback is shown, too, when this is set and not empty
 LONGEST = 500  # characters of what an error says
 INTERRUPTED = 130  # exit code of a program that Ctrl-C ended
 
@@ -19,7 +19,18 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def place_of(error: BaseException) -> str:
-    """File and line of the innermost frame inside the package, else of the innermost one; empty where there is none."""
+    """Return file and line of the innermost frame inside the package, else of the innermost one.
+
+    Parameters
+    ----------
+    error : BaseException
+        The error.
+
+    Returns
+    -------
+    str
+        The place; empty where there is none.
+    """
     inside = outside = ""
     for frame, line in traceback.walk_tb(error.__traceback__):
         path = Path(frame.f_code.co_filename)
@@ -31,19 +42,38 @@ def place_of(error: BaseException) -> str:
 
 
 def told(error: BaseException) -> str:
-    """An error in one line: its type, what it says, and its place."""
+    """Return an error in one line: its type, its message, and its place.
+
+    Parameters
+    ----------
+    error : BaseException
+        The error.
+
+    Returns
+    -------
+    str
+        The line.
+    """
     said = shown(" ".join(str(error).split()), LONGEST)
     place = place_of(error)
     return f"{type(error).__name__}{': ' if said else ''}{said}{f' ({place})' if place else ''}"
 
 
 def tell(error: BaseException, program: str) -> None:
-    """Write the line of an error that ends a program, or a thread of it, to the standard error."""
+    """Write the line of an error that ends a program, or a thread of it, to the standard error.
+
+    Parameters
+    ----------
+    error : BaseException
+        The error.
+    program : str
+        Name of the program.
+    """
     if os.environ.get(TRACEBACK):
         write_error("".join(traceback.format_exception(error)))
     if isinstance(error, UserError):
         write_error(f"{program}: error: {printable(str(error))}\n")
-    elif isinstance(error, OSError) and error.strerror:  # of the machine, and mostly plain
+    elif isinstance(error, OSError) and error.strerror:  # about the machine, and mostly self-explanatory
         names = ", ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
         write_error(f"{program}: error: {error.strerror}{f': {names}' if names else ''} ({place_of(error)})\n")
     else:
@@ -51,9 +81,14 @@ def tell(error: BaseException, program: str) -> None:
 
 
 def catch_all(program: str) -> None:
-    """Have all that nothing else catches in this process told by `tell`; for programs, not for who imports the package.
+    """Report every error that nothing else catches in this process by `tell`; for programs only.
 
-    Streams that are closed are opened on nothing: what writes to them must not fail, nor write to another file.
+    Closed standard streams are opened on the null device: writing to them must neither fail nor go to another file.
+
+    Parameters
+    ----------
+    program : str
+        Name of the program.
     """
     for name, number in (("stdin", 0), ("stdout", 1), ("stderr", 2)):
         if getattr(sys, name) is None:
@@ -87,5 +122,5 @@ def write_error(text: str) -> None:
     try:
         sys.stderr.write(text)
         sys.stderr.flush()
-    except (OSError, ValueError, AttributeError):  # full, closed or not there: nobody is told
+    except (OSError, ValueError, AttributeError):  # a full, closed or missing stream can't be reported
         pass

@@ -1,4 +1,4 @@
-"""Press equally deep into tissue of many stiffnesses: what does the hand feel?"""
+"""Press equally deep into tissues of different stiffness and compare the forces."""
 
 import matplotlib.pyplot as plt
 import numpy as np

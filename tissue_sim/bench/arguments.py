@@ -20,10 +20,20 @@ def add_shared(
     seconds: float | None = None,
     check: bool = False,
 ) -> None:
-    """ORGAN, whose default is told as `organ`, unless that is None, and --json.
+    """Add ORGAN and --json, and further arguments on request.
 
-    --out, told as `out`, where there is something to draw; --seconds with its default where something is measured for
-    a time that may be chosen; --check where there are bounds.
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The benchmark's parser.
+    organ : str | None, optional
+        Description of the default organ; None for no argument ORGAN.
+    out : str | None, optional
+        Description of --out; None where there is nothing to draw.
+    seconds : float | None, optional
+        Default of --seconds; None where the duration can't be chosen.
+    check : bool, optional
+        Whether there are bounds, and so --check.
     """
     if organ is not None:
         parser.add_argument("organ", nargs="?", metavar="ORGAN", help=f"organ file (.npz); default: {organ}")
@@ -39,7 +49,13 @@ def add_shared(
 
 
 def add_priority(parser: argparse.ArgumentParser) -> None:
-    """--realtime-priority, of a node and what is measured beside it."""
+    """Add --realtime-priority, of a node and what is measured beside it.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The benchmark's parser.
+    """
     parser.add_argument(
         "--realtime-priority",
         type=int,
@@ -51,16 +67,32 @@ def add_priority(parser: argparse.ArgumentParser) -> None:
 
 
 def check_priority(priority: int) -> None:
-    """Raises UserError when the system allows no such priority."""
+    """Raise UserError when the system doesn't allow a real-time priority.
+
+    Parameters
+    ----------
+    priority : int
+        The priority.
+    """
     if not is_allowed(priority):
         raise UserError(f"this user is not allowed to use real-time priority {priority}: see 'ulimit -r'")
 
 
 def check_shared(args: argparse.Namespace) -> None:
-    """Say before the work what would fail after it, and make the folder of --out.
+    """Report before the work what would fail after it, and make the folder of --out.
 
-    Raises UserError when the file for JSON is an organ (`--json ORGAN` takes it for one), the folder can't be made, or
-    --seconds or --realtime-priority is out of range, ModuleNotFoundError when there is to be drawn without matplotlib.
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed arguments.
+
+    Raises
+    ------
+    UserError
+        Where the file for JSON is an organ (as in `--json ORGAN`), the folder can't be made, or --seconds or
+        --realtime-priority is out of range.
+    ModuleNotFoundError
+        Where something is to be drawn without matplotlib.
     """
     if args.json and args.json.endswith(".npz"):
         raise UserError(f"--json {args.json} would overwrite an organ; put ORGAN before --json, or - after it")

@@ -1,6 +1,6 @@
-"""How many messages a second arrive, for `tissue_sim bench markers`: behind a lossy link, or of a large organ.
+"""Rate at which messages arrive, for `tissue_sim bench markers`: behind a lossy link, or of a large organ.
 
-Beside them those of a node without an organ that sends as many bytes as often, at the same end and in the same run.
+The comparison is a node without an organ that sends as many bytes as often, at the same end and in the same run.
 """
 
 from __future__ import annotations
@@ -21,19 +21,36 @@ DELAY = 0.05  # s, each way
 LINK_RATE, LINK_LEAST = 60.0, 20.0  # Hz behind the link: that are sent, that are to arrive
 LARGE_RATE, LARGE_LEAST = 20.0, 5.0  # Hz of a large organ
 SENDER = "sender"
-UNDAMPED = "damping_scale:=0.0"  # it swings on when the tool is gone
+UNDAMPED = "damping_scale:=0.0"  # it keeps moving when the tool is gone
 
 
 def behind_link(organ_file: str, loss: float, seconds: float) -> dict[str, Any]:
-    """Hz of surfaces behind a link that loses a share of the packets.
+    """Return the rates of surfaces, Hz, behind a link that loses a fraction of the packets.
 
-    Raises UserError where there are no network namespaces, rclpy is missing, or the node fails.
+    Parameters
+    ----------
+    organ_file : str
+        The organ.
+    loss : float
+        Fraction of the packets.
+    seconds : float, s
+        Duration.
+
+    Returns
+    -------
+    dict[str, Any]
+        Rates and bounds.
+
+    Raises
+    ------
+    UserError
+        Where there are no network namespaces, rclpy is missing, or the node fails.
     """
     with lossy_link(loss, DELAY) as ends, Graph("SUBNET") as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.shared.messages import CloudTemplate
 
         here, there = (("ip", "netns", "exec", end) for end in ends)
-        # Few ticks: a link is tried here, not the machine.
+        # Few ticks, because the link is measured here and not the machine.
         settings = UNDAMPED, "integrator:=implicit", "rate:=100.0", f"marker_rate:={LINK_RATE}"
         ticks(graph.start_node(organ_file, *settings, within=here))
         told(graph.start("probes.hand", organ_file, within=here))
@@ -50,14 +67,32 @@ def behind_link(organ_file: str, loss: float, seconds: float) -> dict[str, Any]:
 
 
 def of_large_organ(points: int, seconds: float) -> dict[str, Any]:
-    """Hz of markers and surfaces of an organ of so many points. Raises UserError, see `behind_link`."""
+    """Return the rates of markers and surfaces, Hz, of a large organ.
+
+    Parameters
+    ----------
+    points : int
+        Number of surface points.
+    seconds : float, s
+        Duration.
+
+    Returns
+    -------
+    dict[str, Any]
+        Rates and bounds.
+
+    Raises
+    ------
+    UserError
+        As in `behind_link`.
+    """
     with Graph() as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.probes.viewer import Viewer
         from tissue_sim.ros.shared.client import client_node
 
         organ_file = str(Path(folder, "bean.npz"))
         bean(points).save(organ_file)
-        # Soft tissue needs fewer substeps: what is sent is tried here.
+        # Soft tissue needs fewer substeps, because the sending is measured here.
         settings = UNDAMPED, "stiffness_scale:=0.02", f"marker_rate:={LARGE_RATE}"
         ticks(graph.start_node(organ_file, *settings))
         told(graph.start("probes.hand", organ_file))
@@ -77,7 +112,7 @@ def of_large_organ(points: int, seconds: float) -> dict[str, Any]:
 
 
 def as_json(about: str, rates: Mapping[str, float], least: float) -> dict[str, Any]:
-    """Hz by topic, of the node and of the sender beside it, and the bounds that the node's are held against."""
+    """Return the rates by topic, of the node and of the sender beside it, and the bounds of the node's."""
     own = {topic.rpartition("/")[2]: hz for topic, hz in rates.items() if topic.startswith(f"/{NODE}/")}
     rows = {kind: {"node_hz": hz, "sender_hz": rates[f"/{SENDER}/{kind}"]} for kind, hz in own.items()}
     bounds = [Bound(f"arriving: {kind}", hz, least, "Hz", least=True).as_json() for kind, hz in own.items()]
@@ -85,7 +120,18 @@ def as_json(about: str, rates: Mapping[str, float], least: float) -> dict[str, A
 
 
 def text(found: Mapping[str, Any]) -> str:
-    """The figures as tables."""
+    """Return the figures as tables.
+
+    Parameters
+    ----------
+    found : Mapping[str, Any]
+        The figures.
+
+    Returns
+    -------
+    str
+        The text.
+    """
     rows = [["Hz that arrive", "node", "a node that only publishes", "ratio"]]
     for kind, one in found["arriving"].items():
         ratio = f"{figure(one['node_hz'] / one['sender_hz'])} x" if one["sender_hz"] else "-"

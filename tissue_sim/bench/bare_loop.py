@@ -1,4 +1,4 @@
-"""A loop that keeps the node's rate and is as busy, and does nothing else: what this machine allows at that moment."""
+"""Loop with the node's rate and load that does nothing else: what this machine allows at that moment."""
 
 from __future__ import annotations
 
@@ -13,11 +13,26 @@ from tissue_sim.model.realtime import now, sleep_until
 from tissue_sim.ros.shared.priority import with_priority
 
 RATE = 1000.0  # Hz, of ticks and poses
-MOST_OF_BARE, POINTS_BEYOND = 2.0, 0.2  # bound of the share of late ticks, and percentage points
+MOST_OF_BARE, POINTS_BEYOND = 2.0, 0.2  # bound on the fraction of late ticks, as a factor and in percentage points
 
 
 def bare(seconds: float, busy: float, priority: int = 0) -> Floats:
-    """How late, s, the ticks of a loop at RATE are that does nothing but be busy for so many s of each."""
+    """Return how late the ticks of a loop at RATE are that only keeps the processor busy.
+
+    Parameters
+    ----------
+    seconds : float, s
+        Duration.
+    busy : float, s
+        Busy time of each tick.
+    priority : int, optional
+        Real-time priority, 0 for none.
+
+    Returns
+    -------
+    Floats, shape (ticks,), s
+        Lateness.
+    """
     late = np.zeros(round(seconds * RATE), dtype=np.int64)
     clock = np.zeros(4, dtype=np.int64)
     with_priority(lambda: bare_loop(round(1e9 / RATE), round(1e9 * busy), late, clock), priority)
@@ -25,18 +40,44 @@ def bare(seconds: float, busy: float, priority: int = 0) -> Floats:
 
 
 def late_percent(late: Floats) -> float:
-    """Share of ticks, so many s late each, that were late by more than a period."""
+    """Return the percentage of ticks that were late by more than a period.
+
+    Parameters
+    ----------
+    late : Floats, shape (ticks,), s
+        Lateness.
+
+    Returns
+    -------
+    float, %
+        The percentage.
+    """
     return 100.0 * float(np.mean(late > 1.0 / RATE))
 
 
 def late_bound(name: str, percent: float, usual_percent: float) -> Bound:
-    """A share of late ticks, held against a bare loop's, or that on a quiet machine."""
+    """Return the bound on a percentage of late ticks, relative to that of a bare loop, or of a quiet machine.
+
+    Parameters
+    ----------
+    name : str
+        Name of the bound.
+    percent : float, %
+        The percentage.
+    usual_percent : float, %
+        That of the comparison.
+
+    Returns
+    -------
+    Bound
+        The bound.
+    """
     return Bound(name, percent, MOST_OF_BARE * usual_percent + POINTS_BEYOND, "%")
 
 
 @kernel
 def bare_loop(period: int, busy: int, late: Any, clock: Any) -> None:
-    """Sleep to each deadline, `period` ns apart, and be busy for `busy` ns; late (n,) ns."""
+    """Sleep to each deadline, `period` ns apart, and be busy for `busy` ns; late (n,) receives ns."""
     deadline = now(clock)
     for tick in range(len(late)):
         deadline += period

@@ -1,6 +1,6 @@
-"""`tissue_sim bench breathing`: an organ whose clamp breathes, against implicit finite elements.
+"""Benchmark `tissue_sim bench breathing`: an organ whose clamp breathes, against implicit finite elements.
 
-Both in the frame of the clamp, where the organ feels the frame's acceleration: linear elements step it implicitly
+Both are in the frame of the clamp, where the organ feels the frame's acceleration: linear elements step it implicitly
 and always; the real-time organ by its tick, and asleep where the acceleration would hardly bend it.
 """
 
@@ -26,31 +26,31 @@ from tissue_sim.model.breathing import breathed_in
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
-RATES = (15.0, 30.0, 60.0)  # breaths a minute
+RATES = (15.0, 30.0, 60.0)  # breaths per minute
 WAY = 0.015  # m
 WAYS = {"along z": (0.0, 0.0, 1.0), "along x": (1.0, 0.0, 0.0)}
-LOOKS, STEPS = 50, 4  # at both in a breath; steps of the finite elements from one look to the next
-MOST_OFF = 5.0  # % of the way
+LOOKS, STEPS = 50, 4  # comparisons per breath; steps of the finite elements between two of them
+MOST_OFF = 5.0  # % of the clamp's motion
 
 
 class Breathed(NamedTuple):
-    """One breath. Lengths in m, of all surface nodes at all looks."""
+    """Results of one breath; lengths in m, of all surface nodes at all comparisons."""
 
     rate: float
     way: str
-    bent: float  # by how much finite elements move against their clamp at the most
-    off: float  # how far the real-time organ is from them, root mean square over nodes, at the worst look
+    bent: float  # largest motion of the finite elements relative to their clamp
+    off: float  # difference of the real-time organ, root mean square over nodes, at the worst comparison
     most_off: float  # of any node
-    asleep: float  # share of the ticks
+    asleep: float  # fraction of the ticks
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, check=True)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Breathe, compare and print; returns 0, or with --check 1 when a bound is missed."""
+    """Breathe, compare and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     organ = Organ.load(args.organ or shipped_organ())
     found = as_json(in_one_thread(measure, organ))
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
 def measure(
     organ: Organ, rates: Sequence[float] = RATES, ways: Mapping[str, tuple[float, ...]] = WAYS
 ) -> list[Breathed]:
-    """A breath at each rate, in each way. Raises UserError for an organ that finite elements can't fill."""
+    """Return a breath at each rate, in each direction. Raises UserError for an organ that can't be filled."""
     body = Body(organ)
     found = []
     with rows.until_stopped():
@@ -109,7 +109,7 @@ def _breathed(organ: Organ, body: Body, rate: float, name: str, way: Floats) -> 
 
 
 def as_json(found: Sequence[Breathed]) -> dict[str, Any]:
-    """All figures, and the bound on the slowest breath."""
+    """Return all figures, and the bound on the slowest breath."""
     slow = [one for one in found if one.rate == min(row.rate for row in found)]
     worst = 100.0 * max(one.most_off for one in slow) / WAY
     bounds = [
@@ -119,7 +119,7 @@ def as_json(found: Sequence[Breathed]) -> dict[str, Any]:
 
 
 def text(organ: Organ, found: dict[str, Any]) -> str:
-    """The figures as a table, a row for each breath."""
+    """Return the figures as a table, a row for each breath."""
     table = [
         ["breaths a minute", "way", "bends mm", "error mm rms", "error mm worst", "of the displacement %", "asleep %"]
     ]

@@ -1,4 +1,4 @@
-"""The substep of the hybrid tick written in C: what the kernels are measured against.
+"""Substep of the hybrid tick written in C, against which the kernels are measured.
 
 Springs, hinges and return springs, or cells, and symplectic Euler, on the same arrays and in the same order as
 model.forces, model.cells and model.integrators, compiled by the C compiler of this machine.
@@ -27,7 +27,7 @@ from tissue_sim.model.model import Tissue
 from tissue_sim.model.simulation import Simulation
 
 PLAIN = ("-O3",)
-# The last two let it take square roots and choose between values in vectors, as Numba's compiler may.
+# The last two options allow vectorised square roots and selections, as Numba's compiler does.
 NATIVE = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math")
 COMPILER = "cc"
 NUMBERS = (BLOCK, CONSTANTS, SHORTEST, SHORTEST, STEEPEST, SQUEEZED, 1.0 / STEEPEST**2)  # in the order of the source
@@ -36,7 +36,7 @@ AGREEMENT = 1e-10  # largest difference of positions, over the largest displacem
 
 
 class CLoopError(Exception):
-    """There is no C compiler, it can't do what it is asked for, or its result differs from the kernels'."""
+    """Error raised where there is no C compiler, it fails, or its result differs from the kernels'."""
 
 
 SOURCE = r"""
@@ -262,7 +262,7 @@ _ARRAYS = (
 
 
 class _Model(ctypes.Structure):
-    """The struct Model of the source: numbers, then addresses of arrays."""
+    """Struct Model of the source: numbers, then addresses of arrays."""
 
     _fields_ = [
         *((name, ctypes.c_long) for name in _NUMBERS),
@@ -271,9 +271,23 @@ class _Model(ctypes.Structure):
 
 
 class CLoop:
-    """Bursts of substeps in C of a simulation's model under forces (k, 3) N on nodes (k,).
+    """Bursts of substeps in C of a simulation's model under forces.
 
-    Raises CLoopError when there is no compiler, or the result is not that of the kernels.
+    Parameters
+    ----------
+    simulation : Simulation
+        The simulation.
+    flags : tuple[str, ...]
+        Flags of the compiler.
+    nodes : NDArray[np.int64], shape (k,)
+        Loaded nodes.
+    forces : Floats, shape (k, 3), N
+        Forces on them.
+
+    Raises
+    ------
+    CLoopError
+        Where there is no compiler, or the result is not that of the kernels.
     """
 
     def __init__(
@@ -303,23 +317,23 @@ class CLoop:
         self.reset()
 
     def reset(self) -> None:
-        """Back to rest."""
+        """Return to rest."""
         self.position = self._simulation.model.rest.copy()
         self.velocity = np.zeros_like(self.position)
         self._force = np.zeros_like(self.position)
 
     def advance(self, substeps: int) -> float:
-        """Run substeps; returns the seconds that they took."""
+        """Run substeps; return the seconds that they took."""
         arrays = (array.ctypes.data for array in (self.position, self.velocity, self._force))
         return 1e-9 * float(self._run(ctypes.byref(self._model), *arrays, self._step, substeps))
 
     def __call__(self, count: int) -> Floats:
-        """Seconds (count,) of a substep, each the mean of a tick's; two ticks before them warm the caches."""
+        """Return the seconds (count,) of a substep, each the mean of a tick's, after two ticks that warm the caches."""
         seconds = np.array([self.advance(self._substeps) for _ in range(count + 2)])[2:]
         return np.maximum(seconds - clock_cost(), 0.0) / self._substeps
 
     def compare(self) -> float:
-        """Difference from the kernels after 200 substeps, over the largest displacement; begins at rest.
+        """Return the difference from the kernels after 200 substeps, over the largest displacement, from rest.
 
         Raises CLoopError when it is more than 1e-10.
         """
@@ -342,7 +356,7 @@ class CLoop:
 
 
 def _library(flags: tuple[str, ...]) -> Any:
-    """The source compiled with flags, loaded."""
+    """Return the source compiled with flags, and loaded."""
     compiler = shutil.which(COMPILER)
     if compiler is None:
         raise CLoopError("no C compiler")
@@ -353,5 +367,5 @@ def _library(flags: tuple[str, ...]) -> Any:
         done = subprocess.run(words, capture_output=True, text=True, check=False)
         if done.returncode:
             raise CLoopError(f"{COMPILER} {' '.join(flags)} fails: {(done.stderr.splitlines() or ['?'])[0]}")
-        # Once it is loaded, the file may go.
+        # Once it is loaded, the file may be removed.
         return ctypes.CDLL(str(library))

@@ -1,4 +1,4 @@
-"""`tissue_sim bench BENCHMARK`: one module for each benchmark.
+"""Command `tissue_sim bench BENCHMARK`: one module for each benchmark.
 
 They import what only the extra `bench` brings (joblib, matplotlib, mujoco) inside their functions.
 """
@@ -73,7 +73,7 @@ BENCHMARKS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command and of every benchmark."""
+    """Add the arguments of the command and of every benchmark."""
     benchmarks = parser.add_subparsers(dest="benchmark", metavar="BENCHMARK", required=True, parser_class=type(parser))
     for name, (module, summary) in BENCHMARKS.items():
         benchmark = benchmarks.add_parser(
@@ -86,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run a benchmark; returns its exit code: 0, 1 when a bound that it states was missed, 130 when it was stopped."""
+    """Run a benchmark; return 0, 1 when a bound that it states was missed, 130 when it was stopped."""
     rows.begin()
     try:
         code = int(_load(BENCHMARKS[args.benchmark][0]).run(args))

@@ -1,4 +1,4 @@
-"""The precomputed compliance: displacements of the surface as one matrix product with the forces on it."""
+"""Precomputed compliance: displacements of the surface as one matrix product with the forces on it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,21 @@ AT_ONCE = 300  # columns solved together
 
 
 def surface_compliance(model: Model, nodes: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Compliance (3 n_surface, 3 k) m/N of the model at rest: surface displacements for unit forces on nodes (k,).
+    """Return the compliance of the model at rest: surface displacements for unit forces on nodes.
 
-    The inverse of its tangent stiffness, kept in single precision as such products are.
+    It is the inverse of the tangent stiffness, kept in single precision as such products are.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    nodes : NDArray[np.int64], shape (k,)
+        Loaded nodes.
+
+    Returns
+    -------
+    NDArray[np.float32], shape (3 n_surface, 3 k), m/N
+        Compliance.
     """
     free = free_axes(model)
     place = np.full(3 * len(model.rest), -1, dtype=np.int64)
@@ -36,7 +48,7 @@ def surface_compliance(model: Model, nodes: NDArray[np.int64]) -> NDArray[np.flo
 
 
 class Product:
-    """Bursts of displacements = compliance (3 n, 3 k) times forces (k, 3) N, single precision."""
+    """Bursts of displacements = compliance (3 n, 3 k) times forces (k, 3) N, in single precision."""
 
     def __init__(self, compliance: NDArray[np.float32], forces: Floats) -> None:
         self.compliance = compliance
@@ -44,5 +56,5 @@ class Product:
         self.displacement = np.zeros(len(compliance), dtype=np.float32)
 
     def __call__(self, count: int) -> Floats:
-        """Seconds (count,) of count products."""
+        """Return the seconds (count,) of `count` products."""
         return time_calls(lambda: np.dot(self.compliance, self.forces, out=self.displacement), count)

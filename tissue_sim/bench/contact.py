@@ -1,4 +1,4 @@
-"""`tissue_sim bench contact`: time of a contact set with two tools in touch, as they press and draw."""
+"""Benchmark `tissue_sim bench contact`: time of a contact set with two tools in contact, as they press and drag."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MOST = 4e-4  # s, bound of the p99 with two spheres of 5 mm
 
 
 class Pressed(NamedTuple):
-    """Two tools: seconds of processor time of every set, most points in one, and how often FCL was asked and built."""
+    """Results of two tools: processor time of every set, s, most points in one, and queries to FCL."""
 
     name: str
     seconds: Floats
@@ -39,12 +39,12 @@ class Pressed(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, check=True)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; returns 0, or with --check 1 when the bound is missed."""
+    """Measure and print; return 0, or with --check 1 when the bound is missed."""
     check_shared(args)
     found = in_one_thread(measure, Organ.load(args.organ or shipped_organ()))
     emit(found, text(found), args.json)
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(organ: Organ) -> dict[str, Any]:
-    """Figures of every pair of tools; meant for a process of one thread."""
+    """Return the figures of every pair of tools; meant for a process of one thread."""
     with tempfile.TemporaryDirectory() as folder:
         measured = []
         with rows.until_stopped():
@@ -63,7 +63,7 @@ def measure(organ: Organ) -> dict[str, Any]:
 
 
 def as_json(measured: Sequence[Pressed], bursts: Floats) -> dict[str, Any]:
-    """All figures, and the bound that the first pair is held against; bursts: s of a fixed loop, in the same run."""
+    """Return all figures, and the bound on the first pair; bursts: s of a fixed loop, in the same run."""
     loop = float(np.median(bursts))
     found: list[dict[str, Any]] = [
         {
@@ -84,7 +84,7 @@ def as_json(measured: Sequence[Pressed], bursts: Floats) -> dict[str, Any]:
 
 
 def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:
-    """Names and tools of what is measured; mesh files go into a folder."""
+    """Return names and tools of what is measured; mesh files are written into a folder."""
     box = trimesh.creation.box((0.006, 0.006, 0.03))
     box.apply_translation([0.0, 0.0, -0.015])
     box.export(folder / "box.stl")
@@ -104,7 +104,7 @@ def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:
 
 
 def pressed(organ: Organ, name: str, tools: list[Tool]) -> Pressed:
-    """Press both tools into the front and the side of an organ, and draw them along it."""
+    """Press both tools into the front and the side of an organ, and drag them along it."""
     scene = Scene(organ, tools, ticks_a_set=4)
     find, seconds, points = scene.finder.find, [], [0]
     scene.finder.warm_up(organ.rest_positions)
@@ -134,7 +134,7 @@ def pressed(organ: Organ, name: str, tools: list[Tool]) -> Pressed:
 
 
 def text(found: dict[str, Any]) -> str:
-    """The figures as a table."""
+    """Return the figures as a table."""
     table = [["", "p50 us", "p99 us", "p50 relative to loop", "points", "sets", "FCL queries", "force N"]]
     for row in found["rows"]:
         cells = [figure(row[key]) for key in ("p50_us", "p99_us", "of_fixed_loop", "points", "sets", "fcl_asked")]

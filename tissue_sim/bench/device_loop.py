@@ -1,7 +1,7 @@
-"""A haptic device in a loop with what it touches: poses there, forces back, each with its delay; in simulated time.
+"""Haptic device in a loop with what it touches, with delays in both directions, in simulated time.
 
-Nothing here depends on how fast a machine is. A device samples its place and sets its force every millisecond, as the
-node ticks; poses go out at a rate of their own.
+Nothing here depends on how fast a machine is. A device samples its position and sets its force every millisecond, as
+the node ticks; poses are sent at a rate of their own.
 """
 
 from __future__ import annotations
@@ -25,23 +25,31 @@ from tissue_sim.ros.node.passivity import Observer
 
 PUSH, START = 0.5, 5e-4  # N of the hand, and m before the tissue: it lands at some 50 mm/s
 SOFTEST, STIFFEST = 1.0, 2e4  # N/m
-CLOSE_ENOUGH = 1.05  # ratio of a stable stiffness and one that is not, where a search ends
+CLOSE_ENOUGH = 1.05  # ratio of an unstable and a stable stiffness at which a search ends
 PERIODS, SHORTEST, LONGEST = 24.0, 0.8, 2.5  # of a free swing, and s: how long a trial lasts
 UNCOUPLED = 1.5  # s of a trial where tissue alone resists
-QUANTA = 4.0  # of the encoder, from peak to peak: less than that is the encoder's own
-FAR = 0.01  # m before the tissue, where a device has been thrown off
-REST, LOOK = 200, 50  # periods of the servo: at rest for so long, it stays there; between two checks of that
-STILL = 0.5  # of the smallest motion that counts
-KEPT = 0.95  # of a swing that is left a quarter of a trial later: more, and it does not decay
+QUANTA = 4.0  # encoder quanta, peak to peak: smaller motion is an effect of the encoder
+FAR = 0.01  # m before the tissue, beyond which a device has been thrown off
+REST, LOOK = 200, 50  # periods of the servo: time at rest after which it stays there, and between two checks
+STILL = 0.5  # fraction of the smallest motion that counts
+KEPT = 0.95  # of an oscillation's amplitude a quarter of a trial later: above that it doesn't decay
 MOST_ADDED = 5.0  # N s/m by an observer
-BALL, HARDNESS = 0.027, 1000.0  # m, and times the stiffness of tissue: a ball that hardly gives way
+BALL, HARDNESS = 0.027, 1000.0  # m, and factor of tissue's stiffness: a ball that hardly yields
 
 
 class Link(NamedTuple):
-    """How a device is connected: poses a second, Hz; s that both ways take on top, together.
+    """Connection of a device.
 
-    transport: s from a pose to its force where nothing is delayed. A servo sets a force a period after the pose that
-    it answers. smoothed: whether a tool is moved to a pose in the time until the next, as in the node.
+    Attributes
+    ----------
+    rate : float
+        Poses per second, Hz.
+    delay : float
+        Additional delay of both directions together, s.
+    transport : float
+        Time from a pose to its force where nothing is delayed, s; a servo sets a force a period after its pose.
+    smoothed : bool
+        Whether a tool moves to a pose in the time until the next one, as in the node.
     """
 
     rate: float = 1000.0
@@ -64,40 +72,40 @@ class Link(NamedTuple):
 
 
 class World(Protocol):
-    """What a device touches, along its axis; its surface is at 0, and it lies below."""
+    """Object that a device touches, along its axis; its surface is at 0, and it lies below."""
 
     def begin(self, stiffness: float) -> None:
-        """Return to rest; stiffness N/m of what holds the tool, 0: it is where the device is."""
+        """Return to rest; stiffness N/m of the coupling, 0: the tool is where the device is."""
 
     def take(self, place: float, stamp: float) -> None:
-        """Take up a pose: place m and when the device was there, s."""
+        """Apply a pose: position m, and its time, s."""
 
     def tick(self) -> float:
-        """Go on by a tick; returns the force on the device, N."""
+        """Advance by a tick and return the force on the device, N."""
 
 
 class Wall:
-    """A spring that nothing is added to: the sampled wall of theory."""
+    """Plain spring: the sampled wall of theory."""
 
     def __init__(self, *, is_held: bool = False) -> None:
         self._stiffness = self._place = 0.0
-        self._is_held = is_held  # it pulls, too
+        self._is_held = is_held  # it also pulls
 
     def begin(self, stiffness: float) -> None:
-        """See World."""
+        """Implement World.begin."""
         self._stiffness, self._place = stiffness, 0.0
 
     def take(self, place: float, stamp: float) -> None:
-        """See World."""
+        """Implement World.take."""
         self._place = place
 
     def tick(self) -> float:
-        """See World."""
+        """Implement World.tick."""
         return -self._stiffness * (self._place if self._is_held else min(self._place, 0.0))
 
 
 class Tissue:
-    """An organ that a sphere presses from above, in ticks like the node's; hardness: factor on its stiffness."""
+    """Organ that a sphere presses from above, in ticks like the node's; hardness: factor of its stiffness."""
 
     def __init__(self, organ: Organ, hardness: float = 1.0, radius: float = 0.005, ticks_a_set: int = 4) -> None:
         self._scene = Scene(organ, [Tool("left", radius=radius)], ticks_a_set=ticks_a_set)
@@ -108,23 +116,23 @@ class Tissue:
         self._touch = surface[np.argmax(surface[:, 2])] + [0.0, 0.0, radius]
 
     def begin(self, stiffness: float) -> None:
-        """See World."""
+        """Implement World.begin."""
         self._scene.reset()
         self._scene.simulation.settings.coupling_stiffness = stiffness
 
     def take(self, place: float, stamp: float) -> None:
-        """See World."""
+        """Implement World.take."""
         # A stamp of 0 would mean that there is none.
         self._scene.move(0, self._touch + [0.0, 0.0, place], stamp=round(1e9 * (1.0 + stamp)))
 
     def tick(self) -> float:
-        """See World."""
+        """Implement World.tick."""
         self._scene.step()
         return float(self._scene.wrenches[0, 2])
 
 
 def hard_ball() -> Tissue:
-    """Return a ball of 27 mm that gives way to a tool by some 50,000 N/m: what limits a device is the coupling."""
+    """Return a ball of 27 mm with a stiffness of some 50,000 N/m, with which the coupling limits a device."""
     mesh, radius = trimesh.creation.icosphere(1, BALL), BALL
     surface, atoms = np.asarray(mesh.vertices), np.zeros((5, 3))
     atoms[:, 2] = np.linspace(-0.4, 0.4, 5) * radius
@@ -141,14 +149,14 @@ def hard_ball() -> Tissue:
 
 
 class Port(Protocol):
-    """What may change a force before it goes out to a device."""
+    """Filter of a force before it goes out to a device."""
 
     def send(self, place: float, force: float) -> float:
-        """Return the force, N, that goes out in answer to a pose at a place, m."""
+        """Return the force, N, that goes out in answer to a pose at a position, m."""
 
 
 class Trial(NamedTuple):
-    """What a device did: places (n,) m, forces (n,) N, every SERVO s; the smallest motion that counts, m."""
+    """Result of a trial: positions (n,) m, forces (n,) N, every SERVO s; the smallest motion that counts, m."""
 
     places: Floats
     forces: Floats
@@ -156,13 +164,13 @@ class Trial(NamedTuple):
 
     @property
     def swings(self) -> bool:
-        """True when it neither rests in the end nor is about to: a limit cycle, or thrown off."""
+        """Whether it neither rests in the end nor is about to: a limit cycle, or thrown off."""
         before, last = quarters(self.places)
         return bool(self.places[-1] > FAR) or (last > QUANTA * self.finest and last > KEPT * before)
 
 
 class Holder(NamedTuple):
-    """A device, the hand on it, how it is connected, and, if any, how a port for its forces is made."""
+    """Device, the hand on it, its connection, and the port for its forces, if any."""
 
     device: Device
     link: Link
@@ -185,7 +193,7 @@ class Holder(NamedTuple):
         return passive_stiffness(self.damping, self.link.period, self.link.lag)
 
     def seconds(self, stiffness: float) -> float:
-        """How long a trial lasts, s."""
+        """Return the duration of a trial, s."""
         if stiffness == 0.0:
             return UNCOUPLED
         period = 2.0 * math.pi * math.sqrt(self.mass / stiffness)
@@ -193,7 +201,7 @@ class Holder(NamedTuple):
 
 
 class ObservedPort:
-    """The node's passivity observer, for a device that it knows the mass of."""
+    """The node's passivity observer, for a device of known mass."""
 
     def __init__(self, holder: Holder) -> None:
         link = holder.link
@@ -203,7 +211,7 @@ class ObservedPort:
         self._most = min(MOST_ADDED, holder.mass / (0.5 * link.period + self._lag))
 
     def send(self, place: float, force: float) -> float:
-        """See Port."""
+        """Implement Port.send."""
         there, wanted = np.array([place, 0.0, 0.0]), np.array([force, 0.0, 0.0])
         damped = self._observer.damped(there, wanted, self._period, self._lag, self._most)
         self._observer.sent(damped)
@@ -211,7 +219,22 @@ class ObservedPort:
 
 
 def tried(world: World, holder: Holder, stiffness: float) -> Trial:
-    """Push a device onto what it touches, through a coupling of a stiffness, N/m, and see what becomes of it."""
+    """Push a device onto what it touches, through a coupling of a stiffness, and return its motion.
+
+    Parameters
+    ----------
+    world : World
+        What it touches.
+    holder : Holder
+        The device.
+    stiffness : float, N/m
+        Stiffness of the coupling.
+
+    Returns
+    -------
+    Trial
+        Positions and forces.
+    """
     device, link = holder.device, holder.link
     world.begin(stiffness)
     moving = Moving(device, holder.hand, PUSH, START)
@@ -244,10 +267,22 @@ def tried(world: World, holder: Holder, stiffness: float) -> Trial:
 
 
 def stable_stiffness(world: World, holder: Holder) -> float:
-    """Return the stiffness of a coupling, N/m, up to which a device comes to rest, to CLOSE_ENOUGH.
+    """Return the stiffness of a coupling up to which a device comes to rest, to CLOSE_ENOUGH.
 
-    From what theory allows, in doubles, as a device may come to rest again where it is far too stiff; then by
-    bisection of the logarithm. Between SOFTEST and STIFFEST; 0 where it swings at SOFTEST.
+    The search starts from what theory allows and doubles it, as a device may come to rest again where the coupling is
+    far too stiff; then the logarithm is bisected. The result lies between SOFTEST and STIFFEST.
+
+    Parameters
+    ----------
+    world : World
+        What it touches.
+    holder : Holder
+        The device.
+
+    Returns
+    -------
+    float, N/m
+        Stiffness; 0 where it oscillates at SOFTEST.
     """
     low = max(holder.passive, SOFTEST)
     while tried(world, holder, low).swings:

@@ -14,9 +14,22 @@ FINE = 20  # steps of its motion in one of them
 
 
 class Device(NamedTuple):
-    """A haptic device as its tip feels: mass kg, damping N s/m, Coulomb friction N, encoder quantum m, largest force N.
+    """Haptic device as its tip feels.
 
-    source: where the figures come from, and which of them is assumed.
+    Attributes
+    ----------
+    mass : float
+        Moving mass, kg.
+    damping : float
+        Viscous damping, N s/m.
+    friction : float
+        Coulomb friction, N.
+    quantum : float
+        Encoder quantum, m.
+    most_force : float
+        Largest force, N.
+    source : str
+        Source of the figures, and which of them is assumed.
     """
 
     name: str
@@ -29,19 +42,19 @@ class Device(NamedTuple):
 
     @property
     def finest(self) -> float:
-        """Return the smallest motion that counts as one, m."""
+        """Smallest motion that counts, m."""
         return max(self.quantum, 5e-6)
 
 
 class Hand(NamedTuple):
-    """What a hand adds where it holds a device: mass kg, damping N s/m, stiffness N/m."""
+    """Contribution of a hand that holds a device: mass kg, damping N s/m, stiffness N/m."""
 
     mass: float
     damping: float
     stiffness: float
 
 
-# Data sheets give no viscous damping: such a device stands on its dry friction.
+# Data sheets give no viscous damping; such a device is stabilised by its dry friction.
 ASSUMED_DAMPING = 0.1  # N s/m
 DEVICES = (
     Device(
@@ -78,9 +91,18 @@ NO_HAND, GRIP = Hand(0.0, 0.0, 0.0), Hand(0.05, 2.0, 100.0)  # the latter assume
 
 
 class Moving:
-    """A device that is pushed along its axis: place m (negative: into the tissue), speed m/s.
+    """Device that is pushed along its axis: position m (negative: into the tissue), speed m/s.
 
-    push: N that the hand adds, towards the tissue.
+    Parameters
+    ----------
+    device : Device
+        The device.
+    hand : Hand
+        The hand on it.
+    push : float, N
+        Force of the hand towards the tissue.
+    start : float, m
+        Position at the start.
     """
 
     def __init__(self, device: Device, hand: Hand, push: float, start: float) -> None:
@@ -93,17 +115,17 @@ class Moving:
 
     @property
     def measured(self) -> float:
-        """Place as the encoder tells it, m."""
+        """Position by the encoder, m."""
         place, quantum = float(self._motion[0]), self.device.quantum
         return quantum * float(np.floor(place / quantum)) if quantum > 0.0 else place
 
     @property
     def place(self) -> float:
-        """Place, m."""
+        """Position, m."""
         return float(self._motion[0])
 
     def advance(self, force: float) -> None:
-        """Move for SERVO s under a force, N, along the axis, of which the actuator gives what it can."""
+        """Move for SERVO s under a force, N, along the axis, limited by the actuator."""
         most = self.device.most_force
         given = min(max(force, -most), most) - self._push
         move(self._motion, self._properties, given, SERVO / FINE, FINE)
@@ -111,7 +133,7 @@ class Moving:
 
 @kernel
 def move(motion: Any, properties: Any, force: float, step: float, count: int) -> None:
-    """Advance place and speed (2,) m, m/s by `count` steps, s, under a constant force, N.
+    """Advance position and speed (2,) m, m/s by `count` steps, s, under a constant force, N.
 
     properties (5,): mass kg, damping N s/m, Coulomb friction N, stiffness N/m towards a place m.
     """
@@ -120,7 +142,7 @@ def move(motion: Any, properties: Any, force: float, step: float, count: int) ->
         pull = force - properties[3] * (motion[0] - properties[4])
         speed = (motion[1] + step * pull / mass) / (1.0 + step * damping / mass)
         least = step * friction / mass
-        # Dry friction takes what is left of the speed, and no more.
+        # Dry friction takes at most the remaining speed.
         if abs(speed) <= least:
             speed = 0.0
         else:
@@ -130,7 +152,18 @@ def move(motion: Any, properties: Any, force: float, step: float, count: int) ->
 
 
 def quarters(places: Floats) -> tuple[float, float]:
-    """Return from peak to peak, m, in the last quarter but one of places (n,) m, and in the last."""
+    """Return the peak-to-peak motion in the last quarter but one, and in the last.
+
+    Parameters
+    ----------
+    places : Floats, shape (n,), m
+        Positions.
+
+    Returns
+    -------
+    tuple[float, float], m
+        Both.
+    """
     count = len(places) // 4
     third, last = places[-2 * count : -count], places[-count:]
     return float(np.ptp(third)), float(np.ptp(last))

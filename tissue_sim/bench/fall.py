@@ -1,7 +1,7 @@
-"""`tissue_sim bench fall`: loads let fall on the organ at once, against the same ones raised as a hand does.
+"""Benchmark `tissue_sim bench fall`: loads applied suddenly, against the same ones raised as a hand does.
 
-Let fall, a load swings the organ past where it comes to rest. Where that turns tissue over, a dent may stay that the
-load alone doesn't make.
+Under a sudden load the organ overshoots its equilibrium. Where that inverts tissue, a dent may remain that the load
+alone doesn't make.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
 TRACTIONS = (0.2, 0.4, 0.6, 0.8)  # of Young's modulus, the largest at any node
-JUDGED = 0.4  # up to where nothing may stay
-SHARP = 3  # one load in so many is on a node and its neighbours, the others are bumps
+JUDGED = 0.4  # traction up to which nothing may remain
+SHARP = 3  # every third load is on a node and its neighbours, the others are bumps
 MOST_OFF = 1.0  # %
 
 
 class Fallen(NamedTuple):
-    """One load, raised and let fall."""
+    """Results of one load, raised and applied suddenly."""
 
     traction: float  # of Young's modulus
     kind: str
@@ -40,13 +40,13 @@ class Fallen(NamedTuple):
     deepest: float  # m, of the raised one
     off: float  # relative L2 of the settled surface, raised and let fall
     settled: bool  # both
-    turned: int  # cells inside out that only the fall has left
+    turned: int  # inverted cells that only the fall has left
     least: float  # volume of a cell over that at rest, after the fall
     faults: int  # of the fall
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, check=True)
     parser.add_argument(
         "--loads", type=int, default=30, help="number of loads for each traction, distributed over the surface"
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Settle, compare and print; returns 0, or with --check 1 when a bound is missed."""
+    """Settle, compare and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     if not SHARP <= args.loads <= 1000:
         raise UserError(f"--loads {args.loads} is outside {SHARP}..1000")
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(organ: Organ, count: int, shares: Sequence[float] = TRACTIONS) -> list[Fallen]:
-    """`count` loads for each share of Young's modulus. Raises UserError when the organ has too few free nodes."""
+    """Return `count` loads for each fraction of Young's modulus. Raises UserError without enough free nodes."""
     sharp = count // SHARP
     cases = held_out_cases(organ, count - sharp, sharp)
     cases = cases.scaled(organ.youngs_modulus / tractions(cases.force, organ))
@@ -80,7 +80,7 @@ def measure(organ: Organ, count: int, shares: Sequence[float] = TRACTIONS) -> li
 
 
 def fallen(simulation: Simulation, share: float, kind: str, force: Floats) -> Fallen:
-    """One load (n_surface, 3) N."""
+    """Return the results of one load (n_surface, 3) N."""
     raised, rose = simulation.settle(force, TOLERANCE, LONGEST, RAMP)
     turned = swelling(simulation.model, simulation.positions) <= 0.0
     faults = int(simulation.state.count.faults)
@@ -100,7 +100,7 @@ def fallen(simulation: Simulation, share: float, kind: str, force: Floats) -> Fa
 
 
 def as_json(found: Sequence[Fallen]) -> dict[str, Any]:
-    """All figures, and the bounds on loads of at most JUDGED."""
+    """Return all figures, and the bounds on loads of at most JUDGED."""
     judged = [one for one in found if one.traction <= JUDGED]
     up_to = f"up to {JUDGED:g} E"
     bounds = [
@@ -114,7 +114,7 @@ def as_json(found: Sequence[Fallen]) -> dict[str, Any]:
 
 
 def text(organ: Organ, found: dict[str, Any]) -> str:
-    """The figures as a table, a row for each traction."""
+    """Return the figures as a table, a row for each traction."""
     table = [
         ["traction / E", "loads", "settled", "deepest mm", "difference % worst", "inverted", "least volume", "faults"]
     ]

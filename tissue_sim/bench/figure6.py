@@ -38,7 +38,23 @@ _PANEL = 5.0  # inches, height of a panel
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One picture: name of its file, title, surface positions (n, 3) m, jaws (j, 3) m, force arrows at nodes (k,)."""
+    """One picture of the figure.
+
+    Attributes
+    ----------
+    name : str
+        Name of its file.
+    title : str
+        Title.
+    positions : Floats, shape (n, 3), m
+        Surface.
+    jaws : Floats, shape (j, 3), m
+        Centres of the jaws.
+    nodes : NDArray[np.int64], shape (k,)
+        Nodes with arrows of forces.
+    forces : Floats, shape (k, 3), N
+        The forces.
+    """
 
     name: str
     title: str
@@ -53,9 +69,19 @@ NO_JAWS = np.zeros((0, 3))
 
 
 def nip_and_release(organ: Organ) -> tuple[Panel, Panel]:
-    """Two jaws take the organ at its top from both sides and pull; then they let go, and it comes to rest.
+    """Return panels of two jaws that take the organ at its top and pull, and of the organ after the release.
 
     The jaws are balls; they touch the organ as the tools of the node do.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    tuple[Panel, Panel]
+        Both panels.
     """
     scene = Scene(organ, [Tool("left", radius=JAW), Tool("right", radius=JAW)])
     surface = organ.surface_positions
@@ -95,16 +121,33 @@ def nip_and_release(organ: Organ) -> tuple[Panel, Panel]:
 
 
 def _way_out(organ: Organ, start: Floats, direction: Floats) -> float:
-    """Distance, m, from a point inside the organ to where a direction (3,) leaves it."""
+    """Return the distance, m, from a point inside the organ to where a direction (3,) leaves it."""
     way = np.linspace(0.0, np.ptp(organ.surface_positions, axis=0).max(), 600)
     within = inside(start + way[:, None] * direction, organ.surface_positions, organ.surface_triangles)
     return float(way[np.argmin(within)])
 
 
 def write_figure(organ: Organ, panels: Sequence[Panel], folder: Path) -> list[Path]:
-    """Write one PNG of all panels and one of each; returns their paths.
+    """Write one PNG of all panels and one of each.
 
-    Raises UserError when the folder can't be written.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    panels : Sequence[Panel]
+        The panels.
+    folder : Path
+        Where they are written.
+
+    Returns
+    -------
+    list[Path]
+        Their paths.
+
+    Raises
+    ------
+    UserError
+        Where the folder can't be written.
     """
     from matplotlib.figure import Figure
 
@@ -134,7 +177,7 @@ def write_figure(organ: Organ, panels: Sequence[Panel], folder: Path) -> list[Pa
 
 
 def _view(organ: Organ, panels: Sequence[Panel]) -> View:
-    """The organ upright, seen from the broad side and a little from above, with room for all panels."""
+    """Return the organ upright, seen from the broad side and slightly from above, with room for all panels."""
     surface = organ.surface_positions
     towards = surface_normals(surface, organ.surface_triangles)[press_node(organ)]
     towards = towards * [1.0, 1.0, 0.0]
@@ -152,7 +195,7 @@ def _view(organ: Organ, panels: Sequence[Panel]) -> View:
 
 
 def _shaded(view: View, organ: Organ, panel: Panel, most: float) -> Pixels:
-    """The panel's organ and jaws, (height, width, 3), coloured by displacement from 0 to `most` m."""
+    """Return the panel's organ and jaws, (height, width, 3), coloured by displacement from 0 to `most` m."""
     moved = np.linalg.norm(panel.positions - organ.surface_positions, axis=1)
     skin = np.asarray(_colours()(moved / most))[:, :3]
     pieces = [(panel.positions, np.asarray(organ.surface_triangles), skin)]
@@ -200,7 +243,7 @@ def _show(axis: Any, view: View, organ: Organ, panel: Panel, pixels: Pixels) -> 
 
 
 def _colours() -> Any:
-    """The map of colours."""
+    """Return the colour map."""
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("tissue", _COLOURS)

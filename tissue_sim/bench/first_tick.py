@@ -1,7 +1,7 @@
-"""`python -m tissue_sim.bench.first_tick BEGAN ORGAN`: a process up to its first tick, and what of it took how long.
+"""Process `python -m tissue_sim.bench.first_tick BEGAN ORGAN`, timed up to its first tick.
 
-BEGAN: when it was started, s of the monotonic clock. Prints JSON, seconds: the parts, one after the other, without what
-was compiled in them; that, by the module of the kernel; all of it by the clock on the wall and by the processor's.
+BEGAN is when it was started, s of the monotonic clock. It prints JSON in seconds: the parts, one after the other,
+without what was compiled in them; that, by the module of the kernel; the total by wall clock and by processor time.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def main(began: str, organ_file: str) -> None:
 
 
 def by_kernel(events: Iterable[tuple[float, Any]]) -> list[tuple[str, float]]:
-    """Modules of kernels in the order in which they were compiled, and the s that each took, callees left out.
+    """Return modules of kernels in the order of compilation, and the s that each took without callees.
 
     events: times in s and Numba's events of beginning and ending to compile, which nest.
     """

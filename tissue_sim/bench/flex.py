@@ -16,19 +16,37 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
 
 STEP = 0.001  # s
-DAMPING = 0.01  # s, stiffness-proportional; without any the organ rings on
+DAMPING = 0.01  # s, stiffness-proportional; without damping the organ keeps oscillating
 _SLIVER = 1e-3  # volume over cube of the longest edge, below which a tetrahedron is left out
 
 
 class Flex:
-    """Bursts of steps of the organ in MuJoCo, under forces (k, 3) N on nodes (k,).
+    """Bursts of steps of the organ in MuJoCo, under forces on nodes.
 
-    filling: points (p, 3) m, the organ's surface first, and tetrahedra (c, 4), instead of Delaunay's of the organ's
-    nodes; step s; damping s, proportional to stiffness.
+    The integrator is `discrete` with conjugate gradients: MuJoCo integrates a flex's elasticity implicitly with no
+    other, and its explicit one diverges here even at 0.05 ms.
 
-    Integrator `discrete` with conjugate gradients: MuJoCo integrates a flex's elasticity implicitly with no other,
-    and its explicit one diverges here even at 0.05 ms. Raises ModuleNotFoundError without mujoco, UserError when it
-    can't load the organ.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    nodes : NDArray[np.int64], shape (k,)
+        Loaded nodes.
+    forces : Floats, shape (k, 3), N
+        Forces on them.
+    filling : tuple[Floats, NDArray[np.int32]] | None, optional
+        Points (p, 3) m, the organ's surface first, and tetrahedra (c, 4), instead of Delaunay's of the organ's nodes.
+    step : float, s, optional
+        Time step.
+    damping : float, s, optional
+        Damping proportional to stiffness.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        Without mujoco.
+    UserError
+        Where it can't load the organ.
     """
 
     def __init__(
@@ -59,7 +77,7 @@ class Flex:
         self.load(nodes, forces)
 
     def load(self, nodes: NDArray[np.int64], forces: Floats) -> None:
-        """Back to the rest shape, under forces (k, 3) N on nodes (k,)."""
+        """Return to the rest shape, under forces (k, 3) N on nodes (k,)."""
         self._reset(self.model, self.data)
         self.data.xfrc_applied[self.model.flex_vertbodyid[nodes], :3] = forces
 
@@ -67,23 +85,23 @@ class Flex:
         self.warnings.append(message)
 
     def __call__(self, count: int) -> Floats:
-        """Seconds (count,) of count steps."""
+        """Return the seconds (count,) of `count` steps."""
         return time_calls(lambda: self._step(self.model, self.data), count)
 
     def step(self) -> float:
-        """Do a step; returns its seconds."""
+        """Do a step; return its seconds."""
         start = time.thread_time()
         self._step(self.model, self.data)
         return time.thread_time() - start
 
     @property
     def positions(self) -> Floats:
-        """(n, 3) m: where the last step began."""
+        """Positions (n, 3) m at the beginning of the last step."""
         return np.asarray(self.data.flexvert_xpos).reshape(-1, 3)
 
 
 def tetrahedra(organ: Organ) -> NDArray[np.int32]:
-    """Delaunay tetrahedra (c, 4) of all nodes whose middle lies inside the organ, positively oriented, no slivers."""
+    """Return Delaunay tetrahedra (c, 4) of all nodes inside the organ, positively oriented, without slivers."""
     points = organ.rest_positions
     cells = Delaunay(points).simplices
     cells = cells[inside(points[cells].mean(axis=1), organ.surface_positions, organ.surface_triangles)]
@@ -95,7 +113,7 @@ def tetrahedra(organ: Organ) -> NDArray[np.int32]:
 
 
 def scene_xml(organ: Organ, points: Floats, cells: NDArray[np.int32], step: float, damping: float) -> str:
-    """MuJoCo's description of the organ with points (p, 3) m and cells (c, 4): no gravity, no contacts."""
+    """Return MuJoCo's description of the organ with points (p, 3) m and cells (c, 4): no gravity, no contacts."""
     places = " ".join(f"{value:.9g}" for value in points.ravel())
     return f"""<mujoco>
   <option timestep="{step}" integrator="discrete" solver="CG" gravity="0 0 0"/>

@@ -1,4 +1,4 @@
-"""How the time of a tick grows with the organ: whole model and modal region, 1k to 64k points."""
+"""Growth of a tick's time with the organ: whole model and modal region, 1k to 64k points."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from tissue_sim.organ.organ import Organ
 
 SIZES = (1000, 4000, 16000, 64000)
 QUICK_SIZES = SIZES[:2]
-FORCE = 0.1  # N on the patch of the smallest organ; the same pressure on the others, whose patches are smaller
+FORCE = 0.1  # N on the patch of the smallest organ; the others, whose patches are smaller, get the same pressure
 _NEIGHBOURS = 40  # coarse nodes that a fine one takes its displacement from
 
 
 class Grown(NamedTuple):
-    """One size: whole and modal ticks, their substeps and moving nodes, seconds that the modes took."""
+    """Results of one size: whole and modal ticks, their substeps and moving nodes, seconds to compute the modes."""
 
     points: int
     whole: Timing
@@ -42,7 +42,20 @@ class Grown(NamedTuple):
 
 
 def measure(sizes: tuple[int, ...], seconds: float) -> list[Grown]:
-    """Measure every size in turns with the others, `seconds` for each of its two ticks; nothing once it was stopped."""
+    """Measure every size in turns with the others.
+
+    Parameters
+    ----------
+    sizes : tuple[int, ...]
+        Numbers of surface points.
+    seconds : float, s
+        Duration for each of the two ticks of a size.
+
+    Returns
+    -------
+    list[Grown]
+        The results; empty once it was stopped.
+    """
     bursts: dict[str, Ticks] = {}
     made: dict[int, tuple[Simulation, Simulation, Modes, float]] = {}
     coarse: tuple[Organ, Modes] | None = None
@@ -81,14 +94,14 @@ def measure(sizes: tuple[int, ...], seconds: float) -> list[Grown]:
 
 
 def exponent(points: list[int], times: list[float]) -> float | None:
-    """The p of time = c n^p that fits best; None without two sizes."""
+    """Return the p of the best fit time = c n^p; None without two sizes."""
     if len(points) < 2:
         return None
     return float(np.polyfit(np.log(points), np.log(times), 1)[0])
 
 
 def with_modes(organ: Organ, modes: Modes) -> Simulation:
-    """A simulation with a modal region that uses these modes instead of computing its own, and keeps none of it."""
+    """Return a simulation with a modal region that uses these modes instead of computing and keeping its own."""
     own = reduction.remembered
     nothing = np.zeros((0, 0), dtype=np.float32)
     made: dict[str, NDArray[Any]] = {"frequency": modes.frequency, "shape": modes.shape, "compliance": nothing}
@@ -100,7 +113,7 @@ def with_modes(organ: Organ, modes: Modes) -> Simulation:
 
 
 def carried_modes(coarse: Organ, coarse_modes: Modes, fine: Organ, model: Model) -> Modes:
-    """Modes of a fine organ in the space of a coarse one's: carried over smoothly, then Rayleigh-Ritz.
+    """Return modes of a fine organ from a coarse one's: interpolated smoothly, then by Rayleigh-Ritz.
 
     For organs of the same shape and atoms, where eigsh on the fine one would take minutes.
     """
@@ -119,7 +132,18 @@ def carried_modes(coarse: Organ, coarse_modes: Modes, fine: Organ, model: Model)
 
 
 def as_json(grown: list[Grown]) -> dict[str, Any]:
-    """The growth for machines; units stand in the names."""
+    """Return the growth for machines; units stand in the names.
+
+    Parameters
+    ----------
+    grown : list[Grown]
+        The results.
+
+    Returns
+    -------
+    dict[str, Any]
+        The figures by name.
+    """
     points = [size.points for size in grown]
     return {
         "sizes": [

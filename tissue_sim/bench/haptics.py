@@ -1,12 +1,12 @@
-"""`tissue_sim bench haptics`: how stiff a coupling a haptic device bears, by the rate of its poses and by delay.
+"""Benchmark `tissue_sim bench haptics`: largest stable coupling of a haptic device, by pose rate and delay.
 
 Simulated devices are pushed onto a hard ball through the virtual coupling, in simulated time and by the tick that the
-node runs. The largest stiffness with which they come to rest is held against theory: a device of damping b bears
+node runs. The largest stiffness at which they come to rest is compared with theory: a device of damping b is stable for
 K < 2 b / T where poses are T s apart (Colgate and Schenkel 1997, b > K T / 2 + |B|; the coupling's own damping acts on
-the tool, so that B = 0), and K < b / (T / 2 + t) where a force comes t s after its pose (Hulin, Preusche and Hirzinger
-2006; Gil et al. 2009). An encoder's quantum asks for dry friction c: K < 2 c / quantum (Abbott and Okamura 2005). That
-friction also takes energy out of a swing, so that real devices bear more than viscous damping alone allows (Diolaiti,
-Niemeyer, Barbagli and Salisbury 2006).
+the tool, so that B = 0), and for K < b / (T / 2 + t) where a force comes t s after its pose (Hulin, Preusche and
+Hirzinger 2006; Gil et al. 2009). An encoder's quantum requires dry friction c: K < 2 c / quantum (Abbott and Okamura
+2005). That friction also takes energy out of an oscillation, so that real devices are stable beyond what viscous
+damping alone allows (Diolaiti, Niemeyer, Barbagli and Salisbury 2006).
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ from tissue_sim.organ.shipped import shipped_organ
 
 RATES = 1000.0, 500.0, 250.0, 100.0  # Hz
 DELAYS = 0.0, 0.001, 0.002, 0.005, 0.010, 0.020  # s, of both ways together
-OBSERVED = 0.0, 0.005, 0.020  # s, those with an observer
+OBSERVED = 0.0, 0.005, 0.020  # s, delays at which an observer is tried
 LEAST_RATIO = 0.95  # of what theory allows, as a search ends within some percent
-MOST_RATIO = 2.0  # of the device that is as theory has it
-WORTH = 1.25  # what an observer raises the stiffness by, in the median, to be worth it
+MOST_RATIO = 2.0  # for the device that corresponds to the theory
+WORTH = 1.25  # median factor by which an observer has to raise the stiffness to be worthwhile
 
 
 class Row(NamedTuple):
-    """A device at a rate, Hz, and a delay, s: stiffness that was found, N/m, without and with an observer; theory's."""
+    """Results of a device at a rate, Hz, and a delay, s: stiffness, N/m, found, with an observer, and in theory."""
 
     device: str
     rate: float
@@ -60,12 +60,12 @@ class Row(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """What was found as a multiple of what theory allows."""
+        """Stiffness found, as a multiple of what theory allows."""
         return self.found / self.with_delay
 
 
 class Bare(NamedTuple):
-    """A device without a coupling on an organ: the longest delay, s, up to which it comes to rest; None: none."""
+    """Device without a coupling on an organ: the longest delay, s, up to which it comes to rest; None for none."""
 
     device: str
     rate: float
@@ -73,7 +73,7 @@ class Bare(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """What one process works out: a device held by a hand or not, connected somehow; organ file where uncoupled."""
+    """Task of one process: a device held by a hand or not, and its connection; with an organ file where uncoupled."""
 
     device: Device
     link: Link
@@ -83,7 +83,7 @@ class Cell(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The device's name in tables."""
+        """Name of the device in tables."""
         return f"{self.device.name}, held" if self.held else self.device.name
 
     @property
@@ -96,13 +96,13 @@ class Cell(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, out="draw the stable stiffness over the delay into FOLDER", check=True)
     parser.add_argument("--observer", action="store_true", help="also test the passivity observer, at fewer delays")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    """Measure and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     organ = args.organ or str(shipped_organ())
     Organ.load(organ)
@@ -126,7 +126,7 @@ def cells_of(organ: str, *, observed: bool) -> list[Cell]:
 
 
 def measure(cells: Sequence[Cell]) -> tuple[list[Row], list[Bare]]:
-    """Work out all cells, on all processors."""
+    """Compute all cells, on all processors."""
     rows: list[Row] = []
     bare: list[Bare] = []
     with until_stopped():
@@ -148,12 +148,12 @@ def _worked_out(cells: Sequence[Cell]) -> Iterator[Row | Bare]:
 
 
 def worked_out(cell: Cell) -> Row | Bare:
-    """Search what a device bears."""
+    """Search the stability limit of a device."""
     return uncoupled(cell) if cell.organ else coupled(cell)
 
 
 def coupled(cell: Cell) -> Row:
-    """Search the largest stiffness, and what theory says of it."""
+    """Search the largest stiffness, and compute what theory allows."""
     holder, link = cell.holder, cell.link
     with_observer = holder._replace(port=partial(ObservedPort, holder))
     return Row(
@@ -168,7 +168,7 @@ def coupled(cell: Cell) -> Row:
 
 
 def uncoupled(cell: Cell) -> Bare:
-    """Search the longest delay up to which a device rests on tissue that nothing softens."""
+    """Search the longest delay up to which a device rests on tissue without a coupling."""
     longest = None
     for delay in DELAYS:
         holder = cell.holder._replace(link=cell.link._replace(delay=delay))
@@ -192,7 +192,7 @@ def _tissue(organ: str) -> Tissue:
 
 
 def as_json(rows: Sequence[Row], bare: Sequence[Bare]) -> dict[str, Any]:
-    """Return all figures, and the bounds that they are held against."""
+    """Return all figures, and the bounds."""
     textbook = [row.ratio for row in rows if row.device == DEVICES[-1].name]
     bounds = [
         Bound(
@@ -220,7 +220,7 @@ def as_json(rows: Sequence[Row], bare: Sequence[Bare]) -> dict[str, Any]:
 
 
 def dry_limit(device: Device) -> float | None:
-    """Return the stiffness, N/m, above which a quantum of the encoder weighs more than dry friction."""
+    """Return the stiffness, N/m, above which a quantum of the encoder exceeds dry friction."""
     return 2.0 * device.friction / device.quantum if device.quantum > 0.0 else None
 
 

@@ -1,4 +1,4 @@
-"""The plot of `tissue_sim bench haptics`: the stiffness that a device bears, over the delay."""
+"""Plot of `tissue_sim bench haptics`: the stable stiffness over the delay."""
 
 from __future__ import annotations
 
@@ -9,7 +9,25 @@ from tissue_sim.errors import UserError
 
 
 def write_plot(found: dict[str, Any], folder: Path) -> Path:
-    """Write haptics.png into the folder; returns its path. Raises UserError when it can't be written."""
+    """Write haptics.png into the folder.
+
+    Parameters
+    ----------
+    found : dict[str, Any]
+        The figures.
+    folder : Path
+        The folder.
+
+    Returns
+    -------
+    Path
+        Path of the picture.
+
+    Raises
+    ------
+    UserError
+        Where it can't be written.
+    """
     path = folder / "haptics.png"
     try:
         drawn(found).savefig(path, dpi=140)

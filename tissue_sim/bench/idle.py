@@ -1,6 +1,6 @@
-"""`tissue_sim bench idle`: what a node costs that serves an organ at rest to a viewer, and how soon a viewer has it.
+"""Benchmark `tissue_sim bench idle`: cost of a node that serves an organ at rest to a viewer, and its latency.
 
-Beside it, at the same time: a node without an organ that sends as many bytes as often as the idle node looks whether
+Beside it, at the same time: a node without an organ that sends as many bytes as often as the idle node checks whether
 anything moved, and a bare loop that only wakes that often.
 """
 
@@ -23,19 +23,19 @@ from tissue_sim.bench.shares import processor_seconds, shares_during
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
 
-TURN = 2.0  # s that is measured at once
-RATE = 20.0  # Hz, at which an idle node looks whether anything moved
-MOST, MOST_TO_SEE = 3.0, 4.0  # % of a core; s until a viewer that comes late has the organ
+TURN = 2.0  # s of one measurement
+RATE = 20.0  # Hz, at which an idle node checks whether anything moved
+MOST, MOST_TO_SEE = 3.0, 4.0  # % of a core; s until a late viewer has the organ
 SERVED, SENDING, BARE = "node with a viewer", "a node that only publishes", "a bare loop"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, seconds=20.0, check=True)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    """Measure and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     found = measure(args.organ or str(shipped_organ()), args.seconds)
     emit(found, text(found), args.json)
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(organ_file: str, seconds: float) -> dict[str, Any]:
-    """Shares of the node and its peers in turns of TURN. Raises UserError when rclpy is missing or the node fails."""
+    """Return the processor use of node and peers in turns of TURN. Raises UserError where the node can't run."""
     with Graph() as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.probes.viewer import Viewer
         from tissue_sim.ros.shared.client import client_node
@@ -75,9 +75,9 @@ def measure(organ_file: str, seconds: float) -> dict[str, Any]:
 
 
 def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> dict[str, Any]:
-    """Percent of a core in every turn and s until a viewer had the organ, as figures and bounds.
+    """Return percent of a core in every turn, and s until a viewer had the organ, as figures and bounds.
 
-    A machine under load makes every waking dearer, so that the least of the turns is held against the bound.
+    A machine under load makes every waking more expensive, so that the least of the turns is compared with the bound.
     """
     shares = {name: [turn[name] for turn in turns] for name in turns[0]}
     bounds = [
@@ -94,7 +94,7 @@ def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> dict[str
 
 
 def text(found: Mapping[str, Any]) -> str:
-    """The figures as tables."""
+    """Return the figures as tables."""
     shares = found["shares_percent"]
     table = [["% of a core", "least", "median", "most", "node's median relative to this"]]
     for name, of in shares.items():

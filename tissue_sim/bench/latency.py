@@ -1,10 +1,10 @@
-"""`tissue_sim bench latency`: from a pose to the first wrench that was computed with it, and how late ticks are.
+"""Benchmark `tissue_sim bench latency`: from a pose to the first wrench computed with it, and late ticks.
 
 A tool in contact goes deeper by a fraction of a millimetre in a stream of poses, and the benchmark takes the time until
-the force has changed: a wrench that comes sooner says nothing of the pose. What smoothing between slow poses adds to
-that is counted in ticks (`smoothing`). Beside that an echo node sends each pose
-back, on the same kind of executor, and a bare loop sleeps and is busy for as long as a tick. They take turns of a few
-seconds, so that what else the machine does falls on all of them.
+the force has changed: a wrench that comes sooner says nothing about the pose. What smoothing between slow poses adds to
+that is counted in ticks (`smoothing`). Beside that an echo node sends each pose back, on the same kind of executor, and
+a bare loop sleeps and is busy for as long as a tick. They take turns of a few seconds, so that other load of the
+machine affects all of them.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from tissue_sim.ros.shared.priority import below
 if TYPE_CHECKING:
     from tissue_sim.ros.probes.probe import Trip
 
-TURN = 5.0  # s that each of them is measured for before the next one's turn
-# Of poses, Hz: limits of p50 and p99, us.
+TURN = 5.0  # s of each one's turn
+# Limits of p50 and p99, us, by the rate of poses, Hz.
 MOST = {1000.0: (450.0, 1000.0), 500.0: (450.0, 1000.0), 100.0: (600.0, None), 30.0: (600.0, None)}
 RATES = tuple(MOST)
 WOKEN = "any wrench, node napping", "echo after an equally long pause"
-MOST_OF_ECHO, TICKS_BEYOND = 1.5, 1.0  # bound of the answer that ends a nap: so many times the echo's, and ticks
+MOST_OF_ECHO, TICKS_BEYOND = 1.5, 1.0  # bound of the answer that ends a nap: factor of the echo's, and further ticks
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, seconds=60.0, check=True)
     add_priority(parser)
     parser.add_argument(
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    """Measure and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     mode = latency_busy if args.busy else sys.modules[__name__]
     found = mode.measure(args.organ, args.seconds, args.realtime_priority)
@@ -62,10 +62,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[str, Any]:
-    """Figures of the node, the echo and the bare loop, measured for so many seconds each.
+    """Return the figures of the node, the echo and the bare loop, measured for `seconds` each.
 
-    priority: real-time priority of the node's loop and of the bare one; echo and node answer with the one below.
-    Raises UserError when rclpy is not installed, the node doesn't start, or the system allows no such priority.
+    priority: real-time priority of the node's loop and of the bare one; echo and node answer with the one below. Raises
+    UserError when rclpy is not installed, the node doesn't start, or the system doesn't allow the priority.
     """
     check_priority(priority)
     path = organ_file or str(shipped_organ())
@@ -138,10 +138,10 @@ def names() -> list[str]:
 def as_json(
     seconds: float, trips: dict[str, dict[str, float]], ticks: tuple[float, float], bare_late: Floats, busy: float
 ) -> dict[str, Any]:
-    """All figures, and the bounds that they are held against.
+    """Return all figures, and the bounds.
 
-    trips: those of `names`, as Trip.as_json has them; ticks: of the node, and how many of these were late; bare_late:
-    of the bare loop's ticks, s; busy: us of each.
+    trips: those of `names`, as Trip.as_json has them; ticks: number of the node's ticks, and of late ones; bare_late:
+    lateness of the bare loop's ticks, s; busy: us of each.
     """
     period, (done, late) = 1.0 / RATE, ticks
     shares = 100.0 * late / max(1.0, done), late_percent(bare_late)
@@ -168,7 +168,7 @@ def as_json(
 
 
 def text(found: dict[str, Any]) -> str:
-    """The figures as tables."""
+    """Return the figures as tables."""
     table = [["from a pose, us", "p50", "p99", "p99.9", "trips", "lost"]]
     for name, trip in found["round_trips"].items():
         table.append([name, *(f"{trip[key]:.0f}" for key in ("p50_us", "p99_us", "p99_9_us", "trips", "lost"))])

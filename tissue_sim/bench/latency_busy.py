@@ -1,7 +1,7 @@
-"""`tissue_sim bench latency --busy`: what a hand feels, and what the node gives up, beside a program on each core.
+"""Benchmark `tissue_sim bench latency --busy`: haptic output and degradation beside a busy program on each core.
 
-A hand pokes the organ once a second, poses at the full rate: on a quiet machine, beside one program on each core that
-never rests, and after that. A bare loop has its turn at the end of each, under the same load. All of it without a
+A hand pokes the organ once a second, with poses at the full rate: on a quiet machine, beside one busy program on each
+core, and after that. A bare loop has its turn at the end of each, under the same load. All of it is done without a
 real-time priority, and with one, which then the hand has too.
 """
 
@@ -29,23 +29,23 @@ from tissue_sim.ros.shared.priority import below, is_allowed
 if TYPE_CHECKING:
     from tissue_sim.ros.probes.pokes import Poked, Pokes
 
-PRIORITY = 20  # where none is asked for
+PRIORITY = 20  # where none is given
 PHASES = QUIET, BUSY, AFTER = "quiet", "busy", "quiet again"
 SHORTEST = 4.0  # s of a phase
-WARMING_UP = 3.0  # s of poking that don't count
+WARMING_UP = 3.0  # s of poking that aren't counted
 BARE_TURN = 5.0  # s that the bare loop runs at once
-BARE_SHARE = 0.25  # of a phase's time, that the bare loop has after it
-LONGEST_BACK = 90.0  # s for the node to take back what it gave up
-MOST_FELT = 10.0  # %, by how much the highest force of a poke may differ from the undisturbed ones'
+BARE_SHARE = 0.25  # fraction of a phase's time for the bare loop after it
+LONGEST_BACK = 90.0  # s for the node to recover from degradation
+MOST_FELT = 10.0  # %, largest difference of a poke's highest force from the undisturbed ones'
 MOST_LACKING = 1.0  # % of the ticks
 SPINNING = "while True: pass"
 
 
 def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[str, Any]:
-    """Figures of a node without a real-time priority and of one with it, each phase so many s long.
+    """Return the figures of a node without a real-time priority and of one with it, with phases of `seconds` each.
 
-    priority: of the second node's loop; 0 for PRIORITY. Where the system doesn't allow it, the first stands alone.
-    Raises UserError when rclpy is not installed, a node does not start or tells nothing, or the time is too short.
+    priority: of the second node's loop; 0 for PRIORITY. Where the system doesn't allow it, only the first is measured.
+    Raises UserError when rclpy is not installed, a node does not start or report, or the time is too short.
     """
     if seconds < SHORTEST:
         raise UserError(f"--seconds {seconds:g} with --busy is less than {SHORTEST:g}")
@@ -99,7 +99,7 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
 
 @contextmanager
 def spinning() -> Iterator[None]:
-    """A program on each core that never rests, for a while."""
+    """Run a busy program on each core while entered."""
     cores = len(os.sched_getaffinity(0))
     programs = [Child("spinning", [sys.executable, "-c", SPINNING], os.environ) for _ in range(cores)]
     try:
@@ -124,7 +124,7 @@ def _phase(hand: Pokes, seconds: float, priority: int, watch: Callable[[], objec
 
 
 def phase_json(found: Poked, bare_percent: float) -> dict[str, Any]:
-    """Figures of one phase: the node's between its first report and its last, and what was felt."""
+    """Return the figures of one phase: the node's between its first report and its last, and the forces."""
     first, last = found.told[0], found.told[-1]
     done, wall = last.tick - first.tick, last.seconds - first.seconds
     between = np.diff([told.seconds for told in found.told])
@@ -141,7 +141,7 @@ def phase_json(found: Poked, bare_percent: float) -> dict[str, Any]:
 
 
 def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[str, Any]:
-    """All figures, and the bounds that they are held against.
+    """Return all figures, and the bounds.
 
     nodes: of the one without a priority, and of the one with it if there was one; each with its phases.
     """
@@ -184,7 +184,7 @@ def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[
 
 
 def text(found: dict[str, Any]) -> str:
-    """The figures as tables."""
+    """Return the figures as tables."""
     rows = [["node", "ticks/s", "late", "bare loop", "dropped", "simulated", "peak force", "worst", "longest gap"]]
     remarks = []
     for node in found["nodes"]:

@@ -1,8 +1,8 @@
-"""`tissue_sim bench markers`: what it costs a node to show an organ in motion, plain and coloured.
+"""Benchmark `tissue_sim bench markers`: the cost of showing an organ in motion, plain and coloured.
 
-Processor time of the node beside its loop with one subscriber of the markers, less what it takes without one, in turns;
-and of a node without an organ that sends the same bytes as often, in the same turns. With --loss or --points
-it is counted instead what arrives behind a link that loses packets, or of a large organ.
+It measures processor time of the node beside its loop with one subscriber of the markers, minus that without one, in
+turns; and that of a node without an organ that sends the same bytes as often, in the same turns. With --loss or
+--points it counts instead what arrives behind a link that loses packets, or of a large organ.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MOST, LEAST_RATE = 3.0, 50.0  # % of a core, Hz
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, seconds=48.0, check=True)
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument(
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    """Measure and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     path = args.organ or str(shipped_organ())
     if not 0.0 <= (args.loss or 0.0) <= 0.5:
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure_colours(organ_file: str, seconds: float) -> dict[str, list[dict[str, dict[str, float]]]]:
-    """The turns of each colouring, as `measure` has them; only those that there are any of."""
+    """Return the turns of each colouring, as `measure` has them; only those that have any."""
     found = {}
     with rows.until_stopped():
         for name, colour in rows.each(COLOURS.items(), "colourings"):
@@ -85,7 +85,7 @@ def measure_colours(organ_file: str, seconds: float) -> dict[str, list[dict[str,
 
 
 def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict[str, float]]]:
-    """Of every turn the percent of a core that node and peer take for a subscriber, and how many Hz each sends it.
+    """Return for every turn the percent of a core that node and peer take for a subscriber, and their rates, Hz.
 
     Raises UserError when rclpy is missing or the node fails.
     """
@@ -95,8 +95,8 @@ def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict
         from tissue_sim.ros.probes.viewer import Viewer
         from tissue_sim.ros.shared.client import client_node
 
-        # Without damping it swings on when it was let go: no pose and no contact adds noise of its own.
-        # Ticks that are seldom late: a node that falls behind would slow its markers.
+        # Without damping it oscillates on after its release, so that no pose and no contact adds noise.
+        # Ticks must rarely be late, because a node that falls behind slows its markers.
         settings = (
             "damping_scale:=0.0",
             "rate:=100.0",
@@ -134,7 +134,7 @@ def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict
 
 
 def turn(spent: Mapping[str, Callable[[], float]], both: Viewer) -> dict[str, dict[str, float]]:
-    """Without a subscriber and with one of each: what that adds, percent of a core, and the Hz that it gets."""
+    """Return what a subscriber adds to node and peer, percent of a core, and the Hz that it gets."""
     without = shares_during(spent, partial(time.sleep, TURN))
     with both:
         both.look(SETTLING)
@@ -147,9 +147,9 @@ def turn(spent: Mapping[str, Callable[[], float]], both: Viewer) -> dict[str, di
 
 
 def as_json(turns: Mapping[str, Sequence[Mapping[str, Mapping[str, float]]]]) -> dict[str, Any]:
-    """Medians of the turns of each colouring, and the bounds that they are held against.
+    """Return medians of the turns of each colouring, and the bounds.
 
-    A node that falls behind rightly slows its markers: what one costs is told, and as many as are asked for.
+    A node that falls behind rightly slows its markers: the cost of one is reported, and that at the requested rate.
     """
     table, bounds = [], []
     for colouring, measured in turns.items():
@@ -167,7 +167,7 @@ def as_json(turns: Mapping[str, Sequence[Mapping[str, Mapping[str, float]]]]) ->
 
 
 def text(found: Mapping[str, Any]) -> str:
-    """The figures as tables."""
+    """Return the figures as tables."""
     table = [["for each further subscriber", "", "% of a core", "Hz", "us each", "node's relative to this"]]
     for row in found["rows"]:
         for name in MARKERS:

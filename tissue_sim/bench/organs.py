@@ -1,4 +1,4 @@
-"""What benchmarks press on: organs of any number of points, patches and loads."""
+"""Organs, patches and loads for benchmarks, with any number of points."""
 
 from __future__ import annotations
 
@@ -11,18 +11,28 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
 
 PATCH_NODES = 19  # a node and the two rings around it
-ALONG = 0.7  # cosine of the angle between two lines that are taken for one
+ALONG = 0.7  # cosine of the angle between two lines that count as parallel
 ATOMS = 48
-HALF_AXES = np.array([0.016, 0.027, 0.055])  # m, of the shipped kidney, about
-BEND = 0.15  # how far the ends are bent sideways, as a share of the long half axis
+HALF_AXES = np.array([0.016, 0.027, 0.055])  # m, about those of the shipped kidney
+BEND = 0.15  # sideways bend of the ends, as a fraction of the long half axis
 _FACING = 0.3  # least cosine between normals of the same side
-HELD = 0.05  # share of the points that is held, the lowest
+HELD = 0.05  # fraction of the points that is held, the lowest
 
 
 def bean(points: int) -> Organ:
-    """A bent ellipsoid of a kidney's size with any number of surface points, held at its lower end.
+    """Return a bent ellipsoid of a kidney's size, held at its lower end.
 
-    The points lie on a Fibonacci lattice, so there are 2 points - 4 triangles; 48 medial atoms on the axis.
+    The points lie on a Fibonacci lattice, so there are 2 points - 4 triangles; 48 medial atoms lie on the axis.
+
+    Parameters
+    ----------
+    points : int
+        Number of surface points.
+
+    Returns
+    -------
+    Organ
+        The organ.
     """
     k = np.arange(points) + 0.5
     z = 1.0 - 2.0 * k / points
@@ -49,9 +59,19 @@ def bean(points: int) -> Organ:
 
 
 def press_node(organ: Organ) -> int:
-    """The surface node in the middle of a broad side: where the axis of least extent leaves the organ.
+    """Return the surface node in the middle of a broad side: where the axis of least extent leaves the organ.
 
-    The axis of the next larger extent where that goes through the held nodes.
+    It is the axis of the next larger extent where the first goes through the held nodes.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    int
+        The node.
     """
     middle = organ.surface_positions.mean(axis=0)
     from_centre = organ.surface_positions - middle
@@ -67,23 +87,65 @@ def press_node(organ: Organ) -> int:
 
 
 def patch(organ: Organ, node: int, count: int = PATCH_NODES) -> Longs:
-    """The `count` free surface nodes nearest to a node, (count,), itself first."""
+    """Return the free surface nodes nearest to a node, itself first.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    node : int
+        The node.
+    count : int, optional
+        Number of nodes.
+
+    Returns
+    -------
+    Longs, shape (count,)
+        Nodes.
+    """
     distance = np.linalg.norm(organ.surface_positions - organ.surface_positions[node], axis=1)
     distance[organ.fixed] = np.inf
     return np.argsort(distance, kind="stable")[:count].astype(np.int64)
 
 
 def patch_load(organ: Organ, newton: float, count: int = PATCH_NODES) -> tuple[Longs, Floats]:
-    """Nodes (count,) in the middle of the broad side, and forces (count, 3) N inward there, `newton` in all."""
+    """Return an inward load on a patch in the middle of the broad side.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    newton : float, N
+        Sum of the forces.
+    count : int, optional
+        Number of nodes.
+
+    Returns
+    -------
+    tuple[Longs, Floats]
+        Nodes, shape (count,), and forces, shape (count, 3), N.
+    """
     nodes = patch(organ, press_node(organ), count)
     normal = surface_normals(organ.surface_positions, organ.surface_triangles)[nodes].mean(axis=0)
     return nodes, np.tile(-newton / count * normal / np.linalg.norm(normal), (count, 1))
 
 
 def spread_nodes(organ: Organ, count: int) -> Longs:
-    """`count` nodes spread over the half of the surface that the broad side faces, (count,), its middle first.
+    """Return nodes spread over the half of the surface that the broad side faces, its middle first.
 
-    Each is as far as can be from those before it and from the held nodes (farthest point sampling).
+    Each is as far as possible from those before it and from the held nodes (farthest point sampling).
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    count : int
+        Number of nodes.
+
+    Returns
+    -------
+    Longs, shape (count,)
+        Nodes.
     """
     surface, first = organ.surface_positions, press_node(organ)
     normals = surface_normals(surface, organ.surface_triangles)

@@ -1,9 +1,9 @@
-"""`tissue_sim bench page`: how many pictures a second the page sends of a scene whose organs all move.
+"""Benchmark `tissue_sim bench page`: frames per second that the page sends of a scene whose organs all move.
 
-The organs of a scene, carried by a breath so gentle that they sleep meanwhile: it is the page that is tried, not the
+The organs of a scene are moved by breathing so gentle that they sleep meanwhile, because the page is tested and not the
 ticks. A watcher on the page's websocket, in a process of its own, counts in those seconds in which the node sends
-(nearly) as many surfaces as it may: at the ends of a breath nothing moves. Beside it at the same time a bare loop. With
---delay the watcher is behind a link, as on another machine.
+(nearly) as many surfaces as it may: at the ends of a breath nothing moves. A bare loop runs beside it at the same time.
+With --delay the watcher is behind a link, as on another machine.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from tissue_sim.ros.probes.lossy_link import ADDRESSES, inside, lossy_link
 from tissue_sim.ros.shared.children import Child
 
 SCENE = "config/scenes/abdomen.yaml"
-LEAST = 30.0  # pictures a second
+LEAST = 30.0  # frames per second
 HERE: tuple[str, Sequence[str]] = ("127.0.0.1", ())  # address of the page, and the command that runs its watcher
-BREATHS, WAY = 6.0, 0.015  # a minute; m
-MOVING = 50  # surfaces that the node sends in a second in which pictures are counted, of 60
-LOOK = 0.05  # s that is looked at once at what the node sends
+BREATHS, WAY = 6.0, 0.015  # per minute; m
+MOVING = 50  # surfaces, of 60, that the node sends in a second in which frames are counted
+LOOK = 0.05  # s for which the node's messages are watched at a time
 PAGE, SERVED, BARE = "the page", "the node", "a bare loop"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, seconds=20.0, check=True, organ=None)
     parser.add_argument("--scene", metavar="FILE", help="scene (.yaml) whose organs are shown; default: the abdomen")
     parser.add_argument(
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    """Measure and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     if not 0.0 <= (args.delay or 0.0) <= 1.0:
         raise UserError(f"--delay {args.delay:g} is outside 0..1")
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def far(delay: float) -> Iterator[tuple[str, Sequence[str]]]:
-    """Address for the page, and the command that runs its watcher behind a link that takes so many s each way.
+    """Yield an address for the page, and the command that runs its watcher behind a link with a delay each way, s.
 
     Raises Unavailable, see `lossy_link`.
     """
@@ -75,10 +75,10 @@ def far(delay: float) -> Iterator[tuple[str, Sequence[str]]]:
 
 
 def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) -> dict[str, Any]:
-    """Pictures of each organ, bytes, and shares of the processor.
+    """Return the frames of each organ, bytes, and processor use.
 
-    host: address at which the page is served; within: the command, if any, that runs the watcher. Raises UserError
-    when rclpy or viser is missing, or a process fails.
+    host: address at which the page is served; within: the command, if any, that runs the watcher. Raises UserError when
+    rclpy or viser is missing, or a process fails.
     """
     with Graph() as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.probes.viewer import Viewer
@@ -110,7 +110,7 @@ def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) 
 
 
 def served_at(page: Child) -> str:
-    """The address that a viewer prints. Raises UserError when it ends, or prints none."""
+    """Return the address that a viewer prints. Raises UserError when it ends, or prints none."""
 
     def told_address() -> str:
         if page.exit_code is not None:
@@ -121,7 +121,7 @@ def served_at(page: Child) -> str:
 
 
 def carried(scene: SceneFile, folder: Path) -> Path:
-    """Write a scene of the same organs, which breathe together and hang on nothing."""
+    """Write a scene of the same organs, which breathe together and are not attached."""
     entries = []
     for name, organ in zip(scene.names, scene.organs, strict=True):
         organ.save(folder / f"{name}.npz")
@@ -139,10 +139,10 @@ def as_json(
     shares: Mapping[str, float],
     seconds: float,
 ) -> dict[str, Any]:
-    """Pictures a second of each organ, in the mean and in the worst second, and the bounds.
+    """Return the frames per second of each organ, on average and in the worst second, and the bounds.
 
     watched: see `page_watcher.watch`; sent: when the node sent a surface, s. Raises UserError where there was no second
-    to count in.
+    in which to count.
     """
     began = float(watched["began"])
     edges = began + np.arange(math.floor(seconds) + 1)
@@ -173,7 +173,7 @@ def as_json(
 
 
 def text(found: Mapping[str, Any]) -> str:
-    """The figures as tables."""
+    """Return the figures as tables."""
     rows = [["organ", "points", "pictures a second", "in the worst second"]]
     for row in found["organs"]:
         rows.append([row["organ"], str(row["points"]), f"{row['pictures_hz']:.1f}", str(row["worst_second"])])

@@ -1,4 +1,4 @@
-"""`tissue_sim bench pinch`: two tools squeeze the organ, hold and let go; time of a tick, cells inside out, force."""
+"""Benchmark `tissue_sim bench pinch`: two tools squeeze the organ, hold and release it; ticks, cells, force."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
-SHARES = (0.2, 0.4, 0.6)  # of the organ's width, that the tools squeeze it by
+SHARES = (0.2, 0.4, 0.6)  # fractions of the organ's width by which the tools squeeze it
 NOT_COMPARED = (
     "forces are not compared: this organ has no table of finite elements; --reference FILE --remake makes one"
 )
-MOST_TICK, MOST_LEFT = 400.0, 0.1  # us, p99; mm, of what stays of the shape
+MOST_TICK, MOST_LEFT = 400.0, 0.1  # us, p99; mm, remaining displacement
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, check=True)
     parser.add_argument(
         "--reference",
@@ -43,10 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    """Measure and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     organ = Organ.load(args.organ or shipped_organ())
-    # First, as it says what is missing.
+    # This comes first, because it reports what is missing.
     table = table_of(args, organ)
     reference = None if table is None else pinch_reference.as_json(pinch_reference.measure(organ, table))
     found = as_json(*in_one_thread(measure, organ), reference)
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def table_of(args: argparse.Namespace, organ: Organ) -> dict[str, Any] | None:
-    """Return the forces of finite elements that the organ's are held against; None for an organ that has none.
+    """Return the forces of finite elements that are compared with the organ's; None for an organ that has none.
 
     Raises UserError for a file that is no such table or another organ's, and as Body does.
     """
@@ -71,7 +71,7 @@ def table_of(args: argparse.Namespace, organ: Organ) -> dict[str, Any] | None:
 
 
 def measure(organ: Organ) -> tuple[list[Pinch], Floats]:
-    """Every pair of tools on every axis by every share; and seconds of a fixed loop. For a process of one thread."""
+    """Return every pair of tools on every axis by every fraction, and seconds of a fixed loop, in one thread."""
     with tempfile.TemporaryDirectory() as folder:
         todo = [(*pair, axis, share) for pair in pairs(Path(folder)) for axis in range(3) for share in SHARES]
         found = []
@@ -83,7 +83,7 @@ def measure(organ: Organ) -> tuple[list[Pinch], Floats]:
 
 
 def as_json(pinches: Sequence[Pinch], bursts: Floats, reference: dict[str, Any] | None = None) -> dict[str, Any]:
-    """All figures and bounds; bursts: s of a fixed loop, in the same run; reference: pinch_reference.as_json."""
+    """Return all figures and bounds; bursts: s of a fixed loop, in the same run; reference: pinch_reference.as_json."""
     table: list[dict[str, Any]] = [
         {
             "tools": one.tools,
@@ -126,7 +126,7 @@ def as_json(pinches: Sequence[Pinch], bursts: Floats, reference: dict[str, Any] 
 
 
 def text(found: dict[str, Any]) -> str:
-    """The figures as a table."""
+    """Return the figures as a table."""
     names = ["tools", "axis", "%", "tick p50", "p99 us", "substeps", "turned", "held", "least J", "after", "faults"]
     table = [[*names, "force N"]]
     for row in found["rows"]:

@@ -1,8 +1,8 @@
 """Force of two spheres that squeeze the organ and don't slip, beside finite elements that are touched alike.
 
-What finite elements push back with is stored, as it takes a quarter of an hour; `tissue_sim bench pinch --remake` makes
-it anew. Each pinch is settled on two meshes, and a third of what they differ by is made good, as in
-calibration.reference.
+The forces of the finite elements are stored, as they take a quarter of an hour; `tissue_sim bench pinch --remake`
+computes them again. Each pinch is settled on two meshes, and a third of their difference is added as a correction, as
+in calibration.reference.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from tissue_sim.organ.shipped import shipped_file
 
 STORED = "config/references/pinch.json"  # of the kidney that ships
 SHARES = (0.2, 0.4)  # of the organ's width
-STEP = 0.0014  # m at the most, of finite elements: no longer than those where they are touched
+STEP = 0.0014  # m, largest step of the finite elements: no longer than the elements where they are touched
 UNDER = 0.012  # m from the axis, where a sphere may touch: up to 7 mm do
 MESHES = (Grading(clamp=0), Grading(clamp=0, near=1, growth=1.6))  # the second is twice as fine where they touch
-FRICTION = 10.0  # at which nothing slips
+FRICTION = 10.0  # so high that nothing slips
 SPEED = 0.005  # m/s: so slow that the organ isn't swung
-HOLDING, LONGEST = 0.2, 3.0  # s between two looks at the force, and at the most
-STILL = 1e-3  # of the force, by which it has changed since the last look
+HOLDING, LONGEST = 0.2, 3.0  # s between two checks of the force, and at most
+STILL = 1e-3  # relative change of the force since the last check
 MOST_OFF = 10.0  # %
 
 
 class Compared(NamedTuple):
-    """A pinch along one axis by a share of the width."""
+    """Results of a pinch along one axis by a fraction of the width."""
 
     axis: str
     share: float
@@ -65,7 +65,7 @@ class Compared(NamedTuple):
 
 
 def fits(organ: Organ) -> str:
-    """Digest of what finite elements know of an organ: its surface, its clamp, its material. Not of what is fitted."""
+    """Return a digest of what finite elements use of an organ: its surface, its clamp, its material, but no fit."""
     digest = hashlib.sha256()
     for array in (organ.surface_positions, organ.surface_triangles, organ.fixed, organ.inclusion_positions):
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -74,12 +74,28 @@ def fits(organ: Organ) -> str:
 
 
 def stored() -> Path | None:
-    """Path of the table that ships; None where it is missing."""
+    """Return the path of the table that ships; None where it is missing."""
     return shipped_file(STORED)
 
 
 def make(organ: Organ) -> dict[str, Any]:
-    """Squeeze finite elements along every axis by every share; returns the table. Raises UserError as Body does."""
+    """Squeeze finite elements along every axis by every fraction.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    dict[str, Any]
+        The table.
+
+    Raises
+    ------
+    UserError
+        As Body does.
+    """
     start = time.monotonic()
     squeezed_by = [
         row
@@ -90,7 +106,7 @@ def make(organ: Organ) -> dict[str, Any]:
 
 
 def by_elements(organ: Organ, where: Place, axis: int) -> list[dict[str, Any]]:
-    """Return a row for every share: force on the tools (2, 3) N on both meshes, and what they make together."""
+    """Return a row for every fraction: force on the tools (2, 3) N on both meshes, and the corrected one."""
     coarse, fine = (_squeezed(organ, where, axis, mesh) for mesh in MESHES)
     found_rows = []
     for share, one, other in zip(SHARES, coarse, fine, strict=True):
@@ -105,7 +121,7 @@ def by_elements(organ: Organ, where: Place, axis: int) -> list[dict[str, Any]]:
 
 
 def _squeezed(organ: Organ, where: Place, axis: int, mesh: Grading) -> list[Squeezed | None]:
-    """Return what finite elements come to at every share; None where they don't settle."""
+    """Return the equilibria of finite elements at every fraction; None where they don't settle."""
     beside = np.delete(organ.surface_positions - where.start[0], axis, axis=1)
     solid, nodes = touchable(organ, np.linalg.norm(beside, axis=1) < UNDER, mesh)
     deep, last = [0.0], []
@@ -118,9 +134,9 @@ def _squeezed(organ: Organ, where: Place, axis: int, mesh: Grading) -> list[Sque
 
 
 def meets_clamp(organ: Organ, where: Place) -> NDArray[np.bool_]:
-    """Return which of the two spheres (2,) comes upon held tissue: finite elements have no force there.
+    """Return which of the two spheres (2,) meet held tissue, where finite elements have no force.
 
-    A solid whose surface is held is pressed at a wall.
+    A solid whose surface is held is like a wall.
     """
     ends = where.at(0.5 * SHARES[-1] * where.width)
     away = organ.surface_positions[organ.fixed] - where.start[:, None]
@@ -130,7 +146,25 @@ def meets_clamp(organ: Organ, where: Place) -> NDArray[np.bool_]:
 
 
 def read(path: Path, organ: Organ) -> dict[str, Any]:
-    """Return a stored table. Raises UserError for what is none, or was made for another organ."""
+    """Return a stored table.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    dict[str, Any]
+        The table.
+
+    Raises
+    ------
+    UserError
+        Where the file is no table, or was made for another organ.
+    """
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
         made_for, name = table["fits"], table["organ"]
@@ -153,7 +187,20 @@ def read(path: Path, organ: Organ) -> dict[str, Any]:
 
 
 def measure(organ: Organ, table: dict[str, Any]) -> list[Compared]:
-    """Squeeze the organ as the table's rows were: slowly, until the force stands."""
+    """Squeeze the organ as the table's rows were: slowly, until the force is constant.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    table : dict[str, Any]
+        The table.
+
+    Returns
+    -------
+    list[Compared]
+        The comparisons.
+    """
     found: list[Compared] = []
     with rows.until_stopped():
         for axis in rows.each(range(3), "slowly, axes"):
@@ -171,7 +218,7 @@ def measure(organ: Organ, table: dict[str, Any]) -> list[Compared]:
 
 
 def slowly(organ: Organ, axis: int) -> list[tuple[Floats, float]]:
-    """Return for every share the force on spheres (2, 3) N that don't slip, held, and the least J of a cell."""
+    """Return for every fraction the force on spheres (2, 3) N that don't slip, held, and the least J of a cell."""
     scene = Scene(organ, both(radius=SPHERE), ticks_a_set=4)
     scene.simulation.settings.friction = FRICTION
     where, tick, found = place(organ, axis, SPHERE), scene.simulation.settings.tick_time, []
@@ -202,7 +249,18 @@ def slowly(organ: Organ, axis: int) -> list[tuple[Floats, float]]:
 
 
 def as_json(found: list[Compared]) -> dict[str, Any]:
-    """All figures, and the bound."""
+    """Return all figures, and the bound.
+
+    Parameters
+    ----------
+    found : list[Compared]
+        The comparisons.
+
+    Returns
+    -------
+    dict[str, Any]
+        The figures by name.
+    """
     table = [
         {
             "axis": one.axis,
@@ -224,7 +282,18 @@ def as_json(found: list[Compared]) -> dict[str, Any]:
 
 
 def lines(rows: list[dict[str, Any]]) -> list[str]:
-    """The figures as a table."""
+    """Return the figures as a table.
+
+    Parameters
+    ----------
+    rows : list[dict[str, Any]]
+        The figures.
+
+    Returns
+    -------
+    list[str]
+        The lines.
+    """
     table = [["axis", "%", "on the tools N", "finite elements N", "off %", "least J", "det F"]]
     for row in rows:
         sizes = [

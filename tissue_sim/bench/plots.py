@@ -11,9 +11,24 @@ _OURS, _THEIRS, _LIMIT = "#2166ac", "#b2182b", "#777777"
 
 
 def write_plots(found: dict[str, Any], folder: Path) -> list[Path]:
-    """Write tick.png and growth.png from the figures of `bench tick`; returns their paths.
+    """Write tick.png and growth.png from the figures of `bench tick`.
 
-    Raises UserError when the folder can't be written.
+    Parameters
+    ----------
+    found : dict[str, Any]
+        The figures.
+    folder : Path
+        The folder.
+
+    Returns
+    -------
+    list[Path]
+        Their paths.
+
+    Raises
+    ------
+    UserError
+        Where the folder can't be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -26,7 +41,7 @@ def write_plots(found: dict[str, Any], folder: Path) -> list[Path]:
 
 
 def _rows(found: dict[str, Any]) -> Any:
-    """Median and p99 of every row, on a logarithmic scale."""
+    """Return a figure of the median and p99 of every row, on a logarithmic scale."""
     from matplotlib.figure import Figure
 
     rows = [row for row in found["rows"] if row["median_us"] is not None][::-1]
@@ -51,7 +66,7 @@ def _rows(found: dict[str, Any]) -> Any:
 
 
 def _growth(found: dict[str, Any]) -> Any:
-    """Whole tick, substep and modal tick over the number of points."""
+    """Return a figure of whole tick, substep and modal tick over the number of points."""
     from matplotlib.figure import Figure
 
     sizes = found["growth"]["sizes"]

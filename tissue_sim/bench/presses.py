@@ -1,4 +1,4 @@
-"""`tissue_sim bench presses`: tools enter an organ fast, late or in one jump; is every one of them resisted to the end?
+"""`tissue_sim bench presses`: whether fast, late and jumping tools are resisted to the end.
 
 Each press ends at the place of one that was made slowly, and the force that the hand feels there is held against that
 one's. The node runs in real time, and poses come over DDS: beside a busy program the benchmark asks what a busy machine
@@ -27,25 +27,25 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_file, shipped_organ
 
 ORGANS = "kidney", "kidney_tumour", "scenes/abdomen/liver"
-OUT = 0.004  # m outside, from where presses begin
-DEEPEST, RADII = 0.012, 2.4  # m, and of a tool's radius: how deep it is pressed
-SLOW = 0.02  # m/s, of the press that others are held against
+OUT = 0.004  # m outside, where presses begin
+DEEPEST, RADII = 0.012, 2.4  # m, and multiple of a tool's radius: depth of a press
+SLOW = 0.02  # m/s, of the press with which others are compared
 MOTIONS = (  # m/s and Hz
     *product((0.05, 0.2, 0.8), (100.0, 500.0)),
     *product((2.0, 5.0), (30.0, 500.0, 1000.0)),
 )
 JUMPS = 0.001, 0.002, 0.005, 0.010, 0.020, 0.050  # m, in a single message
 JUMP_RATE = 500.0  # Hz
-BEFORE, HELD = 0.05, 0.3  # s at the start of a press, and at its end until the force is looked at
+BEFORE, HELD = 0.05, 0.3  # s at the start of a press, and at its end until the force is read
 CLEAR_OF_CLAMP = 0.01  # m
-LEAST_FORCE = 0.02  # N, of the slow press: a place that hardly resists tells nothing
-LOST = 0.3  # of the slow press's force, below which a hand is lost
+LEAST_FORCE = 0.02  # N, of the slow press: a place that hardly resists says nothing
+LOST = 0.3  # fraction of the slow press's force, below which a press is lost
 HELD_TICKS = 300  # of the node, after which a press that seems lost is looked at again
 MOST_OFF = 5.0  # %
 
 
 class Form(NamedTuple):
-    """A tool: the node's parameters for it, its radius m, and how far its foremost point is before its origin, m."""
+    """Tool: the node's parameters for it, its radius m, and the distance of its foremost point from its origin, m."""
 
     name: str
     parameters: tuple[str, ...]
@@ -54,7 +54,7 @@ class Form(NamedTuple):
 
     @property
     def depth(self) -> float:
-        """Return the depth of a press, m."""
+        """Depth of a press, m."""
         return min(DEEPEST, RADII * self.radius)
 
 
@@ -74,7 +74,7 @@ def forms() -> list[Form]:
 
 
 class Place(NamedTuple):
-    """A contact point (3,) m anywhere on an organ's surface, and the inward unit normal (3,) there."""
+    """Contact point (3,) m anywhere on an organ's surface, and the inward unit normal (3,) there."""
 
     point: Floats
     way: Floats
@@ -101,7 +101,7 @@ def places_on(organ: Organ, count: int, seed: int = 5) -> list[Place]:
 
 
 class Motion(NamedTuple):
-    """The motion of a press: speed in m/s, pose rate in Hz, and the jump in m of a single message, 0 for none.
+    """Motion of a press: speed in m/s, pose rate in Hz, and the jump in m of a single message, 0 for none.
 
     Where there is a jump, the speed does not count.
     """
@@ -112,11 +112,11 @@ class Motion(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Return the name in tables."""
+        """Name in tables."""
         return f"jump of {1e3 * self.jump:g} mm" if self.jump else f"{self.speed:g} m/s, {self.rate:g} Hz"
 
     def depths(self, depth: float) -> Iterator[float]:
-        """Return the depths, m, of poses 1 / rate s apart: a pause outside, the way to `depth`, and the hold there."""
+        """Yield the depths, m, of poses 1 / rate s apart: a pause outside, the way to `depth`, and the hold there."""
         before, held = round(BEFORE * self.rate), round(HELD * self.rate)
         if self.jump:
             start = depth - self.jump
@@ -139,7 +139,7 @@ def motions() -> list[Motion]:
 
 
 class Pressed(NamedTuple):
-    """One press: its motion, what the slow one and this one felt in the end, (3,) N; s that the hand had to wait."""
+    """Results of one press: its motion, final forces of the slow one and this one, (3,) N, and the longest gap, s."""
 
     organ: str
     form: str
@@ -150,7 +150,7 @@ class Pressed(NamedTuple):
 
     @property
     def is_lost(self) -> bool:
-        """True when the hand feels next to nothing where it is to feel something."""
+        """Whether the output is nearly zero although it should not be."""
         return bool(np.linalg.norm(self.felt) < LOST * np.linalg.norm(self.slow))
 
     @property
@@ -163,7 +163,7 @@ class Pressed(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, organ="three organs of this package", check=True)
     parser.add_argument(
         "--places", type=int, default=3, help="number of points on each organ, for each tool (default: 3)"
@@ -172,7 +172,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Press, compare and print; returns 0, or with --check 1 when a bound is missed."""
+    """Press, compare and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     if not 1 <= args.places <= 1000:
         raise UserError(f"--places {args.places} is outside 1..1000")
@@ -188,7 +188,7 @@ def organ_file(name: str) -> Path | None:
 
 
 def measure(files: Sequence[str], n_places: int, friction: float | None = None) -> list[Pressed]:
-    """Press with every tool at so many places of every organ. Raises UserError when rclpy or the node is missing."""
+    """Press with every tool at some places of every organ. Raises UserError when rclpy or the node is missing."""
     from tissue_sim.ros.probes.presser import pressing
 
     found: list[Pressed] = []

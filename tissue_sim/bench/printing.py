@@ -1,4 +1,4 @@
-"""What benchmarks print and write."""
+"""Output of benchmarks: tables, bounds, JSON."""
 
 from __future__ import annotations
 
@@ -13,7 +13,20 @@ from tissue_sim.errors import UserError
 
 
 def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
-    """Lines of a table whose first `left` columns are aligned left and the others right; the first row heads it."""
+    """Return the lines of a table with aligned columns.
+
+    Parameters
+    ----------
+    rows : Sequence[Sequence[str]]
+        Cells of each row; the first row is the head.
+    left : int, optional
+        Number of columns, from the first, that are aligned left; the others are aligned right.
+
+    Returns
+    -------
+    list[str]
+        The lines.
+    """
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
 
     def line(cells: Sequence[str]) -> str:
@@ -24,19 +37,44 @@ def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
 
 
 def with_remarks(table: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table whose last column is aligned left, after all others."""
+    """Return the lines of a table whose last column is aligned left, after all others.
+
+    Parameters
+    ----------
+    table : Sequence[Sequence[str]]
+        Cells of each row; the first row is the head.
+
+    Returns
+    -------
+    list[str]
+        The lines.
+    """
     lines = aligned([row[:-1] for row in table])
     remarks = [table[0][-1], "", *(row[-1] for row in table[1:])]
     width = max(len(line) for line in lines)
     return [f"{line.ljust(width)}  {remark}".rstrip() for line, remark in zip(lines, remarks, strict=True)]
 
 
-NOISY = 1.5  # p99 over median of a fixed loop, from which times are to be read as ratios only
+NOISY = 1.5  # p99 over median of a fixed loop, beyond which only ratios of times are meaningful
 STOPPED = "stopped by Ctrl-C: these are the measurements so far"
 
 
 class Bound(NamedTuple):
-    """A bound's name, the figure held against it (None: not measured), its limit, its unit; least: a lower limit."""
+    """Bound on a figure.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    value : float | None
+        The figure; None where it wasn't measured.
+    limit : float
+        The limit.
+    unit : str
+        Their unit.
+    least : bool
+        Whether the limit is a lower one.
+    """
 
     name: str
     value: float | None
@@ -46,19 +84,30 @@ class Bound(NamedTuple):
 
     @property
     def met(self) -> bool | None:
-        """True or False; None when the figure is missing, or only holds so far as the measuring was stopped."""
+        """Whether it is met; None when the figure is missing, or only holds so far because measuring was stopped."""
         if self.value is None:
             return None
         held = bool(self.value >= self.limit if self.least else self.value <= self.limit)
         return None if held and rows.stopped() else held
 
     def as_json(self) -> dict[str, Any]:
-        """Its fields, and whether it is met."""
+        """Return its fields, and whether it is met."""
         return self._asdict() | {"met": self.met}
 
 
 def bound_lines(bounds: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Lines of a table of bounds, as Bound.as_json has them."""
+    """Return the lines of a table of bounds.
+
+    Parameters
+    ----------
+    bounds : Iterable[Mapping[str, Any]]
+        Bounds, as Bound.as_json has them.
+
+    Returns
+    -------
+    list[str]
+        The lines.
+    """
     table = [["bound", "measured", "limit", ""]]
     for bound in bounds:
         sign = ">=" if bound["least"] else "<="
@@ -70,19 +119,53 @@ def bound_lines(bounds: Iterable[Mapping[str, Any]]) -> list[str]:
 
 
 def exit_code(found: Mapping[str, Any], *, check: bool) -> int:
-    """0, or 1 when it is to be checked and one of the bounds, as Bound.as_json has them, is missed."""
+    """Return 1 when bounds are checked and one of them is missed, 0 otherwise.
+
+    Parameters
+    ----------
+    found : Mapping[str, Any]
+        Figures with `bounds`, as Bound.as_json has them.
+    check : bool
+        Whether they are checked.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
     return int(check and any(bound["met"] is False for bound in found["bounds"]))
 
 
 def figure(value: float) -> str:
-    """Three significant digits, no exponent."""
+    """Return a number with three significant digits, without an exponent.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+
+    Returns
+    -------
+    str
+        The text.
+    """
     return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def made_or_skipped[Made](make: Callable[[], tuple[Made, str]], *also: type[Exception]) -> tuple[Made | None, str]:
-    """What can be measured here and a remark on it; None and the reason where it can't be made.
+    """Return what can be measured here and a remark on it; None and the reason where it can't be made.
 
-    That is a package that is not installed, a UserError, or one of `also`.
+    Parameters
+    ----------
+    make : Callable[[], tuple[Made, str]]
+        Makes it.
+    also : type[Exception]
+        Further exceptions that are reasons, besides a missing package and UserError.
+
+    Returns
+    -------
+    tuple[Made | None, str]
+        The result and the remark.
     """
     known: tuple[type[Exception], ...] = (UserError, *also)
     try:
@@ -96,7 +179,18 @@ def made_or_skipped[Made](make: Callable[[], tuple[Made, str]], *also: type[Exce
 
 
 def noise_lines(noise: float | None) -> list[str]:
-    """A remark on noise, the p99 of a fixed loop over its median, where it is high; nothing where it is not known."""
+    """Return a remark on noise, the p99 of a fixed loop over its median, where it is high.
+
+    Parameters
+    ----------
+    noise : float | None
+        The ratio; None where it isn't known.
+
+    Returns
+    -------
+    list[str]
+        One line, or none.
+    """
     if noise is None or noise < NOISY:
         return []
     return [
@@ -107,7 +201,19 @@ def noise_lines(noise: float | None) -> list[str]:
 def emit(found: dict[str, Any], text: str, json_to: str | None) -> None:
     """Print the text and write JSON to a file, or with - print the JSON instead; both say when it was stopped.
 
-    Raises UserError when the file can't be written.
+    Parameters
+    ----------
+    found : dict[str, Any]
+        The figures.
+    text : str
+        The text.
+    json_to : str | None
+        File for the JSON, `-` for the standard output; None for no JSON.
+
+    Raises
+    ------
+    UserError
+        Where the file can't be written.
     """
     if rows.stopped():
         found, text = {**found, "stopped": True}, f"{STOPPED}\n\n{text}"
@@ -120,13 +226,32 @@ def emit(found: dict[str, Any], text: str, json_to: str | None) -> None:
 
 
 def told(pictures: Iterable[Path]) -> None:
-    """Name the pictures that were written, beside the standard output."""
+    """Name the pictures that were written on the standard error.
+
+    Parameters
+    ----------
+    pictures : Iterable[Path]
+        The files.
+    """
     for path in pictures:
         print(f"picture: {path}", file=sys.stderr)
 
 
 def write_json(found: Any, path: Path) -> None:
-    """Write JSON to a file; raises UserError when it can't be written."""
+    """Write JSON to a file.
+
+    Parameters
+    ----------
+    found : Any
+        The content.
+    path : Path
+        The file.
+
+    Raises
+    ------
+    UserError
+        Where it can't be written.
+    """
     try:
         path.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     except OSError as error:

@@ -1,4 +1,4 @@
-"""`tissue_sim bench region`: how far the local regions are off the whole model, place by place and size by size."""
+"""Benchmark `tissue_sim bench region`: errors of the local regions against the whole model, by place and size."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
-SMALL = 0.02  # N, under which the whole model is as good as linear
+SMALL = 0.02  # N, under which the whole model is nearly linear
 DENTS = (3e-3, 6e-3)  # m
-FAR_HOPS = 5  # from what is held: nearer than that hardly anything moves
+FAR_HOPS = 5  # from held nodes: nearer than that hardly anything moves
 WHOLE_LINEAR, WHOLE_NONLINEAR = 2.5, 5.0  # %, bounds on the modal region and on `auto`
 SEED = 5
-NEAR_DENT, MOST_TRIES = 0.02, 4  # of a dent that is wanted, and settled shapes on the way to it
+NEAR_DENT, MOST_TRIES = 0.02, 4  # tolerance of a wanted dent, and largest number of equilibria on the way to it
 TOLERANCE, LONGEST = 1e-4, 10.0  # of settling, and s
 MOST_JUDGED = 5000  # points; a larger organ takes many minutes to settle at every place
 PRESS = 0.1  # N on the patch of the smallest organ whose ticks are timed; the same pressure on the others
 
 
 class PlaceErrors(NamedTuple):
-    """One place under one force; errors in percent, relative L2 of the settled surface."""
+    """Errors of one place under one force, in percent, relative L2 of the surface at equilibrium."""
 
     place: int
     force: float  # N
@@ -48,14 +48,14 @@ class PlaceErrors(NamedTuple):
     settled: bool  # the whole model and `auto`
     modal_linear: float  # against the linear whole model
     modal: float  # against the whole model
-    auto: float  # likewise, of a region that hands over by itself
+    auto: float  # likewise, of a region that hands over automatically
     handed_over: bool  # to the whole model
     frozen: float | None  # None for cells, which have no such region
     linear: float  # the linear whole model against the whole model
 
 
 class SizeErrors(NamedTuple):
-    """A bean of cells of some size: ticks of the whole and of a region, and worst errors of one that hands over, %."""
+    """Results for a bean of cells of some size: ticks of the whole and of a region, and worst errors, %."""
 
     points: int
     cells: int
@@ -67,7 +67,7 @@ class SizeErrors(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, seconds=1.0, check=True)
     parser.add_argument(
         "--places", type=int, default=6, help="number of points drawn at random, in addition to the outermost"
@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Settle every case in every region and print errors; returns 1 with --check when a bound is missed, else 0."""
+    """Settle every case in every region and print errors; return 1 with --check when a bound is missed, else 0."""
     check_shared(args)
     if not 0 <= args.places <= 1000:
         raise UserError(f"--places {args.places} is outside 0..1000")
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(organ: Organ, count: int) -> list[PlaceErrors]:
-    """For each of the outermost places and of `count` others a small force, and those that dent by DENTS."""
+    """Return for each of the outermost places and of `count` others a small force, and those that dent by DENTS."""
     whole, modal, auto = Simulation(organ), regional(organ, "modal"), regional(organ, "modal")
     auto.settings.local_region = LocalRegion.AUTO
     frozen = None if whole.variant == "cells" else regional(organ, "frozen")
@@ -135,14 +135,14 @@ def measure(organ: Organ, count: int) -> list[PlaceErrors]:
 
 
 def regional(organ: Organ, kind: str) -> Simulation:
-    """A simulation with a local region under any load."""
+    """Return a simulation with a local region under any load."""
     simulation = Simulation(organ, local_region=kind)
     simulation.settings.region_force = np.inf
     return simulation
 
 
 def places(whole: Simulation, count: int) -> list[int]:
-    """Surface nodes to press: the outermost along each axis, and `count` at random; none near what is held."""
+    """Return surface nodes to press: the outermost along each axis, and `count` at random; none near held nodes."""
     organ = whole.organ
     hops = hop_table(whole.model, organ.n_surface)
     far = np.flatnonzero(hops[organ.fixed].min(axis=0) > FAR_HOPS) if len(organ.fixed) else np.arange(organ.n_surface)
@@ -153,7 +153,7 @@ def places(whole: Simulation, count: int) -> list[int]:
 
 
 def unit_load(organ: Organ, place: int) -> Floats:
-    """1 N on the patch around a surface node, inwards, as forces (n_surface, 3) N."""
+    """Return 1 N on the patch around a surface node, inwards, as forces (n_surface, 3) N."""
     nodes = patch(organ, place, PATCH_NODES)
     load = np.zeros((organ.n_surface, 3))
     load[nodes] = -surface_normals(organ.surface_positions, organ.surface_triangles)[place] / len(nodes)
@@ -161,7 +161,7 @@ def unit_load(organ: Organ, place: int) -> Floats:
 
 
 def answers(whole: Simulation, unit: Floats, place: int) -> Iterator[tuple[float, Floats, bool]]:
-    """Force, N, and settled surface (n_surface, 3) m under the small load and those that dent by DENTS."""
+    """Yield force, N, and equilibrium (n_surface, 3) m under the small load and those that dent by DENTS."""
     force = SMALL
     answer, settled = whole.settle(force * unit, TOLERANCE, LONGEST)
     yield force, answer, settled
@@ -175,7 +175,7 @@ def answers(whole: Simulation, unit: Floats, place: int) -> Iterator[tuple[float
 
 
 def measure_sizes(points: Sequence[int], seconds: float) -> list[SizeErrors]:
-    """Beans of cells as they are before a calibration: ticks, each timed for some seconds, and errors of a region."""
+    """Return ticks and errors for uncalibrated beans of cells, each tick timed for some seconds."""
     made = {}
     with rows.until_stopped():
         for count in rows.each(points, "organs"):
@@ -200,7 +200,7 @@ def measure_sizes(points: Sequence[int], seconds: float) -> list[SizeErrors]:
 
 
 def _errors_handing_over(whole: Simulation, modal: Simulation, count: int) -> tuple[float, float]:
-    """Worst errors at the outermost places, %, of a region that hands over from here on: under SMALL, and dented."""
+    """Return the worst errors at the outermost places, %, of a region that hands over: small, and dented."""
     modal.settings.local_region = LocalRegion.AUTO
     errors = []
     for place in progress.steps(places(whole, 0), f"{count} points, place"):
@@ -212,12 +212,12 @@ def _errors_handing_over(whole: Simulation, modal: Simulation, count: int) -> tu
 
 
 def off(found: Floats, wanted: Floats) -> float:
-    """Relative L2 error, %."""
+    """Return the relative L2 error, %."""
     return float(100.0 * np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 
 
 def as_json(cases: list[PlaceErrors], sizes: list[SizeErrors]) -> dict[str, Any]:
-    """The bounds on the worst errors of the modal region and of `auto`, every case and every size."""
+    """Return the bounds on the worst errors of the modal region and of `auto`, every case and every size."""
     small = [case for case in cases if case.force == SMALL]
     bounds = [
         Bound(
@@ -237,7 +237,7 @@ def as_json(cases: list[PlaceErrors], sizes: list[SizeErrors]) -> dict[str, Any]
 
 
 def text(organ: Organ, cases: list[PlaceErrors], sizes: list[SizeErrors], found: dict[str, Any]) -> str:
-    """The tables and the bounds as text."""
+    """Return the tables and the bounds as text."""
     rows = [["point", "N", "indentation mm", "modal/linear %", "modal %", "auto %", "is", "frozen %", "linear %"]]
     for case in cases:
         frozen = "-" if case.frozen is None else f"{case.frozen:.1f}"

@@ -1,7 +1,7 @@
-"""Rows of a benchmark: told as they come, and kept when Ctrl-C ends the measuring.
+"""Rows of a benchmark: reported as they come, and kept when Ctrl-C ends the measurement.
 
-What is measured stands in `until_stopped`, takes what is to be measured from `each`, and tells every row by `tell`.
-Ctrl-C then leaves the rows that there are, what follows has nothing to measure, and the table says that it was stopped.
+Measurements run in `until_stopped`, take their items from `each`, and report every row by `tell`. Ctrl-C then leaves
+the rows that there are, later parts have nothing to measure, and the table says that it was stopped.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from tissue_sim import progress
 
 
 class _Measured:
-    """What has been measured in this process."""
+    """Whether anything was measured in this process, and whether it was stopped."""
 
     any = False
     stopped = False
@@ -28,19 +28,27 @@ def begin() -> None:
 
 
 def keep() -> None:
-    """Note that something has been measured, which Ctrl-C is to leave."""
+    """Note that something has been measured that Ctrl-C should leave."""
     _measured.any = True
 
 
 def tell(name: str, *figures: str) -> None:
-    """Tell of a row that has been measured."""
+    """Report a row that has been measured.
+
+    Parameters
+    ----------
+    name : str
+        Name of the row.
+    figures : str
+        Its figures.
+    """
     keep()
     progress.say(f"{name}: {', '.join(figures)}" if figures else name)
 
 
 @contextmanager
 def until_stopped() -> Iterator[None]:
-    """Leave what is in here with Ctrl-C, and go on after it where something has been measured."""
+    """Leave this block on Ctrl-C, and continue after it where something has been measured."""
     try:
         yield
     except KeyboardInterrupt:
@@ -50,16 +58,31 @@ def until_stopped() -> Iterator[None]:
 
 
 def each[Item](items: Iterable[Item], name: str, total: int | None = None) -> Iterator[Item]:
-    """What is to be measured, with its progress; nothing once it was stopped."""
+    """Yield what is to be measured, with progress; nothing once it was stopped.
+
+    Parameters
+    ----------
+    items : Iterable[Item]
+        The items.
+    name : str
+        Name of the work.
+    total : int | None, optional
+        Number of items, where they have no length.
+
+    Yields
+    ------
+    Iterator[Item]
+        One item.
+    """
     if not _measured.stopped:
         yield from progress.steps(items, name, total)
 
 
 def stop() -> None:
-    """Note that Ctrl-C ended the measuring."""
+    """Note that Ctrl-C ended the measurement."""
     _measured.stopped = True
 
 
 def stopped() -> bool:
-    """Whether Ctrl-C ended the measuring."""
+    """Return whether Ctrl-C ended the measurement."""
     return _measured.stopped

@@ -1,4 +1,4 @@
-"""`tissue_sim bench scene`: what organs cost that lie beside each other, and those of a scene that breathes.
+"""Benchmark `tissue_sim bench scene`: cost of organs beside each other, and of a scene that breathes.
 
 Everything that is compared is measured in one run, in turns, in one process with one thread.
 """
@@ -45,23 +45,23 @@ from tissue_sim.organ.shipped import shipped_file, shipped_organ
 
 ORGANS = 4
 APART = 0.2  # m, so that none touches another
-SECONDS, QUICK_SECONDS = 2.0, 0.3  # that each row is measured for
+SECONDS, QUICK_SECONDS = 2.0, 0.3  # of measurement of each row
 TICK = 1e-3  # s of simulated time
 
 SHIPPED = "config/scenes/abdomen.yaml"
-LOOK = 20  # ticks from one search for contacts to the next, beside which ticks are timed
+LOOK = 20  # ticks between two searches for contacts
 TOOL, DEEP, AWAY, APPROACH = 0.005, 0.002, 0.004, 200  # m; m pressed in, from so far outside; ticks for that
 
 ALONE, BESIDE, ASLEEP, AWAKE = "one organ, poked", "two, one poked", "all asleep", "all poked"
 SCENE, TOUCHED = "the scene, all poked", "the scene, a tool on each"
 NOISE = "noise"
 LEAST_BREATH = 1.0  # s
-# What the abdomen may take for each that a kidney takes alone: 200 and 300 us where that takes 88.
+# Time of the abdomen relative to a kidney alone: 200 and 300 us where that takes 88.
 MOST_ONE, MOST_TOUCHED = 2.27, 3.41
 
 
 class Row(NamedTuple):
-    """What was timed, of how many organs."""
+    """Name, number of organs and timing of a row."""
 
     name: str
     organs: int
@@ -69,19 +69,19 @@ class Row(NamedTuple):
 
 
 class Lacking(NamedTuple):
-    """What a scene lacks in which organs don't feel small loads, against one in which they feel everything.
+    """Deviation of a scene whose organs have a wake threshold from one in which they respond to every load.
 
-    A breath long, or LEAST_BREATH s, with a ball pressed into its first organ.
+    Measured over a breath, or LEAST_BREATH s, with a ball pressed into the first organ.
     """
 
     moved: float  # m, of any node
-    felt: float  # N, of what the hand feels
-    awake: float  # organs on average, of those that feel not everything
-    awake_of_all: float  # of those that do
+    felt: float  # N, of the haptic output
+    awake: float  # organs awake on average, with the threshold
+    awake_of_all: float  # likewise, without it
 
 
 class Figures(NamedTuple):
-    """What the measuring process hands back."""
+    """Results of the measuring process."""
 
     rows: list[Row]
     noise: float  # p99 over median of a fixed loop
@@ -89,14 +89,14 @@ class Figures(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, check=True)
     parser.add_argument("--scene", metavar="FILE", help="scene (.yaml) to time; default: the abdomen of this package")
     parser.add_argument("--quick", action="store_true", help="fewer samples")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print the table; returns 0, or with --check 1 when a bound is missed."""
+    """Measure and print the table; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     organ = Organ.load(Path(args.organ) if args.organ else shipped_organ())
     scene = SceneFile.read(Path(args.scene) if args.scene else shipped_scene())
@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def shipped_scene() -> Path:
-    """Path of the abdomen that ships. Raises UserError when it isn't there."""
+    """Return the path of the abdomen that ships. Raises UserError when it is missing."""
     found = shipped_file(SHIPPED)
     if found is None:
         raise UserError(f"{SHIPPED} is not part of this installation; name a scene with --scene")
@@ -140,23 +140,23 @@ def measure(organ: Organ, scene: SceneFile, seconds: float) -> Figures:
 
 
 def one_poked(name: str) -> str:
-    """Name of the row of a scene in which one organ is poked."""
+    """Return the name of the row of a scene in which one organ is poked."""
     return f"the scene, {name} poked"
 
 
 def scene_ticks(scene: SceneFile, poked: Iterable[int]) -> JoinedTicks:
-    """Ticks of a scene in which the organs with these numbers are poked."""
+    """Return ticks of a scene in which the organs with these numbers are poked."""
     return _ticks_of(scene.scene([], ticks_a_set=LOOK), poked, lambda: None)
 
 
 def touched_ticks(scene: SceneFile) -> JoinedTicks:
-    """Ticks of a scene in which a ball is pressed into every organ, and goes with it as it breathes."""
+    """Return ticks of a scene in which a ball is pressed into every organ, and moves with it as it breathes."""
     made, press = _pressed(scene, len(scene.organs))
     return _ticks_of(made, (), press)
 
 
 def lacking(scene: SceneFile) -> Lacking:
-    """Compare a scene with itself where organs feel everything."""
+    """Compare a scene with itself without a wake threshold."""
     scenes = [_pressed(scene, 1) for _ in range(2)]
     (some, _), (everything, _) = scenes
     everything.joined.unfelt.most[:] = 0.0
@@ -176,7 +176,7 @@ def lacking(scene: SceneFile) -> Lacking:
 
 
 def _pressed(scene: SceneFile, count: int) -> tuple[Scene, Callable[[], None]]:
-    """A scene with a ball pressed into each of its first organs, and what keeps the balls there as these breathe."""
+    """Return a scene with a ball pressed into each of its first organs, and what keeps the balls there."""
     made = scene.scene([Tool(f"{name}_tool", "sphere", radius=TOOL) for name in scene.names[:count]], ticks_a_set=LOOK)
     places, normals = zip(*(_place_of(one) for one in scene.organs[:count]), strict=True)
 
@@ -191,7 +191,7 @@ def _pressed(scene: SceneFile, count: int) -> tuple[Scene, Callable[[], None]]:
 
 
 def _place_of(organ: Organ) -> tuple[Floats, Floats]:
-    """A point of the surface to press at, and its normal, (3,) each."""
+    """Return a point of the surface to press at, and its normal, (3,) each."""
     node = press_node(organ)
     return organ.surface_positions[node], surface_normals(organ.surface_positions, organ.surface_triangles)[node]
 
@@ -205,7 +205,7 @@ def _ticks_of(scene: Scene, poked: Iterable[int], move: Callable[[], None]) -> J
 
 
 def apart(organ: Organ, count: int) -> Joined:
-    """So many of an organ in a row, that nothing joins."""
+    """Return `count` copies of an organ in a row, not joined."""
     simulations = [Simulation(placed(organ, (APART * place, 0.0, 0.0))) for place in range(count)]
     return Joined(simulations)
 
@@ -226,7 +226,7 @@ class JoinedTicks:
         self._phase, self._clock = np.zeros(1, dtype=np.int64), np.zeros(2, dtype=np.int64)
 
     def __call__(self, count: int) -> Floats:
-        """Seconds (count,) of count ticks; two more before each LOOK of them warm the caches and don't count."""
+        """Return seconds (count,) of `count` ticks, after two before each LOOK of them that warm the caches."""
         return np.concatenate([self._look_and_tick(min(LOOK, count - first)) for first in range(0, count, LOOK)])
 
     def _look_and_tick(self, count: int) -> Floats:
@@ -254,7 +254,7 @@ def _time_joined(worlds: Any, joined: Any, loads: Any, phase: Any, clock: Any, t
 
 
 def bounds(measured: Figures) -> list[Bound]:
-    """Every bound with its figure."""
+    """Return every bound with its figure."""
     median = {row.name: row.timing.median for row in measured.rows}
     found = [
         Bound(
@@ -283,7 +283,7 @@ def bounds(measured: Figures) -> list[Bound]:
 
 
 def as_json(organ: Organ, scene: SceneFile, measured: Figures) -> dict[str, Any]:
-    """All figures for machines; units stand in the names."""
+    """Return all figures for machines; units stand in the names."""
     return {
         "benchmark": "scene",
         "organ": organ.name,
@@ -310,7 +310,7 @@ def as_json(organ: Organ, scene: SceneFile, measured: Figures) -> dict[str, Any]
 
 
 def text(found: dict[str, Any]) -> str:
-    """The tables for people."""
+    """Return the tables for people."""
     lines = [
         f"organ '{found['organ']}', {found['surface_points']} surface points, {1e3 * APART:g} mm from the next one;"
         f" poked: {1e3 * found['force_n']:g} mN on a {PATCH_NODES}-node patch, oscillating 5 times a second",

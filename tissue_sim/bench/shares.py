@@ -1,4 +1,4 @@
-"""Shares of a core that running processes take."""
+"""Processor use of running processes, as a fraction of a core."""
 
 from __future__ import annotations
 
@@ -13,9 +13,24 @@ _OF_PROCESS, _OF_THREAD = 2, 6
 
 
 def processor_seconds(process: int, *, busiest: bool = True) -> float:
-    """Processor time of a running process, s, with its threads that have ended; busiest: with that of its busiest one.
+    """Return the processor time of a running process, including its threads that have ended.
 
-    Raises UserError when it has ended.
+    Parameters
+    ----------
+    process : int
+        Process ID.
+    busiest : bool, optional
+        Whether its busiest thread is included.
+
+    Returns
+    -------
+    float, s
+        The time.
+
+    Raises
+    ------
+    UserError
+        Where it has ended.
     """
     try:
         spent = _clock(process, _OF_PROCESS)
@@ -30,12 +45,25 @@ def processor_seconds(process: int, *, busiest: bool = True) -> float:
 
 
 def _clock(number: int, kind: int) -> float:
-    """Processor time of a process or thread, s; clock_getcpuclockid(3), by how Linux makes the names of its clocks."""
+    """Return the processor time of a process or thread, s, by how Linux numbers clocks (clock_getcpuclockid(3))."""
     return time.clock_gettime(~number << 3 | kind)
 
 
 def shares_during(spent: Mapping[str, Callable[[], float]], wait: Callable[[], object]) -> dict[str, float]:
-    """Percent of a core that each takes while `wait` runs; spent: processor time of each so far, s."""
+    """Return the percentage of a core that each process takes while `wait` runs.
+
+    Parameters
+    ----------
+    spent : Mapping[str, Callable[[], float]]
+        Functions that return the processor time so far, s, by name.
+    wait : Callable[[], object]
+        Runs meanwhile.
+
+    Returns
+    -------
+    dict[str, float], %
+        Percentages by name.
+    """
     began, before = time.monotonic(), {name: read() for name, read in spent.items()}
     wait()
     after = {name: read() for name, read in spent.items()}

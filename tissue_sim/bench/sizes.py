@@ -1,8 +1,8 @@
-"""One body at several point counts, and what carries loads and displacements between their surfaces.
+"""One body at several point counts, and the transfer of loads and displacements between their surfaces.
 
-The body is the solid inside one organ's surface. A finer surface is that surface with its triangles divided: the
-same polyhedron, the same clamp. A coarser one comes out of the pipeline: voxels, wall, balloon; it is held where the
-organ's nearest points are. All keep the organ's atoms and tissue.
+The body is the solid inside one organ's surface. A finer surface is that surface with its triangles divided: the same
+polyhedron, the same clamp. A coarser one is made by the pipeline: voxels, wall, balloon; it is held where the organ's
+nearest points are. All keep the organ's atoms and tissue.
 """
 
 from __future__ import annotations
@@ -25,18 +25,26 @@ from tissue_sim.organ.surfaces.resample import thicken
 from tissue_sim.organ.topology import assemble_like, node_area
 from tissue_sim.store import remembered
 
-_CANDIDATES = 16  # triangles with the nearest middles, among which the nearest one is looked for
-_PASS = 0.12  # of the points that a pass of halving adds: about the longest edges first
-_ON_PLANE = 1e-9  # of the body's length, within which a point lies on a triangle
-_VERSION = "2"  # of what is remembered
+_CANDIDATES = 16  # triangles with the nearest centres, among which the nearest one is searched
+_PASS = 0.12  # fraction of the points that a pass of halving adds: roughly the longest edges first
+_ON_PLANE = 1e-9  # of the body's length: distance within which a point lies on a triangle
+_VERSION = "2"  # version of what is cached
 
 
 @dataclass(frozen=True, eq=False)
 class Sized:
-    """A body at one point count: its organ (n points) and how it stands to the reference's surface (m points).
+    """Body at one point count: its organ (n points) and its relation to the reference's surface (m points).
 
-    follow (m, n): displacements of the reference's points, each of which follows the nearest place on the organ's
-    surface; lead (n, m): the same the other way about.
+    Attributes
+    ----------
+    organ : Organ
+        The organ.
+    reference : Organ
+        The reference.
+    follow : csr_array, shape (m, n)
+        Displacements of the reference's points, each of which follows the nearest place on the organ's surface.
+    lead : csr_array, shape (n, m)
+        The same in the other direction.
     """
 
     organ: Organ
@@ -52,12 +60,12 @@ class Sized:
         return mine, theirs
 
     def forces(self, force: Floats) -> Floats:
-        """Forces (n, 3) N of the reference's forces (m, 3) N.
+        """Return forces (n, 3) N of the reference's forces (m, 3) N.
 
-        A coarser surface takes them where they act, shared by a triangle's corners: the same virtual work. On a
+        A coarser surface takes them where they act, distributed to a triangle's corners: the same virtual work. On a
         finer one that would be a force on some nodes only; its nodes take the reference's traction there, which falls
-        linearly from a point to its neighbours: on the same polyhedron the same in all, to rounding. The reference's
-        own points take them as they are.
+        linearly from a point to its neighbours: on the same polyhedron the total is the same, to rounding. The
+        reference's own points take them as they are.
         """
         if self.organ.n_surface <= self.reference.n_surface:
             return np.asarray(self.follow.T @ force)
@@ -65,16 +73,29 @@ class Sized:
         return np.asarray(mine * (self.lead @ (force / theirs)))
 
     def displacement(self, displacement: Floats) -> Floats:
-        """Displacements (m, 3) m at the reference's points of the organ's (n, 3) m."""
+        """Return displacements (m, 3) m at the reference's points of the organ's (n, 3) m."""
         return np.asarray(self.follow @ displacement)
 
     def reached(self, displacement: Floats) -> Floats:
-        """Displacements (n, 3) m at the organ's points of the reference's (m, 3) m."""
+        """Return displacements (n, 3) m at the organ's points of the reference's (m, 3) m."""
         return np.asarray(self.lead @ displacement)
 
 
 def sized(organ: Organ, reference: Organ) -> Sized:
-    """An organ beside the reference, whose surface is another one of the same body or its own."""
+    """Return an organ beside the reference, whose surface is another one of the same body or its own.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    reference : Organ
+        The reference.
+
+    Returns
+    -------
+    Sized
+        Their relation.
+    """
     if organ.n_surface == reference.n_surface and np.array_equal(organ.surface_positions, reference.surface_positions):
         same = diagonal(np.ones(organ.n_surface)).tocsr()
         return Sized(organ, reference, same, same)
@@ -82,7 +103,7 @@ def sized(organ: Organ, reference: Organ) -> Sized:
 
 
 def interpolation(source: Organ, target: Organ) -> csr_array:
-    """Values at the target's surface nodes of values at the source's, (m, n): barycentric at the nearest place."""
+    """Return the values (m, n) at the target's surface nodes of values at the source's: barycentric, nearest place."""
     triangles, points = source.surface_triangles, target.surface_positions
     chosen, weight, _ = nearest_places(source.surface_positions[triangles], points)
     return coo_array(
@@ -92,9 +113,21 @@ def interpolation(source: Organ, target: Organ) -> csr_array:
 
 
 def nearest_places(corner: Floats, points: Floats) -> tuple[Longs, Floats, Floats]:
-    """The place on triangles (t, 3, 3) m nearest to each of points (p, 3) m.
+    """Return the place on triangles nearest to each point.
 
     Returns the triangle (p,), its corners' weights there (p, 3) and the distance (p,) m.
+
+    Parameters
+    ----------
+    corner : Floats, shape (t, 3, 3), m
+        Corners of the triangles.
+    points : Floats, shape (p, 3), m
+        Points.
+
+    Returns
+    -------
+    tuple[Longs, Floats, Floats]
+        Triangles, shape (p,), weights of their corners, shape (p, 3), and distances, shape (p,), m.
     """
     count = min(_CANDIDATES, len(corner))
     near = cKDTree(corner.mean(axis=1)).query(points, k=count)[1].reshape(len(points), count)
@@ -106,10 +139,22 @@ def nearest_places(corner: Floats, points: Floats) -> tuple[Longs, Floats, Float
 
 
 def at_size(organ: Organ, points: int) -> Organ:
-    """The same body with this many surface points, assembled as the pipeline does, uncalibrated.
+    """Return the same body with another number of surface points, assembled as the pipeline does, uncalibrated.
 
-    With the organ's interior atoms on its own surface, without any at another size: a fit of cells has its own.
-    A coarser surface is found in the user's cache when it was made before.
+    It has the organ's interior atoms on its own surface, and none at another size: a fit of cells has its own. A
+    coarser surface is taken from the user's cache when it was made before.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    points : int
+        Number of surface points.
+
+    Returns
+    -------
+    Organ
+        The organ of that size.
     """
     if points == organ.n_surface:
         return assembled_anew(organ, organ.surface_positions, organ.surface_triangles, organ.n_interior)
@@ -121,9 +166,9 @@ def at_size(organ: Organ, points: int) -> Organ:
 
 
 def divided(positions: Floats, triangles: Ints, points: int) -> tuple[Floats, Ints]:
-    """The same polyhedron with so many points; the points it had come first.
+    """Return the same polyhedron with more points; the points it had come first.
 
-    Every triangle is divided into four like it as often as there is room, then about the longest edges are halved.
+    Every triangle is divided into four as often as there is room, then roughly the longest edges are halved.
     """
     while 4 * len(positions) - 6 <= points:  # a point more for each of 3 n - 6 edges
         positions, faces = subdivide(positions, triangles)
@@ -135,7 +180,7 @@ def divided(positions: Floats, triangles: Ints, points: int) -> tuple[Floats, In
 
 
 def assembled_anew(organ: Organ, positions: Floats, triangles: Ints, interior: int) -> Organ:
-    """An organ of the same atoms, tissue and clamp on a surface (n, 3) m, (t, 3), with the pipeline's springs."""
+    """Return an organ of the same atoms, tissue and clamp on a surface (n, 3) m, (t, 3), with new springs."""
     return assemble_like(
         organ,
         name=f"{organ.name} of {len(positions)} points",
@@ -148,10 +193,10 @@ def assembled_anew(organ: Organ, positions: Floats, triangles: Ints, interior: i
 
 
 def held_points(organ: Organ, positions: Floats) -> Longs:
-    """Which points (n, 3) m of another surface of the same body are held.
+    """Return which points (n, 3) m of another surface of the same body are held.
 
     On a surface that has the organ's points and further ones: those points, and what lies on triangles all of whose
-    nodes are held. On another one: where the organ's nearest point is.
+    nodes are held. On another one: where the organ's nearest point is held.
     """
     held = np.zeros(organ.n_surface, dtype=bool)
     held[organ.fixed] = True

@@ -1,8 +1,8 @@
-"""What a tool's smoothing costs and gives: its delay and its steps of force, by ticks and so the same on any machine.
+"""Delay and force steps of a tool's smoothing, in ticks and so the same on any machine.
 
 A tool follows the poses of a slow bridge evenly, each over the time until the next one is due (smoothing 1), over a
-fraction of it, or at once (0). The delay is what that takes until half of a step of 0.3 mm is felt; the steps are the
-largest change of the force within a tick while the hand swings in the tissue.
+fraction of it, or at once (0). The delay is the time until half of a step of 0.3 mm is felt; the steps are the largest
+change of the force within a tick while the hand oscillates in the tissue.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tissue_sim.organ.organ import Organ
 RATE, POSE_RATES, SMOOTHINGS = 1000, (500, 100, 30), (1.0, 0.5, 0.0)  # Hz, Hz, fractions
 RADIUS, DEPTH, STEP = 0.005, 0.003, 3e-4  # m
 SWING, FREQUENCY, SWINGS = 1e-3, 5.0, 2  # m and Hz of the hand, 31 mm/s at most
-REST = 300  # ticks until the tissue has come to rest
+REST = 300  # ticks until the tissue is at rest
 WAY = np.array([-1.0, 0.0, 0.0])
 
 
@@ -29,11 +29,22 @@ class Smoothed(NamedTuple):
     smoothing: float
     rate: float
     half: int  # ticks until half of a step is felt
-    step: float  # N, largest change of the force within a tick while the hand swings
+    step: float  # N, largest change of the force within a tick while the hand oscillates
 
 
 def measure(organ: Organ) -> list[Smoothed]:
-    """Return the figures of every smoothing at every rate."""
+    """Return the figures of every smoothing at every rate.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    list[Smoothed]
+        The figures.
+    """
     return [one(organ, smoothing, rate) for rate in POSE_RATES for smoothing in SMOOTHINGS]
 
 
@@ -45,7 +56,7 @@ def one(organ: Organ, smoothing: float, rate: float) -> Smoothed:
     touch = points[np.argmax(points[:, 0])] - RADIUS * WAY
 
     def felt(depths: Floats) -> Floats:
-        """The force after each tick, (k, 3) N, while poses come at these depths (k,), m."""
+        """Return the force after each tick, (k, 3) N, while poses come at these depths (k,), m."""
         forces = np.empty((len(depths), 3))
         for tick, depth in enumerate(depths):
             if tick % period == 0:
@@ -65,12 +76,34 @@ def one(organ: Organ, smoothing: float, rate: float) -> Smoothed:
 
 
 def as_json(found: list[Smoothed]) -> list[dict[str, Any]]:
-    """Return the figures for --json."""
+    """Return the figures for --json.
+
+    Parameters
+    ----------
+    found : list[Smoothed]
+        The figures.
+
+    Returns
+    -------
+    list[dict[str, Any]]
+        The figures by name.
+    """
     return [one._asdict() for one in found]
 
 
 def table(found: list[dict[str, Any]]) -> list[list[str]]:
-    """Return the figures as rows of words, the first of which heads them."""
+    """Return the figures as rows of cells, the first of which is the head.
+
+    Parameters
+    ----------
+    found : list[dict[str, Any]]
+        The figures by name.
+
+    Returns
+    -------
+    list[list[str]]
+        The rows.
+    """
     rows = [["poses, Hz", "smoothing", "half of a step takes effect after, ticks", "largest step of force, mN"]]
     for one in found:
         rows.append([f"{one['rate']:g}", f"{one['smoothing']:g}", f"{one['half']}", f"{1e3 * one['step']:.1f}"])

@@ -1,8 +1,8 @@
-"""`tissue_sim bench soak`: a node that is used for a long time, and what stays of that.
+"""Benchmark `tissue_sim bench soak`: a node that is used for a long time.
 
-A node at 1 kHz with two tools that the scripted bridge plays, somebody who takes the markers, and a bag. Every second
-its memory and how late its ticks were is noted; a bare loop runs beside it in turns. At the end the tools go, and the
-organ's shape at rest is held against that before the first touch; the bag is closed and read.
+A node at 1 kHz has two tools that the scripted bridge moves, a subscriber of the markers, and a bag. Every second its
+memory and the lateness of its ticks are noted; a bare loop runs beside it in turns. At the end the tools leave, and the
+organ's shape at rest is compared with that before the first touch; the bag is closed and read.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tissue_sim.ros.shared.children import Child
 SHORTEST, LONGEST = 0.1, 1440.0  # min
 WINDOW = 60.0  # s at the beginning and the end whose memory is compared; the first begins after one of warming up
 TURN, PAUSE = 4.0, 16.0  # s that the bare loop runs, and rests
-LEAST_SAMPLES = 2  # between which anything can be told
+LEAST_SAMPLES = 2  # least number of samples
 MOST_DRIFT, MOST_GROWTH = 1e-6, 1.0  # m, MB
 
 
@@ -57,7 +57,7 @@ class Soaked(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, out="folder for a plot of memory and lateness over time", check=True)
     parser.add_argument("--minutes", type=float, default=30.0, help="duration, minutes")
     add_priority(parser)
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    """Measure and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     if not SHORTEST <= args.minutes <= LONGEST:
         raise UserError(f"--minutes {args.minutes:g} is outside {SHORTEST:g}..{LONGEST:g}")
@@ -138,7 +138,7 @@ def measure(
 def _soak(
     watch: Watch, served: Child, bridge: Child, seconds: float, priority: int
 ) -> tuple[list[Sample], list[tuple[float, Floats]]]:
-    """Look at the node every second; returns that, and when each turn of the bare loop began and how late it was."""
+    """Watch the node every second; return that, and when each turn of the bare loop began and how late it was."""
     samples: list[Sample] = []
     turns: list[tuple[float, Future[Floats]]] = []
     turn, pause = min(TURN, 0.25 * seconds), min(PAUSE, 0.25 * seconds)
@@ -173,13 +173,13 @@ def _check_alive(*children: Child) -> None:
 
 
 def _bridge() -> Child:
-    """Two tools, played."""
+    """Return the bridge that moves two tools."""
     words = [sys.executable, "-m", "tissue_sim", "bridge", "--rate", f"{RATE:g}"]
     return Child("bridge", words, os.environ)
 
 
 def _force_clamp(node: Any) -> float:
-    """N, the largest force that the node may publish. Raises UserError when it does not answer."""
+    """Return the largest force, N, that the node may publish. Raises UserError when it does not answer."""
     from tissue_sim.ros.probes.graph import first_within
     from tissue_sim.ros.shared.node_parameters import NodeParameters
 
@@ -188,7 +188,7 @@ def _force_clamp(node: Any) -> float:
 
 
 def _repeats(bag: Path) -> bool:
-    """Whether a replay shows what the bag does."""
+    """Return whether a replay agrees with the bag."""
     from tissue_sim.ros.bags.outcome import Asked, replay_bag
 
     return bool(replay_bag(bag, Asked(1e-6, 1e-6, None)).comparison.passes)
@@ -198,7 +198,7 @@ def _repeats(bag: Path) -> bool:
 
 
 def memory_of(seconds: Sequence[float], megabytes: Sequence[float]) -> dict[str, float | None]:
-    """Medians of the memory in MB in the first WINDOW after warming up and in the last, their difference, the slope.
+    """Return medians of the memory in MB in the first WINDOW after warming up and in the last, and their trend.
 
     The slope, MB per hour, is the median of those between samples half the run apart. None for what a run is too short
     for.
@@ -221,7 +221,7 @@ def memory_of(seconds: Sequence[float], megabytes: Sequence[float]) -> dict[str,
 
 
 def as_json(soaked: Soaked) -> dict[str, Any]:
-    """Return all figures, and the bounds that they are held against."""
+    """Return all figures, and the bounds."""
     samples, turns, bag, problems, repeats = soaked.samples, soaked.turns, soaked.bag, soaked.problems, soaked.repeats
     first, last = samples[0], samples[-1]
     done, late = last.ticks - first.ticks, last.late - first.late
@@ -271,7 +271,7 @@ def as_json(soaked: Soaked) -> dict[str, Any]:
 
 
 def text(found: dict[str, Any]) -> str:
-    """The figures as tables."""
+    """Return the figures as tables."""
     late, bag = found["late"], found["bag"]
 
     def shown(value: float | None, form: Callable[[float], str]) -> str:

@@ -1,4 +1,4 @@
-"""Whether a long bag is whole, and what went out to the hand; read one by one: it may be larger than memory."""
+"""Check whether a long bag is complete, and of the wrenches in it, message by message, as it may exceed memory."""
 
 from __future__ import annotations
 
@@ -16,19 +16,35 @@ if TYPE_CHECKING:
 
 
 class BagFound(NamedTuple):
-    """What a bag holds."""
+    """Content of a bag."""
 
     bytes: int
     messages: int
-    missing: int  # messages that the bag's own numbers or its journal promise, and that are not there
-    not_finite: int  # wrenches and surfaces with a number that is none
+    missing: int  # messages that the bag's counts or its journal promise and that are missing
+    not_finite: int  # wrenches and surfaces with a NaN or infinity
     highest_force: float  # N, of a tool, of all wrenches that went out
     wrenches: int
     surfaces: int
 
 
 def read_bag(path: Path) -> BagFound:
-    """Read all of a closed bag. Raises UserError when it can't be read, or was broken off."""
+    """Read all of a closed bag.
+
+    Parameters
+    ----------
+    path : Path
+        The bag.
+
+    Returns
+    -------
+    BagFound
+        Its content.
+
+    Raises
+    ------
+    UserError
+        Where it can't be read, or was broken off.
+    """
     from rosbags.rosbag2 import Reader
 
     from tissue_sim.ros.bags import recovery
@@ -51,7 +67,7 @@ def read_bag(path: Path) -> BagFound:
 
 
 class _Reading:
-    """Counts while a bag is read."""
+    """Counters while a bag is read."""
 
     def __init__(self, connections: list[Connection]) -> None:
         self.messages = self.not_finite = self.wrenches = self.surfaces = 0
@@ -68,7 +84,7 @@ class _Reading:
             taker(raw)
 
     def unwritten(self) -> int:
-        """How many messages the journal told of that did not come, and that came without it."""
+        """Return how many messages of the journal are missing, and how many aren't in it."""
         found = {"wrenches": self.wrenches, "surfaces": self.surfaces}
         return sum(abs(found[kind] - count) for kind, count in self._promised.items())
 

@@ -13,7 +13,25 @@ _NODE, _BARE, _GUIDE = "#2166ac", "#b2182b", "#777777"
 
 
 def write_plot(found: dict[str, Any], folder: Path) -> Path:
-    """Write soak.png from the figures of `bench soak`; returns its path. Raises UserError when it can't be written."""
+    """Write soak.png from the figures of `bench soak`.
+
+    Parameters
+    ----------
+    found : dict[str, Any]
+        The figures.
+    folder : Path
+        The folder.
+
+    Returns
+    -------
+    Path
+        Path of the picture.
+
+    Raises
+    ------
+    UserError
+        Where it can't be written.
+    """
     path = folder / "soak.png"
     try:
         _drawn(found).savefig(path, dpi=140)

@@ -1,4 +1,4 @@
-"""`tissue_sim bench stability`: where each integrator and local region is stable, as a map."""
+"""Benchmark `tissue_sim bench stability`: map of where each integrator and local region is stable."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OUTCOMES = ("stable", "guarded", "diverged")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(
         parser,
         organ="the kidney of this package, a small ellipsoid with --quick",
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Sweep, map and report; returns 1 with --check when a cell with default settings diverged."""
+    """Sweep, map and report; return 1 with --check when a cell with default settings diverged."""
     check_shared(args)
     axes = axes_named(args.axes or (",".join(QUICK_AXES) if args.quick else "all"))
     if args.jobs < 1:
@@ -72,19 +72,19 @@ def run(args: argparse.Namespace) -> int:
 
 
 def regions_of(organ: Organ) -> tuple[str, ...]:
-    """Local regions to try: where `auto` moves the whole of an organ's cells, it would do again what `off` does."""
+    """Return the local regions to try: where `auto` moves all of an organ's cells, it equals `off`."""
     same = len(organ.cell_nodes) > 0 and moves_whole(organ)
     return tuple(region for region in LOCAL_REGIONS if not (same and region == "auto"))
 
 
 def sweep(cells: Sequence[Cell], jobs: int, scheduler: str | None = None) -> list[Record]:
-    """Run the cells on `jobs` processes or a cluster, and tell how far that is; the records in the order of the cells.
+    """Run the cells on `jobs` processes or a cluster, with progress; return the records in the order of the cells.
 
     Raises UserError when the cluster's scheduler doesn't answer, and what the first simulation raises.
     """
     _compile(cells)
     found: dict[tuple[str, float, str, str], Record] = {}
-    order = sorted(cells, key=made_for)  # those that use the same simulation after each other
+    order = sorted(cells, key=made_for)  # cells that use the same simulation are adjacent
     outcomes: Counter[str] = Counter()
     with rows.until_stopped(), progress.task("cells", len(cells)) as under_way:
         for record in _records(order, jobs, scheduler):
@@ -97,7 +97,7 @@ def sweep(cells: Sequence[Cell], jobs: int, scheduler: str | None = None) -> lis
 
 
 def _records(cells: Sequence[Cell], jobs: int, scheduler: str | None) -> Iterator[Record]:
-    """As they are ready."""
+    """Yield the records as they are ready."""
     if scheduler is None:
         from joblib import Parallel, delayed
 
@@ -111,12 +111,12 @@ def _records(cells: Sequence[Cell], jobs: int, scheduler: str | None) -> Iterato
 
 
 def violations(records: Sequence[Record]) -> list[Record]:
-    """Records that break the requirement on the default settings."""
+    """Return the records that break the requirement on the default settings."""
     return [record for record in records if record.judged and record.outcome == "diverged"]
 
 
 def summary(records: Sequence[Record], seconds: float) -> str:
-    """What the terminal shows: counts by axis, then every cell that breaks the requirement."""
+    """Return what the terminal shows: counts by axis, then every cell that breaks the requirement."""
     lines = [
         f"{'axis':12} {'cells':>6} {'stable':>7} {'guarded':>8} {'diverged':>9} {'recovered':>9} {'violations':>11}"
     ]

@@ -1,7 +1,7 @@
-"""`tissue_sim bench start`: from nothing to the first tick of a new process, and to the node's first answer, in parts.
+"""Benchmark `tissue_sim bench start`: time to the first tick of a new process, and to the node's first answer.
 
-Once with every kernel to compile, in an empty cache, and some times with all of them on disk, of which the quickest
-counts; beside a process that compiles one small kernel and one that only imports the libraries.
+It runs once with every kernel to compile, in an empty cache, and some times with all of them on disk, of which the
+fastest counts; beside a process that compiles one small kernel and one that only imports the libraries.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from tissue_sim.ros.shared.dds import PROFILE_VARIABLES, REACH
 TO_COMPILE, ON_DISK = "kernels to compile", "kernels on disk"
 MOST = {TO_COMPILE: 20.0, ON_DISK: 1.2}  # s to the first tick
 MOST_TO_END, MOST_TO_FIND = 1.0, 0.5  # s from a signal; until a program with ROS's own settings finds the node
-FINDERS, APART = 3, 5.0  # such programs, and s between them: one that has just left holds up the next for seconds
+FINDERS, APART = 3, 5.0  # such programs, and s between them: one that has just ended delays the next for seconds
 FINDER = f"""import rclpy, time
 rclpy.init()
 node, began = rclpy.create_node("finder"), time.monotonic()
@@ -46,7 +46,7 @@ rclpy.shutdown()
 IN_HERE = (
     "_ROS_WHEELS_BOOTSTRAP_COMPLETE"  # tells children of an interpreter over the wheels not to start anew for them
 )
-TIMES = 3  # that kernels are read from disk
+TIMES = 3  # number of starts with kernels on disk
 SHOWN = 8  # modules of kernels in the table
 
 IMPORTS = "import numpy, numba, scipy.sparse.linalg, scipy.spatial"
@@ -70,20 +70,20 @@ settle(numpy.eye(3), numpy.ones(3), 2)
 
 
 class Start(NamedTuple):
-    """Seconds of a new process until it was done: of the clock on the wall, and of the processor."""
+    """Seconds of a new process until it was done: wall clock and processor time."""
 
     wall: float
     processor: float
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, check=True)
     parser.add_argument("--quick", action="store_true", help="kernels on disk only")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    """Measure and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     found = measure(Path(args.organ or shipped_organ()), [ON_DISK] if args.quick else [TO_COMPILE, ON_DISK])
     emit(found, text(found), args.json)
@@ -94,8 +94,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(organ: Path, wanted: Sequence[str]) -> dict[str, Any]:
-    """Figures of a process and of a node, with the kernels as wanted, and of the peers."""
-    Organ.load(organ)  # what is wrong with it is told here
+    """Return figures of a process and of a node, with the kernels as wanted, and of the peers."""
+    Organ.load(organ)  # reports what is wrong with it
     starts: dict[str, dict[str, Any]] = {}
     nodes: dict[str, dict[str, float] | None] = {}
     peers: dict[str, list[Start]] = {name: [] for name in PEERS}
@@ -120,7 +120,7 @@ def measure(organ: Path, wanted: Sequence[str]) -> dict[str, Any]:
 
 @contextmanager
 def _cache(kernels: str) -> Iterator[dict[str, str]]:
-    """The environment of a process that is started from a shell, and finds its kernels on disk or an empty cache."""
+    """Yield the environment of a process started from a shell, with kernels on disk or an empty cache."""
     own = {name: value for name, value in os.environ.items() if name != IN_HERE}
     if kernels == ON_DISK:
         yield own
@@ -131,7 +131,7 @@ def _cache(kernels: str) -> Iterator[dict[str, str]]:
 
 
 def first_start(organ: Path, environment: Mapping[str, str]) -> dict[str, Any]:
-    """What `tissue_sim.bench.first_tick` tells of itself, in a fresh process."""
+    """Return what `tissue_sim.bench.first_tick` reports, in a new process."""
     words = [sys.executable, "-m", "tissue_sim.bench.first_tick", str(time.monotonic()), str(organ.absolute())]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -140,20 +140,20 @@ def first_start(organ: Path, environment: Mapping[str, str]) -> dict[str, Any]:
 
 
 def peer_start(code: str, environment: Mapping[str, str]) -> Start:
-    """A fresh process that runs some code."""
+    """Run some code in a new process."""
     began, before = time.monotonic(), _processor_of_children()
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
     return Start(time.monotonic() - began, _processor_of_children() - before)
 
 
 def _processor_of_children() -> float:
-    """Processor seconds of all children that have ended."""
+    """Return the processor seconds of all children that have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def node_start(organ_file: Path, environment: Mapping[str, str]) -> tuple[dict[str, float], str]:
-    """Seconds from starting a node until it says that it ticks, until it answers a pose, and from SIGINT to its end."""
+    """Return seconds from a node's start to its first tick and its first answered pose, and from SIGINT to its end."""
     organ = Organ.load(organ_file)
     with Graph() as graph:
         from tissue_sim.ros.probes.hand import Hand
@@ -196,7 +196,7 @@ def as_json(
     peers: Mapping[str, Start],
     remark: str,
 ) -> dict[str, Any]:
-    """All figures, s, and the bounds that they are held against; remark: why there is none of the node."""
+    """Return all figures, s, and the bounds; remark: why there are none of the node."""
     ends = [node["to_end"] for node in nodes.values() if node]
     bounds = [Bound(f"first tick of a new process, {name}", starts[name]["wall"], MOST[name], "s") for name in starts]
     bounds.append(Bound("node, from SIGINT to its end", max(ends, default=None), MOST_TO_END, "s"))
@@ -212,7 +212,7 @@ def as_json(
 
 
 def text(found: Mapping[str, Any]) -> str:
-    """The figures as tables."""
+    """Return the figures as tables."""
     starts, peers = found["starts"], found["peers"]
     parts = list(next(iter(starts.values()))["parts"])
     table = [["a new process up to its first tick, s", *starts]]

@@ -1,4 +1,4 @@
-"""What the finite-element body does at any places of its surface, between its own nodes too."""
+"""Displacements of the finite-element body at any places of its surface, also between its own nodes."""
 
 from __future__ import annotations
 
@@ -11,15 +11,29 @@ from tissue_sim.calibration.fe_mesh import FeMesh
 from tissue_sim.calibration.fem import Body
 
 AT_ONCE = 64  # loads solved together
-STEPS = 60  # of Newton's method, at the most
+STEPS = 60  # of Newton's method, at most
 CLOSE = 1e-10  # of a facet
-_MIDDLES = ((0, 1), (1, 2), (0, 2))  # of which corners
+_MIDDLES = ((0, 1), (1, 2), (0, 2))  # corners whose midpoints are nodes
 
 
 def answers(body: Body, size: Sized, forces: Floats) -> Floats:
-    """Linear displacements (c, n, 3) m at the points of a size under the reference's forces (c, m, 3) N.
+    """Return linear displacements at the points of a size under the reference's forces.
 
-    body: the reference's. On a coarser surface, what brings it closest to the reference's own points.
+    On a coarser surface, they are those that bring it closest to the reference's own points.
+
+    Parameters
+    ----------
+    body : Body
+        The reference's body.
+    size : Sized
+        The size.
+    forces : Floats, shape (c, m, 3), N
+        The reference's forces.
+
+    Returns
+    -------
+    Floats, shape (c, n, 3), m
+        Displacements.
     """
     finer = size.organ.n_surface > size.reference.n_surface
     if finer:
@@ -35,10 +49,10 @@ def answers(body: Body, size: Sized, forces: Floats) -> Floats:
 
 
 def sampling(filling: FeMesh, points: Floats) -> csr_array:
-    """Values (p, n) at points (p, 3) m of the filled surface of values at the filling's nodes, by their facets' shapes.
+    """Return the values (p, n) at points (p, 3) m of the filled surface of values at the filling's nodes.
 
-    A facet whose middles went to quarter points maps its coordinates to places quadratically, which Newton's method
-    turns around.
+    A facet whose mid-edge nodes went to quarter points maps its coordinates to places quadratically, which Newton's
+    method inverts.
     """
     corner = filling.nodes[filling.facets[:, :3]]
     facet, weight, _ = nearest_places(corner, points)
@@ -65,7 +79,7 @@ def sampling(filling: FeMesh, points: Floats) -> csr_array:
 
 
 def _shapes(at: Floats) -> tuple[Floats, Floats]:
-    """The six quadratic functions (p, 6) of a facet at coordinates (p, 2), and their slopes (p, 6, 2)."""
+    """Return the six quadratic functions (p, 6) of a facet at coordinates (p, 2), and their gradients (p, 6, 2)."""
     share = np.stack([1.0 - at.sum(axis=1), at[:, 0], at[:, 1]], axis=1)
     slope = np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
     values = [share[:, k] * (2.0 * share[:, k] - 1.0) for k in range(3)]

@@ -1,4 +1,4 @@
-"""`tissue_sim bench table1`: the paper's Table 1 and Figure 6 on a 994-point organ with 48 medial atoms."""
+"""Benchmark `tissue_sim bench table1`: the paper's Table 1 and Figure 6 on a 994-point organ with 48 medial atoms."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ GLOBAL_POINTS = 10
 
 
 class Variant(NamedTuple):
-    """One column of the table: the model, the local region, the paper's figures (5,) ms an update, where it has any."""
+    """Column of the table: the model, the local region, the paper's figures (5,) ms per update, where there are any."""
 
     name: str
     model: str
@@ -35,7 +35,7 @@ class Variant(NamedTuple):
 
 
 class Force(NamedTuple):
-    """One row of the table: the paper's name of the force, its magnitude without unit, and on how many points."""
+    """Row of the table: the paper's name of the force, its magnitude without unit, and the number of points."""
 
     name: str
     magnitude: float
@@ -57,7 +57,7 @@ FORCES = (
 
 
 class Entry(NamedTuple):
-    """One variant under one force: time of an update; what it settles to, against the whole hybrid model."""
+    """Results of one variant under one force: time of an update, and its equilibrium against the whole hybrid model."""
 
     timing: Timing
     substeps: int
@@ -69,7 +69,7 @@ class Entry(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, organ=AS_BUILT_ORGAN, out="write Figure 6 there, as PNG")
     parser.add_argument("--unit", type=float, default=2.0, help="mN that represent one unit of the paper's forces")
     parser.add_argument(
@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, print the table, write pictures; returns 0. Raises UserError for a unit out of range."""
+    """Measure, print the table, write pictures; return 0. Raises UserError for a unit out of range."""
     check_shared(args)
     if not 1e-3 <= args.unit <= 1e3:
         raise UserError(f"--unit {args.unit:g} mN is outside 0.001..1000")
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def load(organ: Organ, force: Force, unit: float) -> tuple[NDArray[np.int64], Floats]:
-    """Nodes (k,) and forces (k, 3) N: the middle of the broad side, or points spread over that side.
+    """Return nodes (k,) and forces (k, 3) N: the middle of the broad side, or points spread over that side.
 
     All push inward as in the middle; the magnitude is that of all points together.
     """
@@ -105,7 +105,7 @@ def load(organ: Organ, force: Force, unit: float) -> tuple[NDArray[np.int64], Fl
 
 
 def measure(organ: Organ, unit: float, quick: bool) -> tuple[dict[str, dict[str, Entry]], Timing]:
-    """Every variant under every force, by names of force and variant; and the timing of the fixed loop."""
+    """Return every variant under every force, by names of force and variant, and the timing of the fixed loop."""
     simulations = [Simulation(organ, model=variant.model, local_region=variant.local_region) for variant in VARIANTS]
     bursts: dict[str, Any] = {"noise": noise_burst}
     settled: dict[tuple[str, str], tuple[Floats, bool, int, int]] = {}
@@ -139,7 +139,7 @@ def measure(organ: Organ, unit: float, quick: bool) -> tuple[dict[str, dict[str,
 
 
 def as_json(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], noise: Timing) -> dict[str, Any]:
-    """The table for machines; units stand in the names."""
+    """Return the table for machines; units stand in the names."""
     rows = []
     for index, force in enumerate(FORCES):
         for variant in VARIANTS:
@@ -174,7 +174,7 @@ def as_json(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], noise
 
 
 def text(found: dict[str, Any]) -> str:
-    """The table for people."""
+    """Return the table for people."""
     lines = [
         f"Table 1 of the paper on '{found['organ']}': {found['surface_points']} surface points,"
         f" {found['medial_atoms']} medial atoms, {found['interior_atoms']} interior atoms",
@@ -210,7 +210,7 @@ def text(found: dict[str, Any]) -> str:
 
 
 def panels(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], *, with_nip: bool = True) -> list[Any]:
-    """The panels of Figure 6: nip and release, global deformation of the hybrid and of the surface model."""
+    """Return the panels of Figure 6: nip and release, global deformation of the hybrid and of the surface model."""
     from tissue_sim.bench.figure6 import NO_JAWS, Panel, nip_and_release
 
     force = FORCES[-1]

@@ -1,4 +1,4 @@
-"""The rows of `tissue_sim bench tick`: what each one times."""
+"""Rows of `tissue_sim bench tick`: what each one times."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
 FORCE = 0.1  # N on the patch
-SUBSTEPS = 16  # of the tick that a substep is timed in, so that what is done once a tick counts little
+SUBSTEPS = 16  # of the tick in which a substep is timed, so that what is done once per tick counts little
 TOOL_RADIUS = 0.02  # m
 TOOL_STEP = 1e-4  # m, by which it is pressed deeper every 4 ticks
 
@@ -45,7 +45,18 @@ Maker = Callable[[], tuple[Burst, str]]  # makes the burst of a row, and a remar
 
 
 def make_bursts(makers: Mapping[str, Maker]) -> tuple[dict[str, Burst], dict[str, str]]:
-    """Bursts of the rows that can be measured here, and for every row a remark: what it is or why it is skipped."""
+    """Return bursts of the rows that can be measured here, and for every row a remark.
+
+    Parameters
+    ----------
+    makers : Mapping[str, Maker]
+        Makers by name of the row.
+
+    Returns
+    -------
+    tuple[dict[str, Burst], dict[str, str]]
+        Bursts and remarks by name; a remark says what the row is, or why it is skipped.
+    """
     bursts: dict[str, Burst] = {}
     remarks: dict[str, str] = {}
     for name, make in progress.steps(makers.items(), "preparing"):
@@ -56,7 +67,18 @@ def make_bursts(makers: Mapping[str, Maker]) -> tuple[dict[str, Burst], dict[str
 
 
 def makers_of(organ: Organ) -> dict[str, Maker]:
-    """For each row a function that makes its burst and a remark."""
+    """Return for each row a function that makes its burst and a remark.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    dict[str, Maker]
+        Makers by name of the row.
+    """
     still = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     makers: dict[str, Maker] = {
         f"hybrid, {name}": partial(_ticks, organ, model="hybrid", integrator=name) for name in INTEGRATORS
@@ -85,7 +107,7 @@ def makers_of(organ: Organ) -> dict[str, Maker]:
 
 
 def _ticks(organ: Organ, **options: Any) -> tuple[Burst, str]:
-    """Whole ticks of a simulation with these options."""
+    """Return whole ticks of a simulation with these options."""
     simulation = Simulation(organ, **options)
     burst = Ticks(simulation, *patch_load(organ, FORCE))
     burst(1)
@@ -94,7 +116,7 @@ def _ticks(organ: Organ, **options: Any) -> tuple[Burst, str]:
 
 
 def _guard(organ: Organ) -> tuple[Burst, str]:
-    """What looks for values that are not finite, runaway and an inside turned out, at the end of a tick."""
+    """Return the check for values that are not finite, runaway and inversion, at the end of a tick."""
     simulation = Simulation(organ, model="hybrid")
     return Ticks(simulation, *patch_load(organ, FORCE), guard=True), "part of the whole tick"
 
@@ -115,7 +137,7 @@ def _c_substep(organ: Organ, flags: tuple[str, ...], model: str = "auto") -> tup
 
 
 def _pressed_tool(organ: Organ) -> tuple[Burst, str]:
-    """A ball pressed into the middle of the broad side until it touches as many nodes as the patch has, and held."""
+    """Return ticks with a ball held in the broad side, where it touches as many nodes as the patch has."""
     scene = Scene(organ, [Tool("ball", radius=TOOL_RADIUS)], model="hybrid", local_region="modal")
     nodes, forces = patch_load(organ, 1.0, 1)
     inward, at = forces[0], organ.surface_positions[nodes[0]]

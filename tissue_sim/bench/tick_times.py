@@ -1,4 +1,4 @@
-"""`tissue_sim bench tick`: time of a tick, beside the same loop in C, MuJoCo flex and a precomputed compliance.
+"""Benchmark `tissue_sim bench tick`: time of a tick, beside the same loop in C, MuJoCo flex and a compliance.
 
 Everything that is compared is measured in one run, in turns, in one process with one thread.
 """
@@ -51,7 +51,7 @@ NOISE = "noise"
 
 
 class Line(NamedTuple):
-    """A line of the table: what was timed (None: skipped, and why), and a remark."""
+    """Line of the table: what was timed (None: skipped, and why), and a remark."""
 
     name: str
     timing: Timing | None
@@ -59,7 +59,7 @@ class Line(NamedTuple):
 
 
 class Figures(NamedTuple):
-    """What the measuring process hands back."""
+    """Results of the measuring process."""
 
     rows: list[Line]
     noise: float  # p99 over median of a fixed loop
@@ -70,13 +70,13 @@ class Figures(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, organ=AS_BUILT_ORGAN, out="write plots there, as PNG", check=True)
     parser.add_argument("--quick", action="store_true", help="fewer samples, no organ over 4000 points")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, print the tables, write plots; returns 0, or with --check 1 when a bound is missed."""
+    """Measure, print the tables, write plots; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     path = Path(args.organ) if args.organ else shipped_organ(AS_BUILT)
     organ = Organ.load(path)
@@ -114,7 +114,7 @@ def measure(organ: Organ, quick: bool) -> Figures:
 
 
 def bounds(measured: Figures) -> list[Bound]:
-    """Every bound with its figure."""
+    """Return every bound with its figure."""
     median = {row.name: row.timing.median for row in measured.rows if row.timing}
     grown = growth.as_json(measured.grown)
 
@@ -147,7 +147,7 @@ def _percent(share: float | None) -> float | None:
 
 
 def as_json(organ: Organ, measured: Figures) -> dict[str, Any]:
-    """All figures for machines; units stand in the names."""
+    """Return all figures for machines; units stand in the names."""
     whole = next((row.timing.median for row in measured.rows if row.name == WHOLE and row.timing), None)
     return {
         "benchmark": "tick",
@@ -179,7 +179,7 @@ def as_json(organ: Organ, measured: Figures) -> dict[str, Any]:
 
 
 def text(found: dict[str, Any]) -> str:
-    """The tables for people."""
+    """Return the tables for people."""
     lines = [
         f"organ '{found['organ']}', {found['surface_points']} surface points; a tick is 1 ms of simulated time;"
         f" {1e3 * found['force_n']:g} mN on a {found['patch_nodes']}-node patch, oscillating 5 times a second",

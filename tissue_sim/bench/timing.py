@@ -1,7 +1,7 @@
-"""Times of small pieces of work, all measured in one run: round-robin in bursts, so that noise hits all alike.
+"""Timing of small pieces of work in one run: round-robin in bursts, so that noise affects all alike.
 
-Time is that of the processor in this thread, less what reading its clock costs: a piece of work that another
-program interrupts takes no longer for it.
+Time is processor time of this thread, minus the cost of reading its clock: a piece of work that another program
+interrupts takes no longer for it.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ from tissue_sim.model.tick import tick
 Burst = Callable[[int], Floats]  # count -> seconds (count,) that each of count calls took
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-LONG = 1.0  # s of a burst beside which progress may move: it weighs nothing there
-BURST = 0.02  # s, that one piece of work is measured for before it is the next one's turn
+LONG = 1.0  # s of a burst beside which the progress thread may run, as it is negligible there
+BURST = 0.02  # s of measuring one piece of work before the next one's turn
 LEAST_SAMPLES = 3
-_LOAD_PERIOD = 200  # ticks in which a load goes from nothing to all and back
-_NOISE_TURNS = 30_000  # of the fixed loop, about 0.1 ms
+_LOAD_PERIOD = 200  # ticks in which a load rises from zero and falls back
+_NOISE_TURNS = 30_000  # iterations of the fixed loop, about 0.1 ms
 
 CLOCK_THREAD_CPUTIME_ID = 3
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
 
 
 class Timing(NamedTuple):
-    """Time of one piece of work: median and 99th percentile, s; how often it was measured."""
+    """Time of one piece of work: median and 99th percentile, s, and the number of samples."""
 
     median: float
     p99: float
@@ -56,7 +56,7 @@ class Timing(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """Pieces of work that are measured in turns, the seconds of measuring that each gets, and what they are for."""
+    """Pieces of work that are measured in turns, the seconds of measuring for each, and their description."""
 
     bursts: Mapping[str, Burst]
     seconds: float
@@ -64,15 +64,25 @@ class Phase(NamedTuple):
 
 
 def describe(samples: Floats) -> Timing:
-    """Timing of samples (k,) s; raises ValueError without any."""
+    """Return the timing of samples (k,) s; raises ValueError without any."""
     median, p99 = np.percentile(samples, [50.0, 99.0])
     return Timing(float(median), float(p99), len(samples))
 
 
 def interleave(phase: Phase) -> dict[str, Timing]:
-    """Measure every burst of a phase in turns, each for `seconds` in all (but at least three times).
+    """Measure every burst of a phase in turns, each for `seconds` in total (but at least three times).
 
-    Ctrl-C ends it with what was measured so far: nothing, where not every one has been looked at.
+    Ctrl-C ends it with what was measured so far: nothing, where not every burst has run.
+
+    Parameters
+    ----------
+    phase : Phase
+        The bursts.
+
+    Returns
+    -------
+    dict[str, Timing]
+        Timings by name.
     """
     rounds = max(LEAST_SAMPLES, round(phase.seconds / BURST))
     samples: dict[str, list[Floats]] = {}
@@ -100,10 +110,22 @@ def interleave(phase: Phase) -> dict[str, Timing]:
 
 
 def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> Result:
-    """Call a function of a module in a fresh process whose numerical libraries use one thread.
+    """Call a function of a module in a new process whose numerical libraries use one thread.
 
-    They read their number of threads when they are loaded, so it takes a process of its own; that tells its progress,
-    and Ctrl-C ends it with what it has measured.
+    They read their number of threads when they are loaded, so a process of its own is needed; that reports its
+    progress, and Ctrl-C ends it with what it has measured.
+
+    Parameters
+    ----------
+    function : Callable[..., Result]
+        The function.
+    arguments : Any
+        Its arguments.
+
+    Returns
+    -------
+    Result
+        Its result.
     """
     context = multiprocessing.get_context("spawn")
     try:
@@ -130,7 +152,7 @@ def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> R
 
 
 def _begin() -> None:
-    """Have Ctrl-C interrupt this process once, whoever sends it: what is measured then has to be handed over."""
+    """Let Ctrl-C interrupt this process once, whoever sends it, so that its measurements are handed over."""
 
     def interrupt(_: int, __: FrameType | None) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -141,7 +163,7 @@ def _begin() -> None:
 
 
 def _measured[Result](name: str, function: Callable[..., Result], arguments: tuple[Any, ...]) -> tuple[Result, bool]:
-    """What a function returns, and whether it was stopped before its end."""
+    """Return what a function returns, and whether it was stopped before its end."""
     with progress.task(name or "measuring"):
         return function(*arguments), rows.stopped()
 
@@ -157,7 +179,18 @@ def _signal_children(number: signal.Signals) -> None:
 
 @numba.njit(nogil=True)
 def now(clock: Any) -> int:
-    """Processor time of this thread, ns; clock (2,) holds the timespec."""
+    """Return the processor time of this thread.
+
+    Parameters
+    ----------
+    clock : Any, shape (2,)
+        Buffer for the timespec.
+
+    Returns
+    -------
+    int, ns
+        The time.
+    """
     _clock_gettime(CLOCK_THREAD_CPUTIME_ID, clock.ctypes.data)
     return clock[0] * 1_000_000_000 + clock[1]
 
@@ -171,14 +204,33 @@ def _time_nothing(clock: Any, times: Any) -> None:
 
 @cache
 def clock_cost() -> float:
-    """Seconds that reading the clock adds to a piece of work, the median."""
+    """Return the median time that reading the clock adds to a piece of work.
+
+    Returns
+    -------
+    float, s
+        The time.
+    """
     times = np.zeros(2000, dtype=np.int64)
     _time_nothing(np.zeros(2, dtype=np.int64), times)
     return 1e-9 * float(np.median(times))
 
 
 def time_calls(work: Callable[[], object], count: int) -> Floats:
-    """Seconds (count,) of calls from Python; two more before them warm the caches and don't count."""
+    """Return the times of calls from Python, after two more that warm the caches.
+
+    Parameters
+    ----------
+    work : Callable[[], object]
+        The call.
+    count : int
+        Number of calls.
+
+    Returns
+    -------
+    Floats, shape (count,), s
+        Times.
+    """
     seconds = np.zeros(count + 2)
     for index in range(len(seconds)):
         start = time.thread_time_ns()
@@ -192,7 +244,18 @@ def time_calls(work: Callable[[], object], count: int) -> Floats:
 
 @numba.njit(nogil=True, error_model="numpy")
 def swelling(phase: Any) -> float:
-    """Share of a load that swells and ebbs five times a second; phase (1,) is the tick, and goes on by one."""
+    """Return the fraction of a load that rises and falls five times a second.
+
+    Parameters
+    ----------
+    phase : Any, shape (1,)
+        The tick; advanced by one.
+
+    Returns
+    -------
+    float
+        The fraction.
+    """
     share = 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / _LOAD_PERIOD))
     phase[0] = phase[0] % _LOAD_PERIOD + 1
     return share
@@ -232,10 +295,22 @@ def _time_ticks(world: Any, load: Any, guarded: bool, clock: Any, times: Any) ->
 
 
 class Ticks:
-    """Bursts of ticks of a simulation under forces (k, 3) N on nodes (k,), swelling and ebbing five times a second.
+    """Bursts of ticks of a simulation under forces that rise and fall five times a second.
 
-    steady: every burst begins at rest, under all of the force. guard: of each tick its guard alone is timed. Without
-    nodes the organ is left alone. Tools are told again before each tick that they stand where they stand.
+    Without nodes the organ is left alone. Tools get their unchanged poses again before each tick.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        The simulation.
+    nodes : NDArray[np.int64], shape (k,)
+        Loaded nodes.
+    forces : Floats, shape (k, 3), N
+        Forces on them.
+    steady : bool, optional
+        Whether every burst begins at rest, under the full force.
+    guard : bool, optional
+        Whether only the guard of each tick is timed.
     """
 
     def __init__(
@@ -258,13 +333,13 @@ class Ticks:
         self._clock = np.zeros(2, dtype=np.int64)
 
     def swing(self) -> None:
-        """From rest, raise the load and let it ebb once, without measuring."""
+        """Raise the load from rest and lower it once, without measuring."""
         self.simulation.reset()
         self._load.phase[0] = 0
         self(_LOAD_PERIOD)
 
     def __call__(self, count: int) -> Floats:
-        """Seconds (count,) of count ticks; two more before them warm the caches and don't count."""
+        """Return the seconds (count,) of `count` ticks, after two more that warm the caches."""
         simulation = self.simulation
         if self._load.steady:
             simulation.reset()
@@ -278,7 +353,7 @@ class Ticks:
 
 @numba.njit(nogil=True)
 def _time_arithmetic(clock: Any, times: Any) -> float:
-    """A fixed loop that touches no memory, and the ns that each turn of it took."""
+    """Run a fixed loop that touches no memory, and write the ns of each turn."""
     x = 0.5
     for index in range(len(times)):
         start = now(clock)
@@ -289,7 +364,18 @@ def _time_arithmetic(clock: Any, times: Any) -> float:
 
 
 def noise_burst(count: int) -> Floats:
-    """Seconds (count,) of a fixed pure-arithmetic loop: how they scatter is the machine's doing."""
+    """Return the times of a fixed loop of arithmetic, whose scatter is that of the machine.
+
+    Parameters
+    ----------
+    count : int
+        Number of turns.
+
+    Returns
+    -------
+    Floats, shape (count,), s
+        Times.
+    """
     times = np.zeros(count, dtype=np.int64)
     _time_arithmetic(np.zeros(2, dtype=np.int64), times)
     return np.maximum(1e-9 * times - clock_cost(), 0.0)

@@ -1,8 +1,8 @@
-"""`tissue_sim bench tradeoff`: run time against error for the package's models and their peers.
+"""Benchmark `tissue_sim bench tradeoff`: run time against error for the package's models and their peers.
 
-One run, one machine, one set of loads, one reference: nonlinear finite elements inside the organ's surface. Every
-engine's displacements are carried to the reference's points, between an engine's own points by its triangles: so a
-coarse surface answers for what it doesn't resolve, and all are judged at the same places.
+There is one run, one machine, one set of loads, one reference: nonlinear finite elements inside the organ's surface.
+Every engine's displacements are transferred to the reference's points, between an engine's own points by its triangles:
+so a coarse surface is charged for what it doesn't resolve, and all are compared at the same places.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from tissue_sim.organ.shipped import shipped_organ
 POINTS = (250, 500, 2000, 4000, 16_000)  # surface points, beside the organ's own
 FEWEST, MOST = 100, 20_000
 LOADS, QUICK_LOADS = (12, 4), (3, 1)  # smooth and sharp ones
-TUNING = 2  # loads that an engine with parameters of its own is tuned on; drawn apart from the others
+TUNING = 2  # loads on which an engine with parameters of its own is tuned; drawn separately from the others
 SEED, TUNING_SEED = 20061, 20062
 NOISE = "noise"
 
 
 class Case(NamedTuple):
-    """A load on the reference's points, and what the reference makes of it."""
+    """Load on the reference's points, and the reference's displacements."""
 
     kind: str
     force: Floats  # (m, 3) N
@@ -52,7 +52,7 @@ class Case(NamedTuple):
 
 
 class Error(NamedTuple):
-    """How far an engine is off the reference under one load."""
+    """Error of an engine under one load."""
 
     kind: str
     relative: float  # L2 over the reference's points
@@ -64,7 +64,7 @@ class Error(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """A row of the table; errors and update are empty and None where it was skipped, and the remark says why."""
+    """Row of the table; where it was skipped, errors are empty, update is None and the remark gives the reason."""
 
     name: str
     ours: bool
@@ -72,11 +72,11 @@ class Judged(NamedTuple):
     remark: str
     errors: list[Error]
     update: Timing | None  # s for an update
-    simulated: float  # s that an update stands for
+    simulated: float  # simulated s of an update
 
 
 class Found(NamedTuple):
-    """What the measuring process hands back."""
+    """Results of the measuring process."""
 
     rows: list[Judged]
     cases: list[Case]
@@ -86,7 +86,7 @@ class Found(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(parser, out="write the plot of time against error there, as PNG")
     parser.add_argument(
         "--points",
@@ -105,7 +105,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, print the table, draw the plot; returns 0."""
+    """Measure, print the table, draw the plot; return 0."""
     check_shared(args)
     points = sizes_named(args.points) if args.points else () if args.quick else POINTS
     organ = Organ.load(args.organ or shipped_organ())
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def sizes_named(text: str) -> tuple[int, ...]:
-    """Point counts of `250,500`; raises UserError for what is none, or outside 100..20000."""
+    """Return the point counts of a text such as `250,500`; raises UserError where one is invalid."""
     try:
         points = tuple(int(word) for word in text.split(","))
     except ValueError:
@@ -138,7 +138,7 @@ def sizes_named(text: str) -> tuple[int, ...]:
 
 
 def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
-    """The reference, then every row at every size; meant for a process of one thread."""
+    """Return the reference, then every row at every size; meant for a process of one thread."""
     body, cases, tuning, accuracy = reference(organ, *(QUICK_LOADS if quick else LOADS))
     rows: list[tuple[Row, Sized]] = []
     for count in sorted({organ.n_surface, *points}):
@@ -155,9 +155,9 @@ def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
 def measure_rows(
     rows: Sequence[tuple[Row, Sized]], cases: Sequence[Case], seconds: float
 ) -> tuple[list[Judged], Timing | None]:
-    """Settle every row under every load, then time the updates of all in turns, `seconds` each; a fixed loop's time.
+    """Settle every row under every load, then time the updates of all in turns, and a fixed loop.
 
-    What can't be made is skipped, and the remark says why. When it was stopped before that, no time is known.
+    What can't be made is skipped, and the remark gives the reason. When it was stopped before that, no time is known.
     """
     bursts: dict[str, Burst] = {NOISE: noise_burst}
     measured: list[Judged] = []
@@ -178,7 +178,7 @@ def measure_rows(
 
 
 def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], list[Case], Refined]:
-    """The reference's body, the loads with its answers, those for tuning, and how good it is.
+    """Return the reference's body, the loads with its answers, those for tuning, and its accuracy.
 
     Raises UserError when it doesn't settle under a load.
     """
@@ -209,7 +209,7 @@ def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], 
 
 
 def load_of(case: Case, size: Sized) -> Load:
-    """A case as a load on another surface of the same body."""
+    """Return a case as a load on another surface of the same body."""
     return Load(size.forces(case.force), size.reached(case.displacement))
 
 
@@ -233,7 +233,7 @@ def error_of(engine: Engine, case: Case, size: Sized) -> Error:
 
 
 def as_json(organ: Organ, found: Found, seconds: float) -> dict[str, Any]:
-    """All figures for machines; units stand in the names."""
+    """Return all figures for machines; units stand in the names."""
     rows = [_row_as_json(row) for row in found.rows]
     for row, best in zip(rows, pareto([(row["ms_per_ms"], row["mean_percent"]) for row in rows]), strict=True):
         row["pareto"] = best
@@ -265,7 +265,7 @@ def as_json(organ: Organ, found: Found, seconds: float) -> dict[str, Any]:
 
 
 def _growth(sizes: list[dict[str, Any]]) -> dict[str, Any] | None:
-    """How the time of the calibrated organ grows with its points, and whether its error falls; None for one size."""
+    """Return how time and error of the calibrated organ change with its points; None for one size."""
     if len(sizes) < 2:
         return None
     points, times = ([row[key] for row in sizes] for key in ("points", "ms_per_ms"))
@@ -307,9 +307,9 @@ def _mean(values: Sequence[float]) -> float | None:
 
 
 def pareto(costs: Sequence[tuple[float | None, float | None]]) -> list[bool]:
-    """Which pairs of time and error no other undercuts in one without exceeding them in the other; None is none.
+    """Return which pairs of time and error are on the Pareto front; a pair with None isn't.
 
-    Errors that differ by less than a thousandth are the same.
+    Errors that differ by less than a thousandth are equal.
     """
     known = [(time, float(f"{error:.3g}")) for time, error in costs if time is not None and error is not None]
 
@@ -320,7 +320,7 @@ def pareto(costs: Sequence[tuple[float | None, float | None]]) -> list[bool]:
 
 
 def text(found: dict[str, Any]) -> str:
-    """The table for people."""
+    """Return the table for people."""
     reference, loads = found["reference"], found["loads"]
     sharp = sum(load["kind"] == "sharp" for load in loads)
     depths = [load["largest_mm"] for load in loads]

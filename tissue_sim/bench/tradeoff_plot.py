@@ -1,4 +1,4 @@
-"""The plot of `tissue_sim bench tradeoff`: time against error, and the Pareto front."""
+"""Plot of `tissue_sim bench tradeoff`: time against error, and the Pareto front."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _APART = 3  # pixels around a name
 
 
 class _Kind(NamedTuple):
-    """How rows of one kind are drawn, and what the legend calls them."""
+    """Style of rows of one kind, and their name in the legend."""
 
     name: str
     colour: str
@@ -31,7 +31,25 @@ _PEERS = _Kind("others", "#b5401f", "s", 1.0)
 
 
 def write_plot(found: dict[str, Any], folder: Path) -> Path:
-    """Write tradeoff.png into the folder; raises UserError when it can't be written."""
+    """Write tradeoff.png into the folder.
+
+    Parameters
+    ----------
+    found : dict[str, Any]
+        The figures.
+    folder : Path
+        The folder.
+
+    Returns
+    -------
+    Path
+        Path of the picture.
+
+    Raises
+    ------
+    UserError
+        Where it can't be written.
+    """
     path = folder / "tradeoff.png"
     try:
         drawn(found).savefig(path, dpi=150)
@@ -41,7 +59,7 @@ def write_plot(found: dict[str, Any], folder: Path) -> Path:
 
 
 def drawn(found: dict[str, Any]) -> Any:
-    """A line a row's name, a mark a size; log-log. Names stand beside marks of the organ's own size."""
+    """Draw a line per row's name and a mark per size, log-log, with names beside marks of the organ's own size."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator
 

@@ -1,4 +1,4 @@
-"""Two tools squeeze the organ's middle, hold and let go: time of a tick, cells inside out, force."""
+"""Two tools that squeeze the organ's middle, hold and release it: time of a tick, inverted cells, force."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from tissue_sim.organ.organ import Organ
 
 SPHERE = 0.005  # m, radius
 CLEAR = 0.006  # m between tool and organ at the start
-NEAR = 0.006  # m from the axis, where the organ's width is taken
-CLOSING, HOLDING, OPENING, FREE = 800, 400, 300, 3000  # ticks of 1 ms; the last at the most
-LOOK = 10  # ticks between two looks at the cells
+NEAR = 0.006  # m from the axis, within which the organ's width is measured
+CLOSING, HOLDING, OPENING, FREE = 800, 400, 300, 3000  # ticks of 1 ms; the last is a maximum
+LOOK = 10  # ticks between two checks of the cells
 
 
 class Pinch(NamedTuple):
-    """One pair of tools, squeezing along one axis."""
+    """Results of one pair of tools that squeeze along one axis."""
 
     tools: str
     axis: int
     share: float
     width: float  # m
-    seconds: Floats  # of processor time of every tick in touch
+    seconds: Floats  # of processor time of every tick in contact
     substeps: int  # the most
-    most_turned: int  # cells inside out, at the worst
+    most_turned: int  # inverted cells, at worst
     held_turned: int  # when the tools have stood still
     least: float  # J of a cell then
     left_turned: int  # long after
@@ -42,29 +42,51 @@ class Pinch(NamedTuple):
 
     @property
     def force(self) -> float:
-        """Force on a tool in the mean, N."""
+        """Mean force on a tool, N."""
         return float(np.linalg.norm(self.forces, axis=1).mean())
 
 
 class Place(NamedTuple):
-    """Where two tools begin to squeeze the organ's middle along an axis."""
+    """Places where two tools begin to squeeze the organ's middle along an axis."""
 
     start: Floats  # (2, 3) m, their origins where they would touch
     ways: Floats  # (2, 3) the directions in which they close
     width: float  # m
 
     def at(self, deep: float) -> Floats:
-        """Origins (2, 3) m of tools so deep, m."""
+        """Return the origins (2, 3) m of tools at a depth, m."""
         return self.start + deep * self.ways
 
 
 def both(**given: Any) -> list[Tool]:
-    """Two tools of the same shape."""
+    """Return two tools of the same shape.
+
+    Parameters
+    ----------
+    given : Any
+        Options of Tool.
+
+    Returns
+    -------
+    list[Tool]
+        The tools.
+    """
     return [Tool("left", **given), Tool("right", **given)]
 
 
 def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:
-    """Names and tools; a mesh file goes into a folder."""
+    """Return names and tools; a mesh file is written into a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+
+    Returns
+    -------
+    list[tuple[str, list[Tool]]]
+        Name and tools of each pair.
+    """
     jaw = trimesh.creation.box((0.012, 0.012, 0.004))
     jaw.apply_translation([0.0, 0.0, -0.002])
     jaw.export(folder / "jaw.stl")
@@ -77,7 +99,22 @@ def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:
 
 
 def place(organ: Organ, axis: int, ahead: float = 0.0) -> Place:
-    """Either side of the organ's middle along an axis, for tools that reach `ahead` m of their origins."""
+    """Return either side of the organ's middle along an axis.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    axis : int
+        The axis.
+    ahead : float, m, optional
+        Distance of the tools' foremost point from their origin.
+
+    Returns
+    -------
+    Place
+        The places.
+    """
     surface = organ.surface_positions
     middle = surface.mean(axis=0)
     beside = np.linalg.norm(np.delete(surface - middle, axis, axis=1), axis=1)
@@ -91,9 +128,27 @@ def place(organ: Organ, axis: int, ahead: float = 0.0) -> Place:
 def pinched(
     organ: Organ, name: str, tools: list[Tool], axis: int, share: float, friction: float | None = None
 ) -> Pinch:
-    """Squeeze the organ's middle along an axis by a share of its width there, hold, let go, and wait.
+    """Squeeze the organ's middle along an axis, hold, release, and wait.
 
-    friction: the coefficient, the default if None.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    name : str
+        Name of the pair.
+    tools : list[Tool]
+        The tools.
+    axis : int
+        The axis.
+    share : float
+        Fraction of the organ's width there.
+    friction : float | None, optional
+        Coulomb coefficient; None for the default.
+
+    Returns
+    -------
+    Pinch
+        The results.
     """
     scene = Scene(organ, tools, ticks_a_set=4)
     scene.finder.warm_up(organ.rest_positions)

@@ -1,6 +1,6 @@
-"""The organs that are compared at one size: as the pipeline makes it, and calibrated.
+"""Organs that are compared at one size: as the pipeline makes it, and calibrated.
 
-All sizes learn from one finite-element body, the reference's, under the same loads: one clamp, one material, one shape.
+All sizes are fitted to one finite-element body, the reference's, under the same loads: one clamp, material and shape.
 """
 
 from __future__ import annotations
@@ -45,21 +45,21 @@ from tissue_sim.store import remembered
 SEED = 0  # of the fit's cases
 BALANCED = Settings().aim
 GROUPS = "groups"
-MORE_MODES = 20  # whose frequencies are looked at; masses are fitted to the lowest MODES
-SAMPLED = 300  # loads, some of which say where the finer mesh is fine
-_VERSION = "10"  # of what is remembered
+MORE_MODES = 20  # whose frequencies are compared; masses are fitted to the lowest MODES
+SAMPLED = 300  # loads, some of which determine where the finer mesh is fine
+_VERSION = "10"  # version of what is cached
 _MISSING = "not fitted yet"
 
 
 class Effort(NamedTuple):
-    """What a fit at some size is given: linear load cases, and evaluations of the misfit."""
+    """Effort of a fit at some size: linear load cases, and evaluations of the misfit."""
 
     cases: int
     steps: int
 
 
 class Fit(NamedTuple):
-    """A calibration that a size needs."""
+    """Calibration that a size needs."""
 
     reference: Organ  # whose finite-element body answers
     organ: Organ  # that is fitted
@@ -67,9 +67,16 @@ class Fit(NamedTuple):
 
 
 class Variants(NamedTuple):
-    """The organs of one size: as the pipeline makes it, calibrated by the few groups of springs, and cell by cell.
+    """Organs of one size.
 
-    cells: by what they are for, as `tissue_sim calibrate --for` has it. In place of one that is missing, the reason.
+    Attributes
+    ----------
+    plain : Organ
+        As the pipeline makes it.
+    groups : Organ | str
+        Calibrated by groups of springs, or the reason why it is missing.
+    cells : dict[str, Organ | str]
+        Calibrated cell by cell, by aim as `tissue_sim calibrate --for` has it, or the reason why one is missing.
     """
 
     plain: Organ
@@ -78,7 +85,7 @@ class Variants(NamedTuple):
 
 
 def effort_at(points: int) -> Effort:
-    """So that a fit takes minutes at any size. The organ's own calibration has more."""
+    """Return the effort with which a fit takes minutes at any size; the organ's own calibration has more."""
     if points <= 1000:
         return Effort(1200, 90)
     if points <= 2500:
@@ -87,11 +94,24 @@ def effort_at(points: int) -> Effort:
 
 
 def variants_of(body: Body, points: int, *, fits: bool, every_aim: bool = False) -> Variants:
-    """The organs of one size of the organ that a finite-element body was made of.
+    """Return the organs of one size of the organ of a finite-element body.
 
-    fits: calibrate those that are not, which takes minutes each; they are kept in the user's cache. Without it only
-    an organ that is itself calibrated has a calibrated variant. Springs are fitted by groups at its own size alone.
-    every_aim: cells for speed and for accuracy, too.
+    Parameters
+    ----------
+    body : Body
+        The reference's body.
+    points : int
+        Number of surface points.
+    fits : bool
+        Whether missing calibrations are made, which takes minutes each; they are kept in the user's cache. Springs are
+        fitted by groups at the organ's own size alone.
+    every_aim : bool, optional
+        Whether cells are also fitted for speed and for accuracy.
+
+    Returns
+    -------
+    Variants
+        The organs.
     """
     organ = body.organ
     plain = at_size(organ, points)
@@ -110,7 +130,7 @@ def variants_of(body: Body, points: int, *, fits: bool, every_aim: bool = False)
 
 
 def fits_of(organ: Organ, plain: Organ, every_aim: bool) -> list[Fit]:
-    """The fits that variants of a size need: plain is the organ of that size as the pipeline makes it."""
+    """Return the fits that variants of a size need; plain: the organ of that size as the pipeline makes it."""
     own = plain.n_surface == organ.n_surface
     aims = INTERIOR_SHARE if every_aim else (BALANCED,)
     found = [
@@ -122,9 +142,21 @@ def fits_of(organ: Organ, plain: Organ, every_aim: bool) -> list[Fit]:
 
 
 def fit_on_cluster(organ: Organ, points: Sequence[int], scheduler: str) -> None:
-    """Have a Dask cluster make the fits of several sizes that are not kept yet; they are kept then.
+    """Let a Dask cluster make the fits of several sizes that are not kept yet.
 
-    Raises UserError when the scheduler doesn't answer. What fails there is tried again, and told of, where it is used.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    points : Sequence[int]
+        Numbers of surface points.
+    scheduler : str
+        Address of the scheduler.
+
+    Raises
+    ------
+    UserError
+        Where the scheduler doesn't answer. What fails there is tried again, and reported, where it is used.
     """
 
     def missing(_: Fit) -> dict[str, Any]:
@@ -142,23 +174,23 @@ def _given(made: dict[str, NDArray], _: Fit) -> dict[str, NDArray]:
 
 
 def made_alone(fit: Fit) -> dict[str, NDArray]:
-    """A fit with a body of its own."""
+    """Return a fit with a body of its own."""
     return fitted(Body(fit.reference), fit.organ, fit.kind, effort_at(fit.organ.n_surface))
 
 
 def _ready(organ: Organ, own: bool) -> bool:
-    """Whether the organ itself is the calibrated one of its own size."""
+    """Return whether the organ itself is the calibrated one of its own size."""
     return own and is_calibrated(organ)
 
 
 def is_calibrated(organ: Organ) -> bool:
-    """Whether every cell of an organ was fitted."""
+    """Return whether every cell of an organ was fitted."""
     figures = organ.provenance.get("calibration")
     return isinstance(figures, dict) and figures.get("method") == "cells"
 
 
 def _kept(fit: Fit, make: Callable[[Fit], dict[str, NDArray]]) -> Organ | str:
-    """The organ calibrated, from the user's cache when it was done before; the reason when it can't be."""
+    """Return the organ calibrated, from the user's cache when it was done before; the reason when it can't be."""
     effort = effort_at(fit.organ.n_surface)
     source = f"{_VERSION} {SEED} {tuple(effort)} {fit.reference.digest()} {fit.organ.digest()}"
     key = hashlib.sha256(source.encode()).hexdigest()
@@ -174,12 +206,12 @@ def _kept(fit: Fit, make: Callable[[Fit], dict[str, NDArray]]) -> Organ | str:
 
 
 def fitted(body: Body, organ: Organ, kind: str, effort: Effort) -> dict[str, NDArray]:
-    """Stiffnesses, masses and damping of an organ, by its names for them, fitted to linear answers of a body.
+    """Return stiffnesses, masses and damping of an organ, by its names for them, fitted to a body's linear answers.
 
-    And modes_off (2,): how far at most the frequencies are off that the masses are fitted to, and the following ones.
+    Also modes_off (2,): the largest error of the frequencies to which the masses are fitted, and of the following ones.
     body: the reference's, whose surface may be another one of the same body; kind: `groups`, one factor for each group
-    of springs, as the paper has it; or every cell, for `fast`, ...
-    Raises UserError when the organ's tissue leaves something free.
+    of springs, as in the paper; or every cell, for `fast`, ... Raises UserError when a part of the organ is free to
+    move.
     """
     pushes = fit_cases(body.organ, effort.cases, SEED)
     size = sized(organ, body.organ)
@@ -206,7 +238,7 @@ def fitted(body: Body, organ: Organ, kind: str, effort: Effort) -> dict[str, NDA
 
 
 def _misfit(elastic: Elastic, body: Body, size: Sized, pushes: Floats) -> Misfit:
-    """The misfit of an organ's tissue under the reference's forces (c, m, 3) N."""
+    """Return the misfit of an organ's tissue under the reference's forces (c, m, 3) N."""
     forces = np.stack([size.forces(push) for push in pushes])
     some = samples_of(len(pushes))
     found = answers(body, size, pushes)

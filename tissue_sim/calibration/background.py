@@ -1,4 +1,4 @@
-"""What the finite-element body has to say, worked out in a process of its own while the fit goes on."""
+"""Reference answers of the finite-element body, computed in a separate process while the fit goes on."""
 
 from __future__ import annotations
 
@@ -20,10 +20,23 @@ Poke = tuple[Floats, int]  # forces (n_surface, 3) N that a release begins with,
 
 
 class Reference:
-    """Settles cases from now on, then lets go of one.
+    """Computation of the reference in the background: it settles the cases, then releases one of them.
 
-    What is whole is kept in the checkpoint. Not case by case: what a case comes to depends, to rounding, on those that
-    settle in step with it. poke: chooses the load that is let go from the answers; rate: damping, 1/s.
+    Only complete results are kept in the checkpoint, not single cases: the result of a case depends, to rounding, on
+    those that settle in step with it.
+
+    Parameters
+    ----------
+    poke : Callable[[Answer], Poke]
+        Chooses the load that is released from the answers.
+    rate : float, 1/s
+        Damping over mass.
+    organ : Organ
+        The organ.
+    checkpoint : Checkpoint
+        Keeps the intermediate results.
+    cases : Cases
+        The load cases.
     """
 
     def __init__(
@@ -41,14 +54,25 @@ class Reference:
         self._answer, self._motion = kept("held-out", self._settle), kept("release", self._release)
 
     def stop(self) -> None:
-        """End what is under way, and begin nothing more."""
+        """End what is running, and start nothing more."""
         self._stopped = True
         if self._remote is not None:
             self._remote.close()
         self._thread.shutdown(cancel_futures=True)
 
     def answer(self, done: Callable[..., None]) -> Answer:
-        """Answers to the cases, as soon as they are there; `done` is called for each. Raises what went wrong."""
+        """Return the answers to the cases as soon as they are complete.
+
+        Parameters
+        ----------
+        done : Callable[..., None]
+            Called for each case.
+
+        Returns
+        -------
+        Answer
+            The answers.
+        """
         told = 0
         while not self._answer.done():
             wait([self._answer], 0.2)  # in turns, so that an interrupt comes through
@@ -61,7 +85,13 @@ class Reference:
         return found
 
     def motion(self) -> Arrays:
-        """Times (t,) s and displacements (t, 3) m of the node after the release, `time` and `displacement`."""
+        """Return the motion of the node after the release.
+
+        Returns
+        -------
+        Arrays
+            Times (t,) s and displacements (t, 3) m, by the names `time` and `displacement`.
+        """
         while not self._motion.done():
             wait([self._motion], 0.2)
         return self._motion.result()
@@ -98,22 +128,22 @@ class Reference:
 
 
 class _Bodies:
-    """Finite elements, in a process of their own. Methods raise UserError as Body does."""
+    """Finite elements in a separate process; the methods raise UserError as Body does."""
 
     def __init__(self, organ: Organ) -> None:
         self._organ = organ
         self._body: Body | None = None
 
     def begin(self, force: Floats) -> None:
-        """Take on cases (c, n_surface, 3) N."""
+        """Start settling cases (c, n_surface, 3) N."""
         self._settled = self._made().settle_many(force)
 
     def following(self) -> Settled:
-        """The next case's rest."""
+        """Return the next case's equilibrium."""
         return next(self._settled)
 
     def release(self, force: Floats, node: int, rate: float) -> Arrays:
-        """Motion of a node from the shape settled under forces (n_surface, 3) N, let go."""
+        """Return the motion of a node after the release from equilibrium under forces (n_surface, 3) N."""
         motion = release(self._made(), force, RELEASE_TIME, RELEASE_STEP, rate, [node])
         return {"time": motion.time, "displacement": motion.displacement[:, 0]}
 

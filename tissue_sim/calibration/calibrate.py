@@ -1,4 +1,4 @@
-"""From an organ to a calibrated one: reference answers, fit, masses, and what held-out loads say of it."""
+"""Calibration of an organ: reference answers, fit, masses, and an assessment by held-out loads."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ from tissue_sim.model.frequency import largest_frequency
 from tissue_sim.organ.organ import Organ
 from tissue_sim.version import __version__
 
-CELL_BOUNDS = (-3.5, 2.5)  # of the logarithm of a cell's moduli over the first: without, some cells are all but void
-GROUP_STEPS = 4  # evaluations of the search over groups for one of the fit, which takes more time
-BUCKLING = 3.0  # times as far by one law of elasticity as by the other: a load near buckling tells nothing of an organ
+CELL_BOUNDS = (-3.5, 2.5)  # of a modulus' logarithm relative to the start; without, some cells are almost void
+GROUP_STEPS = 4  # evaluations of the search over groups for each one of the fit, which takes more time
+BUCKLING = 3.0  # ratio of displacements by the two laws of elasticity, from which a load is near buckling
 POKE = 0.005  # m, of the release, for an organ of a kidney's size
 
 
 class Progress(Protocol):
-    """Where a calibration tells how far it is."""
+    """Receiver of the progress of a calibration."""
 
     def stage(self, name: str, total: int) -> AbstractContextManager[Callable[..., None]]:
-        """A stage of `total` steps; what comes back is called after each, with a remark if there is one."""
+        """Start a stage of `total` steps; the result is called after each, with a remark if there is one."""
         ...
 
 
@@ -64,7 +64,7 @@ class Silent:
 
 
 class Calibrated(NamedTuple):
-    """A calibrated organ and all that a report shows."""
+    """Calibrated organ and everything that a report shows."""
 
     organ: Organ
     figures: dict[str, Any]  # also in the organ's provenance, under `calibration`
@@ -76,14 +76,33 @@ class Calibrated(NamedTuple):
 
 
 def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress: Progress) -> Calibrated:
-    """Fit the organ's cells or groups of springs, and its masses, to finite elements of its shape and tissue; judge it.
+    """Fit an organ's cells or groups of springs, and its masses, to finite elements of its shape and tissue.
 
-    The finite-element body settles the held-out loads in a process of its own meanwhile.
-    Raises UserError when the organ has no clamp, is too thin for its triangles or can't be filled, or a library is
-    missing.
+    The finite-element body settles the held-out loads in a separate process meanwhile.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    settings : Settings
+        Settings of the calibration.
+    checkpoint : Checkpoint
+        Keeps the intermediate results.
+    progress : Progress
+        Receives the progress.
+
+    Returns
+    -------
+    Calibrated
+        The calibrated organ and the assessment.
+
+    Raises
+    ------
+    UserError
+        Where the organ has no clamp, is too thin for its triangles or can't be filled, and where a library is missing.
     """
-    # One core is the reference's, and threads that wait for it would take more time than they save. And the result is
-    # the same bits on a machine of any number of cores.
+    # One core is left to the reference: threads that wait for it would take more time than they save. One thread also
+    # gives the same bits on machines of any number of cores.
     with _one_thread():
         return _calibrated(organ, settings, checkpoint, progress)
 
@@ -196,7 +215,7 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
 
 
 def _one_thread() -> AbstractContextManager[Any]:
-    """Linear algebra by one thread. Raises UserError without threadpoolctl."""
+    """Return a context in which linear algebra has one thread. Raises UserError without threadpoolctl."""
     try:
         from threadpoolctl import threadpool_limits
     except ModuleNotFoundError:
@@ -205,9 +224,9 @@ def _one_thread() -> AbstractContextManager[Any]:
 
 
 def _most_evaluations(settings: Settings) -> int:
-    """Evaluations of the misfit at the most.
+    """Return the largest number of evaluations of the misfit.
 
-    The search over groups has no slopes, and takes less time for each; a fit with masses goes on from a rough one.
+    The search over groups has no gradient, and takes less time for each; a fit with masses starts from a rough one.
     """
     if settings.method == "groups":
         return settings.evaluations * GROUP_STEPS
@@ -215,14 +234,14 @@ def _most_evaluations(settings: Settings) -> int:
 
 
 def _watcher(done: Callable[..., None]) -> Callable[[int, Floats], None]:
-    """What a fit calls after every evaluation."""
+    """Return what a fit calls after every evaluation."""
     return lambda _, error: done(f"{100.0 * error.mean():.2f} %")
 
 
 def _fitted(
     first: Floats, group: Longs | None, misfit: Misfit, settings: Settings, done: Callable[..., None]
 ) -> Floats:
-    """Stiffness (p,) of least misfit, of every cell, or with one factor for each group (p,) of springs."""
+    """Return the stiffness (p,) of least misfit, of every cell, or with one factor for each group (p,) of springs."""
     watch = _watcher(done)
     if group is not None:
         return search(first, group, misfit, _most_evaluations(settings), watch)
@@ -230,7 +249,7 @@ def _fitted(
 
 
 def _both(together: Together, stiffness: Floats, mass: Floats, settings: Settings, done: Callable[..., None]) -> Arrays:
-    """Stiffness (p,) and masses (n,) kg fitted together."""
+    """Return stiffness (p,) and masses (n,) kg fitted together."""
     stiffness, mass = fit_together(
         together, stiffness, mass, 3 * settings.evaluations // 2, CELL_BOUNDS, _watcher(done)
     )
@@ -238,7 +257,7 @@ def _both(together: Together, stiffness: Floats, mass: Floats, settings: Setting
 
 
 def _near_buckling(cases: Cases, linear: Floats, wanted: Answer) -> dict[int, str]:
-    """Which cases move the body several times as far by one law of elasticity as by the other, and their names."""
+    """Return the cases that move several times as far under one law of elasticity as the other, and their names."""
     sizes = [np.linalg.norm(moved, axis=(1, 2)) for moved in (linear, wanted.displacement)]
     deepest = [1e3 * np.linalg.norm(moved, axis=2).max(axis=1) for moved in (linear, wanted.displacement)]
     found = {}
@@ -250,7 +269,7 @@ def _near_buckling(cases: Cases, linear: Floats, wanted: Answer) -> dict[int, st
 
 
 def held_out_figures(cases: Cases, wanted: Answer, linear: Floats, found: Answer) -> dict[str, Any]:
-    """Errors in percent, smooth and sharp loads apart, with those of the linear body beside them."""
+    """Return the errors in percent, separately for smooth and sharp loads, with those of the linear body."""
     error, by_linear = (
         100.0 * errors(found.displacement, wanted.displacement),
         100.0 * errors(linear, wanted.displacement),
@@ -283,7 +302,7 @@ def held_out_figures(cases: Cases, wanted: Answer, linear: Floats, found: Answer
 
 
 def step_figures(organ: Organ) -> dict[str, Any]:
-    """Critical step and substeps of a millisecond, as Simulation chooses them."""
+    """Return the critical step and the substeps of a millisecond, as Simulation chooses them."""
     model = assemble(organ)
     critical = model_step(model, largest_frequency(model))
     return {"critical_us": round(1e6 * critical, 1), "substeps_a_ms": substeps_for(TICK, critical)}
@@ -294,12 +313,12 @@ def _signed_range(volume: Floats) -> list[float]:
 
 
 def _telling(cases: Cases, linear: Floats, wanted: Answer) -> Longs:
-    """The cases that settle, and none near buckling."""
+    """Return the cases that settle and are not near buckling."""
     return np.setdiff1d(np.flatnonzero(wanted.converged), list(_near_buckling(cases, linear, wanted)))
 
 
 def _poke(cases: Cases, wanted: Answer, kept: Longs, deep: float) -> Poke:
-    """Forces that dent the finite-element body by some depth, m, nearly, of a bump if possible, and the node there.
+    """Return forces that dent the finite-element body by about a depth, m, preferably a bump, and the node there.
 
     Raises UserError when no case is kept.
     """

@@ -1,4 +1,4 @@
-"""Load cases: what the calibration fits, and, drawn and built another way, what it is judged by.
+"""Load cases: those that the calibration fits, and others, drawn and built differently, that assess it.
 
 Which nodes a case may be centred on is settled first, by a seed of its own: the fit never sees a load at a held-out
 centre, nor the held-out loads' profile or sizes.
@@ -20,16 +20,16 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.remesh import vertex_normals
 from tissue_sim.organ.topology import node_area
 
-HELD_OUT_SHARE = 0.3  # of the nodes that may be pressed
-HELD_OUT_SEED = 7919  # of the split and of the held-out loads; independent of the fit's seed
+HELD_OUT_SHARE = 0.3  # fraction of the nodes that may be pressed
+HELD_OUT_SEED = 7919  # seed of the split and of the held-out loads; independent of the fit's seed
 CLEARANCE = 0.006  # m from the clamp at least, to the centre of a patch, as all lengths below times `size_of`
 FIT_RADII = (0.0, 0.006, 0.009, 0.012, 0.016)  # m; 0: a node and its neighbours
-NEAR_CLAMP = 0.12  # of the centres: those nearest to the clamp
-NEAR = 3  # one of so many places of the fit lies there
-MANY = 5  # one of so many has several patches
+NEAR_CLAMP = 0.12  # fraction of the centres that counts as near the clamp
+NEAR = 3  # every third place of the fit lies there
+MANY = 5  # every fifth place has several patches
 AXES = 3  # cases at each place
 SMOOTH_RADIUS = (0.009, 0.013)  # m, of held-out patches
-NARROWEST = 1.5  # edges, that their radius is at the least: narrower, a load on one node would pass for a smooth one
+NARROWEST = 1.5  # edges, least radius of a patch: a narrower one would be a load on one node
 DEPTH = (0.002, 0.012)  # m, largest displacement of a case under the linear body
 SHARP_TRACTION = (0.2, 0.4)  # of Young's modulus, on a node and its neighbours: 0.1 to 0.2 N on the kidney
 MOST_TRACTION = 0.4  # of Young's modulus, at any node: near the clamp a depth of 12 mm would crush the tissue
@@ -38,7 +38,7 @@ MOST_FORCE = 0.019  # of Young's modulus times the volume's root squared, for ea
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """Loads on the surface, of which some belong to one case: c cases, n surface nodes."""
+    """Loads on the surface: c cases, n surface nodes; a case may consist of several loads."""
 
     force: Floats  # (c, n, 3) N
     centre: list[Longs]  # (c,) of the patches' centre nodes
@@ -48,33 +48,67 @@ class Cases:
         return len(self.kind)
 
     def scaled(self, factor: Floats) -> Cases:
-        """The same cases with their forces times factor (c,)."""
+        """Return the same cases with their forces multiplied.
+
+        Parameters
+        ----------
+        factor : Floats, shape (c,)
+            Factor of each case.
+        """
         return replace(self, force=self.force * factor[:, None, None])
 
     def chosen(self, index: Longs) -> Cases:
-        """Some of the cases, by index."""
+        """Return some of the cases.
+
+        Parameters
+        ----------
+        index : Longs
+            Indices of the cases.
+        """
         return Cases(self.force[index], [self.centre[i] for i in index], [self.kind[i] for i in index])
 
 
 class Surface(NamedTuple):
-    """What patches are drawn on."""
+    """Surface of an organ as the load cases use it."""
 
     positions: Floats  # (n, 3) m
     normal: Floats  # (n, 3) outward
     area: Floats  # (n,) m^2, a third of the triangles around
     ring: list[Longs]  # neighbours of each node along edges, and itself
     free: NDArray[np.bool_]  # (n,)
-    size: float  # what lengths are multiplied by, 1 for an organ of a kidney's size or larger
+    size: float  # factor of lengths, 1 for an organ of a kidney's size or larger
     edge: float  # m, median
 
 
 def size_of(organ: Organ) -> float:
-    """What lengths are multiplied by, 1 for an organ of a kidney's size or larger."""
+    """Return the factor of lengths for an organ, 1 for one of a kidney's size or larger.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    float
+        The factor.
+    """
     return relative_size(organ.volume)
 
 
 def surface_of(organ: Organ) -> Surface:
-    """Normals, areas and neighbours of the organ's surface nodes."""
+    """Return normals, areas and neighbours of the organ's surface nodes.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    Surface
+        The surface.
+    """
     positions, triangles = organ.surface_positions, organ.surface_triangles
     n = len(positions)
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
@@ -90,7 +124,7 @@ def surface_of(organ: Organ) -> Surface:
 
 
 def split_centres(organ: Organ) -> tuple[Longs, Longs]:
-    """Centres for the fit and held-out centres: disjoint, the same for every seed of the fit.
+    """Return centres for the fit and held-out centres: disjoint, the same for every seed of the fit.
 
     Nodes nearer to the clamp than 6 mm are neither. Raises UserError when fewer than 20 nodes are left.
     """
@@ -108,10 +142,24 @@ def split_centres(organ: Organ) -> tuple[Longs, Longs]:
 
 
 def fit_cases(organ: Organ, count: int, seed: int) -> Floats:
-    """Forces (c, n_surface, 3) N of at least `count` cases for the fit: along x, y and z in turn at every place.
+    """Return the loads for the fit, along x, y and z in turn at every place.
 
-    A place is a uniform traction of 1 N in all on a patch of one of five sizes, or on two to six such patches, as at
-    one of five. One of three lies near the clamp, where small errors turn the whole organ.
+    A place is a uniform traction of 1 N in total on a patch of one of five sizes; every fifth place has two to six such
+    patches. Every third one lies near the clamp, where small errors turn the whole organ.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    count : int
+        Least number of cases.
+    seed : int
+        Seed of the random choices.
+
+    Returns
+    -------
+    Floats, shape (c, n_surface, 3), N
+        Forces.
     """
     surface, centres = surface_of(organ), split_centres(organ)[0]
     random = np.random.default_rng([seed, 1])
@@ -131,11 +179,22 @@ def fit_cases(organ: Organ, count: int, seed: int) -> Floats:
 
 
 def principal(force: Floats, answer: Floats) -> tuple[Floats, Floats]:
-    """Cases along x, y and z at every place as cases along the principal axes of the displacement there.
+    """Return cases along x, y and z at every place as cases along the principal axes of the displacement there.
 
-    force (c, n, 3) N as fit_cases has them, answer (c, n, 3) m; both again. The organ gives way most along the first
-    axis and least along the last, so that what is stiff in one direction is told apart from what turns about the clamp
-    in another: under loads of any direction nearly all displacement is of the second kind.
+    The organ yields most along the first axis and least along the last, which separates stiffness in one direction from
+    rotation about the clamp: under loads of any direction nearly all displacement is of the second kind.
+
+    Parameters
+    ----------
+    force : Floats, shape (c, n, 3), N
+        Loads of fit_cases.
+    answer : Floats, shape (c, n, 3), m
+        Displacements under them.
+
+    Returns
+    -------
+    tuple[Floats, Floats]
+        Loads and displacements of the same shapes.
     """
     forces, answers = (part.reshape(-1, AXES, part[0].size) for part in (force, answer))
     axes = np.linalg.eigh(answers @ answers.transpose(0, 2, 1))[1][:, :, ::-1].transpose(0, 2, 1)
@@ -143,10 +202,26 @@ def principal(force: Floats, answer: Floats) -> tuple[Floats, Floats]:
 
 
 def held_out_cases(organ: Organ, smooth: int, sharp: int, seed: int = HELD_OUT_SEED) -> Cases:
-    """Cases for judging: `smooth` bumps of 9-13 mm, then `sharp` loads on a node and its neighbours; 1 N each.
+    """Return cases of 1 N for the assessment: smooth bumps, then sharp loads on a node and its neighbours.
 
-    A bump's traction is (1 - (r/R)^2)^2 and leans away from the normal by up to 75 degrees; every fifth pulls,
-    every tenth is two bumps.
+    A bump's traction is (1 - (r/R)^2)^2 within R of 9-13 mm and leans away from the normal by up to 75 degrees; every
+    fifth pulls, every tenth is two bumps.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    smooth : int
+        Number of bumps.
+    sharp : int
+        Number of sharp loads.
+    seed : int, optional
+        Seed of the random choices.
+
+    Returns
+    -------
+    Cases
+        The cases.
     """
     surface, centres = surface_of(organ), split_centres(organ)[1]
     random = np.random.default_rng([seed, 2])
@@ -178,11 +253,28 @@ def held_out_cases(organ: Organ, smooth: int, sharp: int, seed: int = HELD_OUT_S
 def scale_to_depth(
     cases: Cases, compliance: Floats, organ: Organ, seed: int, depth: tuple[float, float] = DEPTH
 ) -> Cases:
-    """Cases of 1 N scaled so that the linear body gives by a depth drawn between two, m, its largest displacement.
+    """Return cases of 1 N scaled so that the linear body yields by a random depth, its largest displacement.
 
-    compliance (c, n, 3) m: the linear body's answer to the cases as they are. No case gets stronger than `strongest`.
-    Sharp ones get a traction of 0.2 to 0.4 of Young's modulus instead, as far as the body gives by no more than the
-    larger depth.
+    No case gets stronger than `strongest` allows. Sharp ones get a traction of 0.2 to 0.4 of Young's modulus instead,
+    as far as the body yields by at most the larger depth.
+
+    Parameters
+    ----------
+    cases : Cases
+        The load cases.
+    compliance : Floats, shape (c, n, 3), m
+        The linear body's answer to the cases as they are.
+    organ : Organ
+        The organ.
+    seed : int
+        Seed of the random choices.
+    depth : tuple[float, float], m, optional
+        Least and largest depth.
+
+    Returns
+    -------
+    Cases
+        The scaled cases.
     """
     random = np.random.default_rng([seed, 3])
     surface = surface_of(organ)
@@ -197,7 +289,7 @@ def scale_to_depth(
 
 
 def strongest(force: Floats, patches: ArrayLike, organ: Organ) -> Floats:
-    """How many times as strong loads (c, n, 3) N, of so many patches each (c,), may be at most, (c,).
+    """Return the largest factor (c,) of loads (c, n, 3) N, which have so many patches each (c,).
 
     The traction stays under 0.4 of Young's modulus, the mean force of a patch under 0.5 N on an organ like the kidney.
     """
@@ -211,14 +303,27 @@ def strongest(force: Floats, patches: ArrayLike, organ: Organ) -> Floats:
 
 
 def tractions(force: Floats, organ: Organ) -> Floats:
-    """Largest traction (c,) Pa of loads (c, n, 3) N at any node."""
+    """Return the largest traction of loads at any node.
+
+    Parameters
+    ----------
+    force : Floats, shape (c, n, 3), N
+        Loads on the surface nodes.
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    Floats, shape (c,), Pa
+        Tractions.
+    """
     area = node_area(organ.surface_positions, organ.surface_triangles)
     found: Floats = (np.linalg.norm(force, axis=2) / area).max(axis=1)
     return found
 
 
 def _nearest_to_clamp(organ: Organ, nodes: Longs) -> Longs:
-    """The share of the nodes that is nearest to the clamp; all of them without one."""
+    """Return the fraction NEAR_CLAMP of the nodes that is nearest to the clamp; all of them without one."""
     if not len(organ.fixed):
         return nodes
     apart = cKDTree(organ.surface_positions[organ.fixed]).query(organ.surface_positions[nodes])[0]
@@ -226,7 +331,7 @@ def _nearest_to_clamp(organ: Organ, nodes: Longs) -> Longs:
 
 
 def _spread(positions: Floats, nodes: Longs, count: int, random: np.random.Generator) -> Longs:
-    """`count` of the nodes, spread over the surface: farthest points first, all of them before one comes again."""
+    """Return `count` of the nodes, spread over the surface: farthest points first, all before one is repeated."""
     order: list[int] = []
     while len(order) < count:
         chosen = [int(random.integers(len(nodes)))]
@@ -239,7 +344,7 @@ def _spread(positions: Floats, nodes: Longs, count: int, random: np.random.Gener
 
 
 def _patch(surface: Surface, node: int, radius: float) -> Longs:
-    """Free nodes within a radius, m, of a node on its side of the organ; with its neighbours at the least."""
+    """Return the free nodes within a radius, m, of a node on its side of the organ; at least its neighbours."""
     near = np.linalg.norm(surface.positions - surface.positions[node], axis=1) < radius
     near &= surface.normal @ surface.normal[node] > 0.0
     near[surface.ring[node]] = True
@@ -247,7 +352,7 @@ def _patch(surface: Surface, node: int, radius: float) -> Longs:
 
 
 def _lean(axis: Floats, angle: float, random: np.random.Generator) -> Floats:
-    """Unit vector at an angle, rad, from a unit vector, turned about it at random."""
+    """Return a unit vector at an angle, rad, from a unit vector, in a random direction about it."""
     across = random.standard_normal(3)
     across -= (across @ axis) * axis
     return np.cos(angle) * axis + np.sin(angle) * across / np.linalg.norm(across)

@@ -1,4 +1,4 @@
-"""What a long calculation has reached, kept in a folder, so that it goes on after it was stopped."""
+"""Intermediate results of a long calculation, kept in a folder, so that it continues after it was stopped."""
 
 from __future__ import annotations
 
@@ -21,9 +21,20 @@ KEPT = "results"  # where in its folder
 class Checkpoint:
     """Results by name, kept by joblib in a folder for one set of inputs.
 
-    Whatever is asked for twice with the same inputs comes back bit for bit, so that a calculation that is
-    run again runs quickly to where it was stopped, and ends as if it had not been.
-    Raises UserError when the folder can't be written, or joblib is missing.
+    Results that are requested again with the same inputs come back bit for bit, so that a calculation that is run again
+    quickly reaches where it was stopped, and ends as if it had not been.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    inputs : Mapping[str, Any]
+        What the results depend on, as JSON can hold it.
+
+    Raises
+    ------
+    UserError
+        Where the folder can't be written, or joblib is missing.
     """
 
     def __init__(self, folder: Path, inputs: Mapping[str, Any]) -> None:
@@ -34,20 +45,33 @@ class Checkpoint:
         self._folder, self._inputs = folder, json.dumps(dict(inputs), sort_keys=True)
         try:
             self._made = Memory(folder / KEPT, verbose=0).cache(_made, ignore=["make"])
-            self.found = self._made.check_call_in_cache(self._inputs, "begun", dict)  # the folder has results of these
+            self.found = self._made.check_call_in_cache(self._inputs, "begun", dict)  # the folder has results
             self.remember("begun", dict)
         except OSError as error:
             raise UserError(f"cannot write {folder}: {error.strerror}") from None
 
     def remember(self, name: str, make: Callable[[], Arrays]) -> Arrays:
-        """Arrays of this name from before, or those that `make` returns now."""
+        """Return the arrays kept under a name, or those that `make` returns now.
+
+        Parameters
+        ----------
+        name : str
+            Name of the result.
+        make : Callable[[], Arrays]
+            Computes it.
+
+        Returns
+        -------
+        Arrays
+            Arrays by name.
+        """
         arrays: Arrays = self._made(self._inputs, name, make)
         return arrays
 
     def remove(self) -> None:
-        """Remove what was kept; the calculation is done."""
+        """Remove what was kept; the calculation is complete."""
         shutil.rmtree(self._folder / KEPT, ignore_errors=True)
-        with suppress(OSError):  # there is something of others in it
+        with suppress(OSError):  # the folder may hold other files
             self._folder.rmdir()
 
 

@@ -1,11 +1,11 @@
 """Direct solver for finite elements: Cholesky by nested dissection of the mesh (George 1973; Duff & Reid 1983).
 
-SciPy has no sparse Cholesky; its LU takes five times as long here, since it neither knows the symmetry nor
-multiplies dense blocks of this size. Elements are halved again and again; what lies inside a part is eliminated
-there as one dense front, and the rest handed on to the part above.
+SciPy has no sparse Cholesky; its LU takes five times as long here, since it neither uses the symmetry nor multiplies
+dense blocks of this size. Elements are halved again and again; unknowns inside a part are eliminated there as one dense
+front, and the rest is passed on to the part above.
 
-Dense blocks go through SciPy's BLAS alone: NumPy has one of its own, and the threads of two that are called in turns
-wait for work on each other's cores, which made solutions for many loads ten times slower.
+Dense blocks use SciPy's BLAS alone: NumPy has one of its own, and the threads of two that are called in turns wait for
+each other, which made solutions for many loads ten times slower.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dpotrf
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 
-BALANCE = 0.3  # the least share of elements in a part
+BALANCE = 0.3  # least fraction of elements in a part
 LEAF = 32  # elements that are not divided further
 
 # Transposed, so that rows run along memory: of a front's (p + b) rows those inside (p, p), below (p, b), rest (b, b).
@@ -30,7 +30,7 @@ Pieces = tuple[Floats, Floats, Floats]
 
 
 class Front(NamedTuple):
-    """A part of the mesh: unknowns inside are eliminated here, those on its boundary further up."""
+    """Part of the mesh: its inner unknowns are eliminated here, those on its boundary further up."""
 
     cells: Ints  # (e,) elements, of a leaf
     children: tuple[int, ...]  # earlier fronts
@@ -39,23 +39,38 @@ class Front(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """L of one front."""
+    """Cholesky factor of one front."""
 
     diagonal: NDArray[Any]  # (p, p) lower triangle
     below: NDArray[Any]  # (b, p)
 
 
 class NotPositive(Exception):
-    """The matrix has a direction without stiffness, or one of negative stiffness."""
+    """Error raised where the matrix has a direction of zero or negative stiffness."""
 
 
 def dissect(elements: Ints, centres: Floats, held: NDArray[np.bool_], leaf: int = LEAF) -> list[Front]:
-    """Order of elimination for elements (e, k) with centres (e, 3); held (n, 3) unknowns are left out.
+    """Return the order of elimination: fronts, children first.
 
-    Fronts come children first. Every part is cut in two along that of its principal axes where they share
-    the fewest nodes, down to `leaf` elements.
+    Every part is cut in two along that of its principal axes where the halves share the fewest nodes.
+
+    Parameters
+    ----------
+    elements : Ints, shape (e, k)
+        Node indices.
+    centres : Floats, shape (e, 3)
+        Centres of the elements.
+    held : NDArray[np.bool_], shape (n, 3)
+        Unknowns that are left out.
+    leaf : int, optional
+        Number of elements that are not divided further.
+
+    Returns
+    -------
+    list[Front]
+        The fronts.
     """
-    count = np.bincount(elements.ravel(), minlength=len(held))  # elements around each node that are not yet merged
+    count = np.bincount(elements.ravel(), minlength=len(held))  # elements around each node
     fronts: list[Front] = []
     free = ~held
 
@@ -64,7 +79,7 @@ def dissect(elements: Ints, centres: Floats, held: NDArray[np.bool_], leaf: int 
         return 3 * nodes[found // 3] + found % 3
 
     def build(cells: Longs) -> tuple[int, Longs, Longs]:
-        """Number of the front, nodes on its boundary, and how many elements inside each has."""
+        """Return the number of the front, nodes on its boundary, and how many elements inside each has."""
         if len(cells) <= leaf:
             nodes, inner = np.unique(elements[cells], return_counts=True)
             children: tuple[int, ...] = ()
@@ -85,7 +100,7 @@ def dissect(elements: Ints, centres: Floats, held: NDArray[np.bool_], leaf: int 
 
 
 def _parts(elements: Ints, centres: Floats, cells: Longs) -> tuple[Longs, Longs]:
-    """Two parts of a set of elements, neither of them small, that share few nodes."""
+    """Return two parts of a set of elements, neither of them small, that share few nodes."""
     x = centres[cells] - centres[cells].mean(axis=0)
     nodes, where = np.unique(elements[cells], return_inverse=True)
     where = where.reshape(len(cells), -1)
@@ -134,22 +149,46 @@ def _add(update: Floats, where: Longs, diagonal: Floats, below: Floats, rest: Fl
 
 @kernel
 def _add_each(matrices: Floats, where: Longs, diagonal: Floats, below: Floats, rest: Floats) -> None:
-    """Add symmetric matrices (e, k, k) to a front; where (e, k)."""
+    """Add symmetric matrices (e, k, k) to a front; where (e, k): rows of the front."""
     for e in range(len(matrices)):
         _add(matrices[e], where[e], diagonal, below, rest)
 
 
 def add_elements(matrices: Floats, elements: Ints, place: Longs, pieces: Pieces) -> None:
-    """Add matrices (e, 3k, 3k) N/m of elements (e, k) to a front; place: its row of each unknown."""
+    """Add element matrices to a front.
+
+    Parameters
+    ----------
+    matrices : Floats, shape (e, 3k, 3k), N/m
+        Matrices of the elements.
+    elements : Ints, shape (e, k)
+        Node indices.
+    place : Longs, shape (3n,)
+        The front's row of each unknown.
+    pieces : Pieces
+        The front.
+    """
     axes = (3 * elements[:, :, None].astype(np.int64) + np.arange(3)).reshape(len(elements), -1)
     _add_each(matrices, place[axes], *pieces)
 
 
 class Cholesky:
-    """L L' of a symmetric matrix over the unknowns of n nodes.
+    """Factor L L' of a symmetric matrix over the unknowns of n nodes.
 
-    fill(number, place, pieces) adds to a front what no other front does of the matrix; place: the front's row of each
-    of the 3n unknowns. Raises NotPositive.
+    Parameters
+    ----------
+    fronts : list[Front]
+        Order of elimination, of dissect.
+    n : int
+        Number of nodes.
+    fill : Callable[[int, Longs, Pieces], None]
+        Called with a front's number, the front's row of each of the 3n unknowns, and the front; adds the entries of the
+        matrix that no other front adds.
+
+    Raises
+    ------
+    NotPositive
+        Where the matrix isn't positive definite.
     """
 
     def __init__(self, fronts: list[Front], n: int, fill: Callable[[int, Longs, Pieces], None]) -> None:
@@ -180,7 +219,7 @@ class Cholesky:
 
     @property
     def size(self) -> int:
-        """Numbers stored."""
+        """Number of stored values."""
         return sum(factor.diagonal.size + factor.below.size for factor in self.factors)
 
     @cached_property
@@ -189,11 +228,33 @@ class Cholesky:
         return list(single)
 
     def solve(self, right: Floats) -> Floats:
-        """Solution (3n, c) of the free unknowns for right-hand sides (3n, c); 0 at the held ones."""
+        """Return the solution; 0 at the held unknowns.
+
+        Parameters
+        ----------
+        right : Floats, shape (3n, c)
+            Right-hand sides.
+
+        Returns
+        -------
+        Floats
+            shape (3n, c)
+        """
         return self._solve(right, self.factors, dtrsm, dgemm, np.float64)
 
     def precondition(self, right: Floats) -> Floats:
-        """The solution (3n, c) to single precision, in half the time: a few columns take as long as reading L."""
+        """Return the solution in single precision, in half the time.
+
+        Parameters
+        ----------
+        right : Floats, shape (3n, c)
+            Right-hand sides.
+
+        Returns
+        -------
+        Floats
+            shape (3n, c)
+        """
         return self._solve(right, self._single, strsm, sgemm, np.float32).astype(np.float64)
 
     def _solve(self, right: Floats, factors: list[Factor], triangle: Any, product: Any, kind: Any) -> Any:

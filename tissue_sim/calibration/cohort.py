@@ -1,7 +1,7 @@
-"""Many calculations, several at once: on this machine, or on a Dask cluster.
+"""Execution of many calculations, several at once, on this machine or on a Dask cluster.
 
 Each has a process of its own, with one thread of linear algebra, so that its result is the same bits wherever it runs
-and whatever runs beside it; and one that ends takes no other with it.
+and whatever runs beside it, and a crash ends no other one.
 """
 
 from __future__ import annotations
@@ -23,20 +23,39 @@ from tissue_sim.child import end_with_parent
 from tissue_sim.errors import UserError
 
 CONNECT = 10.0  # s that a scheduler may take to answer
-TRIES = 3  # more, of a calculation that failed on the cluster for no reason of its own
-AHEAD = 256  # items that the cluster has at a time: hundreds of workers have enough to do, and no scheduler is flooded
+TRIES = 3  # more, of a calculation that failed on the cluster through no fault of its own
+AHEAD = 256  # items that the cluster has at a time: enough for hundreds of workers without flooding the scheduler
 _ASKED, _ANSWERED = "asked", "answered"  # files that a calculation's process reads and writes
 
 
 def spread[Item](
     job: Callable[[Item], Any], items: Iterable[Item], *, jobs: int = 1, scheduler: str | None = None
 ) -> Iterator[tuple[int, Any]]:
-    """What job makes of every item, with the item's index, in the order in which they are ready.
+    """Yield the results of a job for every item, with the item's index, in the order in which they are ready.
 
-    In place of a result that there is none of, a UserError that says why. jobs: processes at once, here;
-    scheduler: address of a Dask scheduler, whose workers take them instead. job and items are pickled, items one after
-    the other as there is room for them; the job must be a module's function.
-    Raises UserError when the scheduler doesn't answer or `distributed` is missing.
+    Where there is no result, a UserError that says why takes its place. Job and items are pickled, items one after the
+    other as there is room for them.
+
+    Parameters
+    ----------
+    job : Callable[[Item], Any]
+        A module's function, called with an item.
+    items : Iterable[Item]
+        The items.
+    jobs : int, optional
+        Number of processes at a time on this machine.
+    scheduler : str | None, optional
+        Address of a Dask scheduler whose workers do the work instead.
+
+    Yields
+    ------
+    Iterator[tuple[int, Any]]
+        Index and result.
+
+    Raises
+    ------
+    UserError
+        Where the scheduler doesn't answer, or `distributed` is missing.
     """
     if scheduler is not None:
         yield from on_cluster(_in_process, ((job, item) for item in items), scheduler)
@@ -59,7 +78,27 @@ def spread[Item](
 
 
 def on_cluster[Item](job: Callable[[Item], Any], items: Iterable[Item], scheduler: str) -> Iterator[tuple[int, Any]]:
-    """What job makes of every item in the processes of a Dask cluster's workers; else as `spread`."""
+    """Yield the results of a job for every item, computed in the processes of a Dask cluster's workers.
+
+    Parameters
+    ----------
+    job : Callable[[Item], Any]
+        A module's function, called with an item.
+    items : Iterable[Item]
+        The items.
+    scheduler : str
+        Address of the Dask scheduler.
+
+    Yields
+    ------
+    Iterator[tuple[int, Any]]
+        Index and result.
+
+    Raises
+    ------
+    UserError
+        Where the scheduler doesn't answer, or `distributed` is missing.
+    """
     try:
         import distributed
     except ModuleNotFoundError:
@@ -73,7 +112,7 @@ def on_cluster[Item](job: Callable[[Item], Any], items: Iterable[Item], schedule
 
     def submitted(count: int) -> Iterator[Any]:
         for index, item in itertools.islice(following, count):
-            # Not pure: the same item asked for again is worked out again, whatever the cluster remembers.
+            # Not pure: an item that is requested again is computed again, whatever the cluster remembers.
             future = client.submit(job, item, pure=False, retries=TRIES)
             number[future.key] = index
             yield future
@@ -95,9 +134,9 @@ def on_cluster[Item](job: Callable[[Item], Any], items: Iterable[Item], schedule
 
 
 def _in_process(work: tuple[Callable[[Any], Any], Any], stopped: threading.Event | None = None) -> Any:
-    """Run job(item) in a fresh process; returns what it returns, or a UserError.
+    """Run job(item) in a new process; return its result, or a UserError.
 
-    By a process of its own kind: Dask's workers are daemons, which multiprocessing lets have no children.
+    The process isn't multiprocessing's: Dask's workers are daemons, for which multiprocessing allows no children.
     """
     if stopped is not None and stopped.is_set():
         return UserError("stopped")
@@ -117,7 +156,7 @@ def _in_process(work: tuple[Callable[[Any], Any], Any], stopped: threading.Event
 
 
 def _told(process: subprocess.Popen[bytes], stopped: threading.Event | None) -> str:
-    """What a process wrote to its standard error until it ended, or was killed for everything is to stop."""
+    """Return what a process wrote to its standard error until it ended or was killed."""
     while True:
         try:
             return process.communicate(timeout=0.2)[1].decode(errors="replace").strip()
@@ -127,7 +166,7 @@ def _told(process: subprocess.Popen[bytes], stopped: threading.Event | None) -> 
 
 
 def _answer(folder: Path) -> None:
-    """In the process of a calculation: run it, and write what comes of it."""
+    """Run a calculation in its own process, and write the result."""
     end_with_parent()
     job, item = pickle.loads((folder / _ASKED).read_bytes())
     try:

@@ -1,4 +1,4 @@
-"""Motion of the finite-element body: let go from a settled shape, and its lowest frequencies."""
+"""Motion of the finite-element body: released from an equilibrium, and its lowest frequencies."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from tissue_sim.errors import UserError
 
 TOLERANCE = 1e-3  # of the forces and inertia of a step, in the norm of its matrix
 MOST_ITERATIONS = 60  # in a time step
-WORN = 20  # iterations in a time step, after which the matrix is factored anew
-UPHILL = 1e-9  # of what a step makes least, that rounding may add
+WORN = 20  # iterations in a time step, after which the matrix is factored again
+UPHILL = 1e-9  # relative increase of a step's energy that may be rounding
 KEPT = 8  # steps that L-BFGS remembers
 SMOOTHED = 2  # steps after a release
 
 
 class Unsteady(UserError):
-    """A time step that doesn't converge."""
+    """Error raised for a time step that doesn't converge."""
 
 
 class Motion(NamedTuple):
-    """A motion, at t instants; the first is the start."""
+    """Motion at t instants; the first is the start."""
 
     time: Floats  # (t,) s
-    displacement: Floats  # (t, k, 3) m of the nodes asked for
+    displacement: Floats  # (t, k, 3) m of the requested nodes
     energy: Floats  # (t,) J, kinetic and elastic
 
 
@@ -47,12 +47,39 @@ def release(
     linear: bool = False,
     watch: Callable[[], None] | None = None,
 ) -> Motion:
-    """Settle the body under surface forces (n_surface, 3) N, let go, and follow surface nodes (k,), all if None.
+    """Settle the body under surface forces, release it, and follow surface nodes.
 
-    Neo-Hookean, or linear elasticity about rest. Consistent mass; the damping is proportional to it,
-    damping_rate 1/s times the mass, so that every mode decays with damping_rate / 2. watch: called after every step.
+    Neo-Hookean, or linear elasticity about rest. The mass is consistent; the damping is proportional to it, so that
+    every mode decays with damping_rate / 2.
 
-    Raises UserError when the body doesn't settle, or when a time step doesn't converge.
+    Parameters
+    ----------
+    body : Body
+        The finite-element body.
+    force : ArrayLike, shape (n_surface, 3), N
+        Forces on the surface nodes.
+    seconds : float, s
+        Duration.
+    step : float, s
+        Time step.
+    damping_rate : float, 1/s
+        Damping over mass.
+    nodes : ArrayLike | None, shape (k,), optional
+        Surface nodes that are followed; None for all.
+    linear : bool, optional
+        Whether elasticity is linear.
+    watch : Callable[[], None] | None, optional
+        Called after every step.
+
+    Returns
+    -------
+    Motion
+        The motion.
+
+    Raises
+    ------
+    UserError
+        Where the body doesn't settle, or a time step doesn't converge.
     """
     solid, load = body.solid, body.loads(force)
     if linear:
@@ -79,19 +106,54 @@ def swing(
     velocity: Floats | None = None,
     load: Floats | Callable[[float], Floats] | None = None,
 ) -> Motion:
-    """Motion of a solid from displacements (n, 3) m, of which nodes (k,) are followed.
+    """Return the motion of a solid from displacements.
 
-    velocity (n, 3) m/s that it begins with, none if None; load: dead forces (n, 3) N, or those at a time, s, none if
-    None. The energy is without theirs.
+    Implicit midpoint rule: second order, symplectic, and for the linear solid it keeps the energy exactly. With d the
+    displacement over half a step, (4/h^2 + 2c/h) M d + f(u + d) = (2/h) M v + p, where p is the load and c the damping
+    rate.
 
-    Implicit midpoint rule: second order, symplectic, and for the linear solid it keeps the energy exactly. With
-    d the displacement over half a step, (4/h^2 + 2c/h) M d + f(u + d) = (2/h) M v + p, where p is the load and c the
-    damping rate.
-    Frequencies far above 1/h keep neither their period nor their damping: where the start excites them, as a load
-    does that is suddenly gone, the first `smoothed` steps are two half steps of implicit Euler each, which have the
-    same matrix and quench them (Rannacher 1984); the order stays. watch: called after every step.
+    Frequencies far above 1/h keep neither their period nor their damping: where the start excites them, as a load that
+    vanishes suddenly does, the first `smoothed` steps are two half steps of implicit Euler each, which have the same
+    matrix and damp them; the order is unchanged. The energy doesn't include that of the load.
 
-    Raises UserError for a step or duration that is none, or when a step doesn't converge.
+    Parameters
+    ----------
+    solid : Solid
+        The solid.
+    start : Floats, shape (n, 3), m
+        Displacements at the start.
+    seconds : float, s
+        Duration.
+    step : float, s
+        Time step.
+    damping_rate : float, 1/s
+        Damping over mass.
+    nodes : NDArray[Any], shape (k,)
+        Nodes that are followed.
+    linear : bool, optional
+        Whether elasticity is linear.
+    smoothed : int, optional
+        Number of steps that damp high frequencies.
+    watch : Callable[[], None] | None, optional
+        Called after every step.
+    velocity : Floats | None, shape (n, 3), m/s, optional
+        Velocities at the start; None for rest.
+    load : Floats | Callable[[float], Floats] | None, shape (n, 3), N, optional
+        Dead forces, or a function of the time, s, that returns them; None for none.
+
+    Returns
+    -------
+    Motion
+        The motion.
+
+    Raises
+    ------
+    UserError
+        For an invalid step or duration, and where a step doesn't converge.
+
+    References
+    ----------
+    Rannacher 1984: Finite element solution of diffusion problems with irregular data.
     """
     if not (math.isfinite(step) and step > 0.0 and math.isfinite(seconds) and seconds >= step):
         raise UserError(f"a motion of {seconds:g} s can't have steps of {step:g} s; give a shorter step")
@@ -131,7 +193,7 @@ def swing(
 
 
 def _about(solid: Solid, moved: Floats, shift: float, other: Cholesky) -> Cholesky:
-    """The factor of a step about a state that has turned far from rest; the other where that state is unstable."""
+    """Return the factor of a step about a state far from rest; the other one where that state is unstable."""
     try:
         return solid.factor(moved, shift)
     except NotPositive:
@@ -141,7 +203,7 @@ def _about(solid: Solid, moved: Floats, shift: float, other: Cholesky) -> Choles
 def _half_step(
     solid: Solid, moved: Floats, push: Floats, shift: float, factor: Cholesky, guess: Floats
 ) -> tuple[Floats, int]:
-    """Displacement (n, 3) m over half a step, from a guess, and iterations.
+    """Return the displacement (n, 3) m over half a step, from a guess, and the number of iterations.
 
     L-BFGS (Nocedal 1980) about the matrix of the solid at rest, or not far from here, whose mass part is exact: a few
     iterations, where Newton's method would assemble a matrix for each. Raises Unsteady when it doesn't converge.
@@ -153,7 +215,7 @@ def _half_step(
     for used in range(1, MOST_ITERATIONS + 1):
         energy, inner, least = solid.energy(moved + half)
         reached = energy + float(np.vdot(half, 0.5 * shift * (solid.mass @ half) - push))
-        # An element is turned over, or the way leads up, as where a solid is nearly incompressible: half of it.
+        # An element is inverted, or the energy rises, as where a solid is nearly incompressible: the step is halved.
         if least <= 0.0 or (taken.any() and reached > level + UPHILL * abs(level)):
             half, taken = half - 0.5 * taken if taken.any() else 0.5 * half, 0.5 * taken
             if least <= 0.0:
@@ -180,7 +242,7 @@ def _half_step(
 
 
 def _size(solid: Solid, forces: Floats, factor: Cholesky) -> float:
-    """Norm of forces (n, 3) N by the work that they do on the solid."""
+    """Return the norm of forces (n, 3) N by the work that they do on the solid."""
     free = np.where(solid.held, 0.0, forces)
     return math.sqrt(max(float(np.vdot(free, factor.precondition(free.reshape(-1, 1)))), 0.0))
 
@@ -193,12 +255,25 @@ def _energy(solid: Solid, moved: Floats, velocity: Floats, linear: bool) -> floa
 
 
 def lowest_frequencies(body: Body, count: int) -> Floats:
-    """The lowest frequencies (count,) Hz of the body about rest, undamped."""
+    """Return the lowest frequencies of the body about rest, undamped.
+
+    Parameters
+    ----------
+    body : Body
+        The finite-element body.
+    count : int
+        Number of frequencies.
+
+    Returns
+    -------
+    Floats, shape (count,), Hz
+        Frequencies, ascending.
+    """
     return frequencies(body.solid, count)
 
 
 def frequencies(solid: Solid, count: int) -> Floats:
-    """The lowest frequencies (count,) Hz of a held solid about rest: K p = w^2 M p, by inverse iteration."""
+    """Return the lowest frequencies (count,) Hz of a held solid about rest: K p = w^2 M p, by inverse iteration."""
     free = np.flatnonzero(~solid.held.ravel())
     if not 0 < count < len(free):
         raise UserError(f"{count} frequencies were requested; the body has 1..{len(free) - 1}")

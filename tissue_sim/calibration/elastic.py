@@ -1,4 +1,4 @@
-"""The tangent of springs or cells about rest, with their stiffness as an argument: what a fit asks for."""
+"""Tangent of springs or cells about rest, as a function of their stiffness, for a fit."""
 
 from __future__ import annotations
 
@@ -10,21 +10,26 @@ from tissue_sim.calibration.factor import Elimination, Factor
 from tissue_sim.model.model import Model
 from tissue_sim.model.modes import free_axes, strains_of
 
-_AT_A_TIME = 512  # entries whose products are summed at once, so that they stay in the processor
+_AT_A_TIME = 512  # entries whose products are summed at once, so that they stay in the cache
 
 
 class Elastic:
-    """A model about rest as a function of stiffness (p,), in the order of model.modes.strains_of.
+    """Model about rest as a function of stiffness (p,), in the order of model.modes.strains_of.
 
     Its tangent is linear in stiffness: the matrix' entries are a table times it. Of the model only topology, rest shape
-    and rest lengths count, never its stiffness, which `stiffness` has.
+    and rest lengths count, not its stiffness, which is in `stiffness`.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
     """
 
     def __init__(self, model: Model) -> None:
         strains = strains_of(model)
         self.stiffness = strains.stiffness
         self.n_nodes, self.n_surface, self.free = len(model.rest), model.n_surface, free_axes(model)
-        self.moving = np.zeros(self.n_nodes, dtype=bool)  # nodes that may
+        self.moving = np.zeros(self.n_nodes, dtype=bool)  # nodes that may move
         self.moving[self.free[::3] // 3] = True
         square = np.asarray(strains.rows.power(2).sum(axis=1)).ravel()
         self._trace = np.bincount(strains.owner, square, len(self.stiffness))
@@ -36,20 +41,40 @@ class Elastic:
         self._elimination = Elimination(model.rest, self.free, *self._pattern)
 
     def trace(self) -> Floats:
-        """What a unit of each stiffness (p,) adds to the trace of the tangent, held nodes' part too."""
+        """Return the contribution of a unit of each stiffness (p,) to the trace of the tangent, held nodes included."""
         return self._trace
 
     def tangent(self, stiffness: Floats) -> csc_array:
-        """The stiffness matrix over the free axes, (a, a) N/m."""
+        """Return the stiffness matrix over the free axes, (a, a) N/m.
+
+        Parameters
+        ----------
+        stiffness : Floats, shape (p,)
+            Stiffness of every spring or cell.
+        """
         size = len(self.free)
         return csc_array((self._table @ stiffness, *self._pattern), shape=(size, size))
 
     def factor(self, tangent: csc_array) -> Factor:
-        """A factored tangent."""
+        """Return a factorised tangent.
+
+        Parameters
+        ----------
+        tangent : csc_array, shape (a, a), N/m
+            The tangent.
+        """
         return Factor(self._elimination, tangent)
 
     def sensitivity(self, answer: Floats, adjoint: Floats) -> Floats:
-        """What each stiffness (p,) adds to the work that tangent answer does along adjoint; both (a, r)."""
+        """Return the slope (p,), by each stiffness, of the work of tangent times answer along adjoint.
+
+        Parameters
+        ----------
+        answer : Floats, shape (a, r)
+            The answer.
+        adjoint : Floats, shape (a, r)
+            The adjoint.
+        """
         row, column = self._entries
         work = np.empty(len(row))
         for first in range(0, len(row), _AT_A_TIME):
@@ -60,7 +85,7 @@ class Elastic:
 
 
 def _table(rows: csr_array, owner: Longs, count: int) -> tuple[Longs, Longs, csr_array]:
-    """Rows and columns (e,) of a tangent's entries, column by column, and what each stiffness adds to them, (e, p)."""
+    """Return rows and columns (e,) of a tangent's entries, column by column, and each stiffness's factors in them."""
     size, parts = rows.shape[1], []
     lengths = np.diff(rows.indptr)
     for length in np.unique(lengths[lengths > 0]):

@@ -15,7 +15,7 @@ LEAF = 250  # pairs of nodes that are not divided further: some 25 nodes
 
 
 class _Entries(NamedTuple):
-    """Which entries of the matrix a front takes, and their rows and columns in it."""
+    """Entries of the matrix that belong to a front, and their rows and columns in it."""
 
     source: Longs
     column: Longs
@@ -23,10 +23,18 @@ class _Entries(NamedTuple):
 
 
 class Elimination:
-    """The order in which matrices of one pattern are factored.
+    """Order in which matrices of one pattern are factored.
 
-    positions (n, 3) m of the nodes; free (a,) which of their axes, 3 node + axis, the matrices' rows are;
-    rows, starts: of the pattern in compressed columns, symmetric.
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3), m
+        Nodes.
+    free : Longs, shape (a,)
+        Free axes, 3 node + axis, which are the matrices' rows.
+    rows : Ints
+        Row indices of the pattern, in compressed columns, symmetric.
+    starts : Ints, shape (a + 1,)
+        Start of each column.
     """
 
     def __init__(self, positions: Floats, free: Longs, rows: Ints, starts: Ints) -> None:
@@ -62,7 +70,15 @@ class Elimination:
 
 
 class Factor:
-    """L L' of a symmetric matrix over the free axes, (a, a); solves many right-hand sides at a time."""
+    """Factor L L' of a symmetric matrix over the free axes, (a, a); solves many right-hand sides at a time.
+
+    Parameters
+    ----------
+    order : Elimination
+        Order of elimination.
+    matrix : csc_array, shape (a, a), N/m
+        The matrix.
+    """
 
     def __init__(self, order: Elimination, matrix: csc_array) -> None:
         self._order = order
@@ -79,7 +95,13 @@ class Factor:
         return self._cholesky is not None
 
     def solve(self, right: Floats) -> Floats:
-        """Solutions (a, c) or (a,) of right-hand sides of that shape."""
+        """Return the solutions of right-hand sides, of the same shape.
+
+        Parameters
+        ----------
+        right : Floats, shape (a, c) or (a,)
+            The right-hand sides.
+        """
         assert self._cholesky is not None
         columns = right.reshape(len(right), -1)
         whole = np.zeros((3 * self._order.size, columns.shape[1]))

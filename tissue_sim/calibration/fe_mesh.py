@@ -23,11 +23,10 @@ ON_PLANE = 1e-6  # of a triangle's size, within which a point lies on it
 
 
 class Grading(NamedTuple):
-    """How far the surface's mean edge is halved, and how fast elements may grow away from there.
+    """Number of times that the surface's mean edge is halved, and growth of elements away from there.
 
-    At an inclusion's surface it is halved as often as at the clamp's edge: stiffness jumps within elements there.
-
-    The defaults hold the figures of `reference`.
+    At an inclusion's surface it is halved as often as at the clamp's edge: stiffness jumps within elements there. The
+    defaults are those of the figures of `reference`.
     """
 
     clamp: int = 1  # halvings at the clamp's edge, where the stress is singular
@@ -36,12 +35,12 @@ class Grading(NamedTuple):
     whole: int = 0  # halvings of everything, after the others
 
     def finer(self) -> Grading:
-        """Twice as fine at the clamp's edge and under the loads, and growing more slowly from there."""
+        """Return a grading twice as fine at the clamp's edge and under the loads, growing more slowly from there."""
         return self._replace(clamp=self.clamp + 1, near=self.near + 1, growth=self.growth / 1.5)
 
 
 class FeMesh(NamedTuple):
-    """Quadratic tetrahedra inside an organ. The first nodes are the organ's surface nodes, as they are numbered."""
+    """Quadratic tetrahedra inside an organ; the first nodes are the organ's surface nodes, in their order."""
 
     nodes: Floats  # (n, 3) m: corners, then the middles of edges
     elements: Ints  # (e, 10) four corners and the middles of edges 01, 12, 02, 03, 13, 23
@@ -51,13 +50,29 @@ class FeMesh(NamedTuple):
 
 
 def fill(organ: Organ, near: NDArray[Any] | None = None, grading: Grading | None = None) -> FeMesh:
-    """Fill the organ's surface with tetrahedra, graded at the clamp's edge, under the surface nodes `near` (k,), and
-    at the surfaces of inclusions.
+    """Fill the organ's surface with tetrahedra, graded at the clamp's edge, under loads, and at inclusions.
 
-    Netgen keeps surface nodes and triangles as they are; refinement then bisects longest edges (skfem). At the
-    clamp's edge the middle nodes go to quarter points. The same organ gives the same mesh.
+    Netgen keeps surface nodes and triangles as they are; refinement then bisects longest edges (skfem). At the clamp's
+    edge the mid-edge nodes are moved to quarter points. The same organ gives the same mesh.
 
-    Raises UserError when nothing is clamped, or when Netgen can't fill the surface.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    near : NDArray[Any] | None, shape (k,), optional
+        Surface nodes under loads; None for none.
+    grading : Grading | None, optional
+        Sizes of the elements; None for the usual ones.
+
+    Returns
+    -------
+    FeMesh
+        The mesh.
+
+    Raises
+    ------
+    UserError
+        Where nothing is clamped, or Netgen can't fill the surface.
     """
     grading = Grading() if grading is None else grading
     positions, triangles = organ.surface_positions, organ.surface_triangles
@@ -76,7 +91,7 @@ def fill(organ: Organ, near: NDArray[Any] | None = None, grading: Grading | None
 
 
 def quadratic(mesh: Any) -> tuple[Floats, Ints]:
-    """Nodes (n, 3) m and quadratic elements (e, 10) of a skfem.MeshTet, its own points first."""
+    """Return the nodes (n, 3) m and quadratic elements (e, 10) of a skfem.MeshTet, its own points first."""
     skfem, _ = libraries()
     basis = skfem.CellBasis(mesh, skfem.ElementTetP2(), intorder=1)
     nodes = np.ascontiguousarray(basis.doflocs.T)
@@ -85,10 +100,10 @@ def quadratic(mesh: Any) -> tuple[Floats, Ints]:
 
 
 def _to_quarter_points(nodes: Floats, pairs: Ints, front: NDArray[np.bool_]) -> None:
-    """Move the middles of edges (k, 2) that leave the front to a quarter of their length.
+    """Move the midpoints of edges (k, 2) that leave the front to a quarter of their length.
 
-    There a quadratic element holds the square root of the distance, as displacements go where a clamp ends (Barsoum
-    1976; tetrahedra: Nejati, Paluszny & Zimmerman 2015). It takes the place of two to three halvings.
+    There a quadratic element represents the square root of the distance, as displacements behave where a clamp ends
+    (Barsoum 1976; tetrahedra: Nejati, Paluszny & Zimmerman 2015). It replaces two to three halvings.
     """
     first, second = front[pairs[:, 0]], front[pairs[:, 1]]
     for leaving, near_end in ((first & ~second, 0), (second & ~first, 1)):
@@ -98,7 +113,7 @@ def _to_quarter_points(nodes: Floats, pairs: Ints, front: NDArray[np.bool_]) -> 
 
 
 def _rows(pairs: Ints, wanted: Ints, n: int) -> Ints:
-    """Which row of `pairs` (k, 2) each of `wanted` (..., 2) is; either end first."""
+    """Return which row of `pairs` (k, 2) each of `wanted` (..., 2) is; either end first."""
 
     def keys(ends: Ints) -> NDArray[np.int64]:
         ends = np.sort(ends.astype(np.int64), axis=-1)
@@ -111,7 +126,7 @@ def _rows(pairs: Ints, wanted: Ints, n: int) -> Ints:
 
 
 def _graded(organ: Organ, held: NDArray[np.bool_], near: NDArray[Any] | None, grading: Grading) -> Any:
-    """Netgen's mesh with its longest edges bisected until no element is larger than wanted, a skfem.MeshTet."""
+    """Return Netgen's mesh with its longest edges bisected until no element is too large, a skfem.MeshTet."""
     skfem, _ = libraries()
     positions, triangles = organ.surface_positions, organ.surface_triangles
     points, cells = _tetrahedra(organ)
@@ -146,7 +161,7 @@ def _graded(organ: Organ, held: NDArray[np.bool_], near: NDArray[Any] | None, gr
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Without skfem's remarks on the layout of arrays."""
+    """Silence skfem's remarks on the layout of arrays while entered."""
     logger = logging.getLogger("skfem")
     level = logger.level
     logger.setLevel(logging.ERROR)
@@ -157,7 +172,13 @@ def quiet() -> Iterator[None]:
 
 
 def libraries() -> tuple[Any, Any]:
-    """The modules skfem and netgen.meshing; raises UserError when one is missing."""
+    """Return the modules skfem and netgen.meshing.
+
+    Raises
+    ------
+    UserError
+        Where one is missing.
+    """
     try:
         import skfem
     except ImportError:
@@ -170,9 +191,9 @@ def libraries() -> tuple[Any, Any]:
 
 
 def clamped_triangles(organ: Organ) -> NDArray[np.bool_]:
-    """Which triangles (t,) are held: those all of whose nodes are fixed.
+    """Return which triangles (t,) are held: those all of whose nodes are fixed.
 
-    Raises UserError when there is none.
+    Raises UserError where there is none.
     """
     fixed = np.zeros(organ.n_surface, dtype=bool)
     fixed[organ.fixed] = True
@@ -186,7 +207,7 @@ def clamped_triangles(organ: Organ) -> NDArray[np.bool_]:
 
 
 def clamp_edges(triangles: Ints, held: NDArray[np.bool_]) -> Ints:
-    """Edges (k, 2) between a held triangle and a free one."""
+    """Return the edges (k, 2) between a held triangle and a free one."""
     mine = np.sort(_sides(triangles[held]), axis=1)
     others = np.sort(_sides(triangles[~held]), axis=1)
     n = int(triangles.max()) + 1
@@ -200,7 +221,7 @@ def _sides(triangles: Ints) -> Ints:
 
 
 def _along(positions: Floats, edges: Ints, apart: float) -> Floats:
-    """Points (p, 3) along edges (k, 2), no farther than `apart` from one another."""
+    """Return points (p, 3) along edges (k, 2), no farther than `apart` from one another."""
     if not len(edges):
         return np.zeros((0, 3))
     a, b = positions[edges[:, 0]], positions[edges[:, 1]]
@@ -210,7 +231,7 @@ def _along(positions: Floats, edges: Ints, apart: float) -> Floats:
 
 
 def _tetrahedra(organ: Organ) -> tuple[Floats, Ints]:
-    """Points (p, 3) m, the surface nodes first, and tetrahedra (c, 4) of Netgen's mesh inside the surface."""
+    """Return points (p, 3) m, the surface nodes first, and tetrahedra (c, 4) of Netgen's mesh inside the surface."""
     try:
         points, cells = _meshed(organ.surface_positions.tobytes(), organ.surface_triangles.tobytes())
     except _Unfilled as error:
@@ -219,12 +240,12 @@ def _tetrahedra(organ: Organ) -> tuple[Floats, Ints]:
 
 
 class _Unfilled(Exception):
-    """Netgen's reason."""
+    """Error with Netgen's reason."""
 
 
 @lru_cache(maxsize=8)
 def _meshed(positions: bytes, triangles: bytes) -> tuple[Floats, Ints]:
-    """Netgen's mesh of a surface, given as bytes: bodies of several gradings and materials share one."""
+    """Return Netgen's mesh of a surface, given as bytes: bodies of several gradings and materials share one."""
     _, meshing = libraries()
     meshing.SetMessageImportance(0)
     surface = np.frombuffer(positions).reshape(-1, 3)
@@ -246,9 +267,9 @@ def _meshed(positions: bytes, triangles: bytes) -> tuple[Floats, Ints]:
 
 
 def _parents(small: Floats, large: Floats) -> Ints:
-    """For each small triangle (f, 3, 3) m the large one (t, 3, 3) of which it is a part.
+    """Return for each small triangle (f, 3, 3) m the large one (t, 3, 3) of which it is a part.
 
-    Raises UserError when one lies in none.
+    Raises UserError where one lies in none.
     """
     middle = small.mean(axis=1)
     reach = min(24, len(large))
@@ -272,7 +293,20 @@ def _parents(small: Floats, large: Floats) -> Ints:
 
 
 def coordinates(points: Floats, triangles: Floats) -> Floats:
-    """Barycentric coordinates (f, 3) of points (f, 3) m in the planes of triangles (f, 3, 3) m."""
+    """Return the barycentric coordinates of points in the planes of triangles.
+
+    Parameters
+    ----------
+    points : Floats, shape (f, 3), m
+        Points.
+    triangles : Floats, shape (f, 3, 3), m
+        Corners of a triangle for each point.
+
+    Returns
+    -------
+    Floats, shape (f, 3)
+        Coordinates.
+    """
     a, b, c = (triangles[:, k] for k in range(3))
     normal = np.cross(b - a, c - a)
     square = np.einsum("fx,fx->f", normal, normal)

@@ -1,4 +1,4 @@
-"""The finite-element body of an organ: settled surface displacements, linear and neo-Hookean."""
+"""Finite-element body of an organ: surface displacements at equilibrium, linear and neo-Hookean."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FACET_QUADRATURE = 6  # order: a linear traction, quadratic shape functions, and
 
 
 class Settled(NamedTuple):
-    """The organ's surface at rest under a load."""
+    """Equilibrium of the organ's surface under a load."""
 
     displacement: Floats  # (n_surface, 3) m
     volume_change: float  # of the volume inside the surface triangles, relative
@@ -34,10 +34,21 @@ class Settled(NamedTuple):
 
 
 class Body:
-    """An organ as a solid of quadratic tetrahedra, held at the triangles whose nodes are all fixed.
+    """Organ as a solid of quadratic tetrahedra, held at the triangles whose nodes are all fixed.
 
-    near (k,): surface nodes under which the mesh is refined; grading: how far, the default if None.
-    Raises UserError when the organ has no clamp, a material that is none, or a surface that can't be filled.
+    Parameters
+    ----------
+    near : NDArray[Any] | None, shape (k,), optional
+        Surface nodes under which the mesh is refined; None for none.
+    grading : Grading | None, optional
+        Sizes of the elements; None for the usual ones.
+    organ : Organ
+        The organ.
+
+    Raises
+    ------
+    UserError
+        Where the organ has no clamp, an invalid material, or a surface that can't be filled.
     """
 
     def __init__(self, organ: Organ, near: NDArray[Any] | None = None, grading: Grading | None = None) -> None:
@@ -54,11 +65,24 @@ class Body:
 
     @property
     def n_nodes(self) -> int:
-        """Number of nodes, middles of edges included."""
+        """Number of nodes, mid-edge nodes included."""
         return len(self.solid.nodes)
 
     def loads(self, force: ArrayLike, acceleration: ArrayLike | None = None) -> Floats:
-        """Nodal loads (n, 3) N of surface forces (n_surface, 3) N and a uniform acceleration (3,) m/s^2."""
+        """Return the nodal loads of surface forces and a uniform acceleration.
+
+        Parameters
+        ----------
+        force : ArrayLike, shape (n_surface, 3), N
+            Forces on the surface nodes.
+        acceleration : ArrayLike | None, shape (3,), m/s^2, optional
+            Acceleration; None for none.
+
+        Returns
+        -------
+        Floats, shape (n, 3), N
+            Nodal loads.
+        """
         found: Floats = self.load_matrix @ np.asarray(force, dtype=np.float64)
         if acceleration is not None:
             weight = np.asarray(self.solid.mass.sum(axis=1)).ravel()
@@ -66,9 +90,19 @@ class Body:
         return found
 
     def settle_linear(self, forces: ArrayLike, acceleration: ArrayLike | None = None) -> Floats:
-        """Surface displacements (c, n_surface, 3) m of linear elasticity under forces (c, n_surface, 3) N.
+        """Return the surface displacements of linear elasticity.
 
-        acceleration (3,) m/s^2 acts on the body's mass in every case, such as gravity.
+        Parameters
+        ----------
+        forces : ArrayLike, shape (c, n_surface, 3), N
+            Forces on the surface nodes, for each case.
+        acceleration : ArrayLike | None, shape (3,), m/s^2, optional
+            Acceleration of the body's mass in every case, such as gravity; None for none.
+
+        Returns
+        -------
+        Floats, shape (c, n_surface, 3), m
+            Displacements.
         """
         forces = np.asarray(forces, dtype=np.float64)
         answer = np.empty(forces.shape)
@@ -79,11 +113,27 @@ class Body:
         return answer
 
     def settle(self, force: ArrayLike, acceleration: ArrayLike | None = None) -> Settled:
-        """Rest of the neo-Hookean body under dead surface forces (n_surface, 3) N; see Solid.settle."""
+        """Return the equilibrium of the neo-Hookean body under dead surface forces.
+
+        Parameters
+        ----------
+        force : ArrayLike, shape (n_surface, 3), N
+            The forces.
+        acceleration : ArrayLike | None, shape (3,), m/s^2, optional
+            Acceleration of its mass.
+        """
         return next(self.settle_many([force], acceleration))
 
     def settle_many(self, forces: Iterable[ArrayLike], acceleration: ArrayLike | None = None) -> Iterator[Settled]:
-        """Rest under each of several forces, in their order, as they are ready: a third of the time of one by one."""
+        """Yield the equilibria under several forces, in their order: in a third of the time of one by one.
+
+        Parameters
+        ----------
+        forces : Iterable[ArrayLike], shape (n_surface, 3), N
+            The forces.
+        acceleration : ArrayLike | None, shape (3,), m/s^2, optional
+            Acceleration of its mass.
+        """
         for found in self.solid.settle_many(self.loads(force, acceleration) for force in forces):
             surface = found.displacement[: self.organ.n_surface].copy()
             yield Settled(
@@ -108,17 +158,30 @@ def _check_material(organ: Organ) -> None:
 
 
 def volume_change(organ: Organ, displacement: Floats) -> float:
-    """Relative change of the volume inside the surface triangles under displacements (n_surface, 3) m."""
+    """Return the relative change of the volume inside the surface triangles.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    displacement : Floats, shape (n_surface, 3), m
+        Displacements of the surface nodes.
+
+    Returns
+    -------
+    float
+        The change of volume over the volume at rest.
+    """
     now = signed_volume(organ.surface_positions + displacement, organ.surface_triangles)
     return now / organ.volume - 1.0
 
 
 def load_matrix(organ: Organ, filling: FeMesh) -> csr_array:
-    """Nodal loads per surface force, (n, n_surface).
+    """Return the nodal loads per surface force, (n, n_surface).
 
     The force F_i at a surface node is the traction F_i phi_i(x) / A_i, where phi_i is 1 at the node and falls to 0
-    across the triangles around it, and A_i its integral. The work that it does on the shape functions is integrated
-    exactly where edges have their nodes in the middle.
+    across the triangles around it, and A_i its integral. Its work on the shape functions is integrated exactly where
+    edges have their nodes in the middle.
     """
     skfem, _ = libraries()
     triangles = organ.surface_triangles

@@ -1,7 +1,7 @@
 """Fit of the stiffness of springs or cells to displacements of the finite-element body, linear about rest.
 
-Force balance alone is a poor guide (a small residual of forces may be a large error of displacements), so the misfit
-is that of the settled surface; its slope by every stiffness comes from one adjoint solve for each case.
+Force balance alone is a poor guide (a small residual of forces may be a large error of displacements), so the misfit is
+that of the surface at equilibrium; its gradient by every stiffness comes from one adjoint solve for each case.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.factor import Factor
 
 BOUNDS = (-6.0, 3.0)  # of the logarithm of stiffness over that at the start
-SHRINK = 3e-4  # weight of the mean square of those logarithms: what the cases don't tell stays as it was
+SHRINK = 3e-4  # weight of the mean square of those logarithms: what the cases don't determine stays as it was
 SOFTEN = 1e-3  # weight of the trace of the stiffness matrix over that at the start, which bounds the largest frequency
-UNTOLD = 1e-4  # of the squared displacements of the linear cases: a tenth of what the model is off by
+UNTOLD = 1e-4  # fraction of the squared displacements of the linear cases: a tenth of the model's error
 MEMORY = 20  # steps that L-BFGS remembers
 PROBES = 8  # draws that the misfit's curvature is estimated from
-EVEN = 0.1  # of the median curvature, added to each: what hardly counts isn't moved at will
-# The curvature's power by which each logarithm is scaled. At 1/2, all alike, a hundred evaluations end higher on every
-# organ that was tried: far from the fit, what curves most isn't what is most to gain.
+EVEN = 0.1  # of the median curvature, added to each, so that stiffness of little influence isn't moved arbitrarily
+# The curvature's power by which each logarithm is scaled. At 1/2, which makes all curvatures equal, a hundred
+# evaluations end higher on every organ that was tried: far from the fit, the largest curvature isn't the largest gain.
 EVENED = 0.35
 
 
@@ -37,12 +37,19 @@ class Evaluation(NamedTuple):
 
 
 class Misfit:
-    """Misfit of the model's linear response about rest, all cases at once.
+    """Misfit of the model's linear response about rest, of all cases at once.
 
-    Loads that overlap are combined into fewer, r, that tell all of the wanted displacements but UNTOLD of their square:
-    thousands of cases take no longer than those.
+    Loads that overlap are combined into fewer, r, that represent all of the wanted displacements except UNTOLD of their
+    square: thousands of cases take no longer than those.
 
-    force (c, n_surface, 3) N, wanted (c, n_surface, 3) m.
+    Parameters
+    ----------
+    elastic : Elastic
+        The model about rest.
+    force : Floats, shape (c, n_surface, 3), N
+        Loads of the cases.
+    wanted : Floats, shape (c, n_surface, 3), m
+        Displacements of the finite-element body.
     """
 
     def __init__(self, elastic: Elastic, force: Floats, wanted: Floats) -> None:
@@ -58,7 +65,15 @@ class Misfit:
         self._load[inside] = (force.reshape(len(force), -1)[:, free[inside]] / size).T @ self.combinations
 
     def evaluate(self, stiffness: Floats, factor: Factor | None = None) -> Evaluation:
-        """Loss, slope and errors; one factorisation, unless the tangent's is there already, and two solves."""
+        """Return loss, gradient and errors: two solves, and a factorisation unless the factor is given.
+
+        Parameters
+        ----------
+        stiffness : Floats, shape (p,)
+            Stiffness of every spring or cell.
+        factor : Factor | None, optional
+            Factorised tangent of that stiffness.
+        """
         factor = factor or self.elastic.factor(self.elastic.tangent(stiffness))
         answer = factor.solve(self._load)
         off = answer[self._inside] - self._wanted
@@ -70,10 +85,10 @@ class Misfit:
         return Evaluation(float(square.mean()), slope, np.sqrt(np.maximum(square, 0.0)))
 
     def curvature(self, stiffness: Floats) -> Floats:
-        """About what the loss curves by each stiffness' logarithm, (p,): the diagonal of Gauss and Newton's matrix.
+        """Return the approximate curvature of the loss by each stiffness' logarithm, (p,), of the Gauss-Newton matrix.
 
-        An entry is the sum of the squares of the slopes of all displacements; that of the slope of their sum, each with
-        a sign drawn at random, is as large in the mean (Bekas, Kokiopoulou & Saad 2007).
+        An entry is the sum of the squares of the slopes of all displacements; the square of the slope of their sum,
+        each with a random sign, has the same mean (Bekas, Kokiopoulou & Saad 2007).
         """
         factor = self.elastic.factor(self.elastic.tangent(stiffness))
         answer, random = factor.solve(self._load), np.random.default_rng(0)
@@ -86,7 +101,7 @@ class Misfit:
 
 
 def _combinations(answers: Floats) -> Floats:
-    """Orthonormal combinations (c, r) of rows (c, a), the strongest ones."""
+    """Return orthonormal combinations (c, r) of rows (c, a), the strongest ones."""
     strength, combined = np.linalg.eigh(answers @ answers.T)
     weak = np.searchsorted(np.cumsum(np.maximum(strength, 0.0)), UNTOLD * len(answers))
     return np.ascontiguousarray(combined[:, weak:])
@@ -101,11 +116,32 @@ def fit(
     soften: float = SOFTEN,
     bounds: tuple[float, float] = BOUNDS,
 ) -> Floats:
-    """Stiffness (p,) of the least misfit, from that at the start, by L-BFGS on its logarithms.
+    """Return the stiffness of least misfit, by L-BFGS on its logarithms.
 
-    Each is counted in units in which the loss curves more alike: where an organ hangs on a small clamp, some cells
-    count a hundred thousand times as much as most. iterations: evaluations at the most; watch: told the number of every
-    evaluation and the errors (c,) found; bounds: of the logarithm of stiffness over that at the start.
+    Each logarithm is scaled so that the loss curves more evenly: where an organ is held by a small clamp, some cells
+    count a hundred thousand times as much as most.
+
+    Parameters
+    ----------
+    misfit : Misfit
+        The misfit.
+    start : Floats, shape (p,)
+        Stiffness at the start.
+    iterations : int
+        Largest number of evaluations.
+    watch : Callable[[int, Floats], None] | None, optional
+        Called with the number of every evaluation and the errors (c,) found.
+    shrink : float, optional
+        Weight of the mean square of the logarithms.
+    soften : float, optional
+        Weight of the trace of the stiffness matrix relative to the start.
+    bounds : tuple[float, float], optional
+        Of the logarithm of stiffness relative to the start.
+
+    Returns
+    -------
+    Floats, shape (p,)
+        Stiffness.
     """
     trace = misfit.elastic.trace()
     total = float(trace @ start)
@@ -137,7 +173,24 @@ def descended(
     bounds: Floats | Sequence[tuple[float, float]],
     evaluations: int,
 ) -> Floats:
-    """Where L-BFGS gets to from a start (p,), of a function that gives loss and slope; evaluations: at the most."""
+    """Return the point that L-BFGS reaches.
+
+    Parameters
+    ----------
+    objective : Callable[[Floats], tuple[float, Floats]]
+        Returns loss and gradient (p,) at a point (p,).
+    start : Floats, shape (p,)
+        Start.
+    bounds : Floats | Sequence[tuple[float, float]]
+        Least and largest value of each coordinate.
+    evaluations : int
+        Largest number of evaluations.
+
+    Returns
+    -------
+    Floats, shape (p,)
+        The point.
+    """
     options = {"maxfun": evaluations, "maxiter": evaluations, "maxcor": MEMORY, "gtol": 0.0, "ftol": 1e-10}
     best: Floats = minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
     return best

@@ -1,8 +1,8 @@
-"""The paper's own calibration: an iterative search over one factor for each group of springs.
+"""Calibration of the paper: an iterative search over one factor for each group of springs.
 
 Section 3.3: "an iterative approach is used to obtain the appropriate parameters of the elastic system, such as d, k, m
-of the inner structure and the outer mesh respectively". It tells no more of the approach; here it is the simplex of
-Nelder & Mead (1965), which needs no slopes. The baseline for the fit of cells.
+of the inner structure and the outer mesh respectively". The paper gives no details; here it is the simplex of Nelder &
+Mead (1965), which needs no gradient. It is the baseline for the fit of cells.
 """
 
 from __future__ import annotations
@@ -23,7 +23,20 @@ LIMITS = (1e-6, 1e3)  # of a group's stiffness over that at the start
 
 
 def group_of(organ: Organ, model: Model) -> Longs:
-    """The number in GROUPS of every stiffness (p,): outer mesh, spokes and virtual springs, skeleton, and the rest."""
+    """Return the number in GROUPS of every stiffness: outer mesh, spokes and virtual springs, skeleton, and the rest.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    model : Model
+        The organ's model.
+
+    Returns
+    -------
+    Longs, shape (p,)
+        Group of each stiffness.
+    """
     kind = organ.spring_kind[organ.spring_stiffness > 0.0]
     axial = np.select([kind == SpringKind.EDGE, kind == SpringKind.SKELETON], [0, 2], 1)
     return np.concatenate([axial, np.full(len(model.angular_nodes), 3), np.full(len(model.return_nodes), 4)])
@@ -32,9 +45,25 @@ def group_of(organ: Organ, model: Model) -> Longs:
 def search(
     start: Floats, group: Longs, misfit: Misfit, iterations: int, watch: Callable[[int, Floats], None] | None = None
 ) -> Floats:
-    """Stiffnesses (p,) N/m of the least misfit that one factor on each group reaches, never worse than at the start.
+    """Return the stiffness of least misfit that one factor for each group reaches, never worse than the start.
 
-    iterations: misfits looked at, at the most; watch: told their number and the best errors (c,) so far.
+    Parameters
+    ----------
+    start : Floats, shape (p,), N/m
+        Stiffness at the start.
+    group : Longs, shape (p,)
+        Group of each stiffness.
+    misfit : Misfit
+        The misfit.
+    iterations : int
+        Largest number of evaluations.
+    watch : Callable[[int, Floats], None] | None, optional
+        Called with the number of every evaluation and the best errors (c,) so far.
+
+    Returns
+    -------
+    Floats, shape (p,), N/m
+        Stiffness.
     """
     present = np.unique(group)
     best: Evaluation | None = None

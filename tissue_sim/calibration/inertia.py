@@ -1,7 +1,7 @@
-"""Masses and damping with which the model moves as the finite-element body does, not only settles as it.
+"""Masses and damping with which the model moves, and not only settles, as the finite-element body does.
 
-The model's stiffness is taken as it is. Every node gets the mass of the tissue around it, at the least so much that
-two substeps a millisecond are stable, and then as much more or less as brings the lowest modes to their frequencies.
+The model's stiffness is taken as it is. Every node gets the mass of the tissue around it, at least so much that two
+substeps per millisecond are stable, and then more or less, so that the lowest modes have the wanted frequencies.
 """
 
 from __future__ import annotations
@@ -22,18 +22,28 @@ from tissue_sim.organ.winding import inside
 
 MODES = 8  # lowest ones, whose frequencies are fitted
 STEP = 6e-4  # s, critical step that masses make room for: two substeps a millisecond need 0.56 ms
-# Of the mass may go there, and where even all of it would not do: a finer or stiffer organ gets a shorter step. At 0.9
-# the lowest eight modes of a kidney of 4000 points were off by 7 %, at 0.7 by 0.4 %.
+# Fraction of the mass that may be used for this, usually and at most: a finer or stiffer organ gets a shorter step. At
+# 0.9 the lowest eight modes of a kidney of 4000 points were off by 7 %, at 0.7 by 0.4 %.
 USUAL_SHARE, MOST_SHARE = 0.6, 0.75
 SPREAD = 1e-3  # weight of the mean square of the masses' logarithms, over those of the tissue around
 EVALUATIONS = 15
-_POINTS = 40_000  # at which the organ's volume is looked at
+_POINTS = 40_000  # at which the organ's volume is sampled
 
 
 def tissue_mass(organ: Organ) -> Floats:
-    """Mass (n,) kg of the tissue that is nearer to each node than to any other; in all the organ's volume's.
+    """Return the mass of the tissue that is nearer to each node than to any other; the sum is the organ's mass.
 
-    Held nodes and nodes without any such tissue have a share, too.
+    Held nodes and nodes without any such tissue get a small part, too.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    Floats, shape (n,), kg
+        Masses.
     """
     low, high = organ.surface_positions.min(axis=0), organ.surface_positions.max(axis=0)
     step = float(np.prod(high - low) / _POINTS) ** (1.0 / 3.0)
@@ -46,7 +56,7 @@ def tissue_mass(organ: Organ) -> Floats:
 
 
 def least_mass(elastic: Elastic, tangent: csc_array, total: float, step: float = STEP) -> Floats:
-    """Mass (n,) kg under which no node may fall for a critical step of s; of `total` kg no more than a share.
+    """Return the mass (n,) kg that each node needs for a critical step, at most a fraction of `total` kg.
 
     The largest squared frequency is at most the largest sum of a row of |K| over the row's mass (Gershgorin).
     """
@@ -58,9 +68,28 @@ def least_mass(elastic: Elastic, tangent: csc_array, total: float, step: float =
 
 
 def fit_mass(organ: Organ, elastic: Elastic, stiffness: Floats, frequencies: Floats) -> Floats:
-    """Masses (n,) kg, in all as much as the organ's volume weighs, with which the lowest modes have these Hz.
+    """Return the masses with which the lowest modes have the wanted frequencies.
 
-    Raises UserError when the tissue leaves something free to move without any force.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    elastic : Elastic
+        The model about rest.
+    stiffness : Floats, shape (p,)
+        Its stiffness.
+    frequencies : Floats, shape (m,), Hz
+        Wanted frequencies, ascending.
+
+    Returns
+    -------
+    Floats, shape (n,), kg
+        Masses, whose sum is that of the organ's volume.
+
+    Raises
+    ------
+    UserError
+        Where a part of the organ is free to move without any force.
     """
     tangent = elastic.tangent(stiffness)
     factor = elastic.factor(tangent)
@@ -77,7 +106,7 @@ def fit_mass(organ: Organ, elastic: Elastic, stiffness: Floats, frequencies: Flo
     start = np.random.default_rng(0).standard_normal(len(elastic.free))
 
     def spread(logarithm: Floats) -> tuple[Floats, Floats]:
-        """Masses of the moving nodes, and how the part above the least is shared out."""
+        """Return the masses of the moving nodes, and the distribution of the part above the least."""
         part = share * np.exp(logarithm)
         part /= part.sum()
         return least + (total - least.sum()) * part, part
@@ -106,7 +135,24 @@ def fit_mass(organ: Organ, elastic: Elastic, stiffness: Floats, frequencies: Flo
 
 
 def frequencies_of(elastic: Elastic, stiffness: Floats, mass: Floats, count: int = MODES) -> Floats:
-    """The lowest frequencies (count,) Hz of a model of stiffness (p,) and masses (n,) kg."""
+    """Return the lowest frequencies of a model.
+
+    Parameters
+    ----------
+    elastic : Elastic
+        The model about rest.
+    stiffness : Floats, shape (p,)
+        Its stiffness.
+    mass : Floats, shape (n,), kg
+        Masses.
+    count : int, optional
+        Number of frequencies.
+
+    Returns
+    -------
+    Floats, shape (count,), Hz
+        Frequencies, ascending.
+    """
     tangent = elastic.tangent(stiffness)
     start = np.random.default_rng(0).standard_normal(len(elastic.free))
     square, _ = modes_of(tangent, elastic.factor(tangent), np.repeat(mass, 3)[elastic.free], count, start)
@@ -114,12 +160,42 @@ def frequencies_of(elastic: Elastic, stiffness: Floats, mass: Floats, count: int
 
 
 def damping_rate(frequencies: Floats) -> float:
-    """Nodal damping over mass, 1/s, that damps the lowest mode critically: none settles sooner without overshoot."""
+    """Return the damping that damps the lowest mode critically, so that it settles fastest without overshoot.
+
+    Parameters
+    ----------
+    frequencies : Floats, Hz
+        Frequencies, ascending.
+
+    Returns
+    -------
+    float, 1/s
+        Nodal damping over mass.
+    """
     return 4.0 * np.pi * float(frequencies[0])
 
 
 def modes_of(tangent: csc_array, factor: Factor, mass: Floats, count: int, start: Floats) -> tuple[Floats, Floats]:
-    """Squared frequencies (count,), ascending, 1/s^2, and shapes (a, count) 1/sqrt(kg) of masses (a,) kg."""
+    """Return the lowest modes of a model.
+
+    Parameters
+    ----------
+    tangent : csc_array, shape (a, a), N/m
+        Stiffness matrix over the free axes.
+    factor : Factor
+        Its factor.
+    mass : Floats, shape (a,), kg
+        Masses of the free axes.
+    count : int
+        Number of modes.
+    start : Floats, shape (a,)
+        Start of the iteration.
+
+    Returns
+    -------
+    tuple[Floats, Floats]
+        Squared frequencies, shape (count,), 1/s^2, ascending, and shapes, shape (a, count), 1/sqrt(kg).
+    """
     size = len(mass)
     inverse = LinearOperator((size, size), matvec=factor.solve, dtype=np.float64)
     matrix = diagonal(mass).tocsc()

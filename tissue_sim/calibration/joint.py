@@ -1,8 +1,8 @@
-"""Stiffness and masses fitted together, so that the model is stable in a longer step and still moves as the tissue.
+"""Joint fit of stiffness and masses, so that the model is stable in a longer step and still moves as the tissue.
 
-Masses alone can't do it: those that slow the fastest modes down slow the lowest ones with them. Stiffness that gives
-way where a node is light, and mass that gathers where tissue is stiff, share the work. The misfit of the settled loads
-judges the stiffness; the lowest frequencies, and those of the fastest modes that the step doesn't allow, judge both.
+Masses alone can't do it: those that slow the fastest modes down also slow the lowest ones. Stiffness that decreases
+where a node is light, and mass that gathers where tissue is stiff, share the work. The misfit of the settled loads
+assesses the stiffness; the lowest frequencies, and those of the fastest modes that the step doesn't allow, assess both.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from tissue_sim.model.critical_step import SAFETY, stable_frequency
 from tissue_sim.model.diagonal import diagonal
 from tissue_sim.organ.organ import Organ
 
-FASTEST = 40  # modes that are held under what the step allows
-CLOSE = 0.985  # of the squared frequency that the step allows: a mode takes part before it is beyond
-# Weights of the lowest and of the fastest modes, beside a misfit of some 1e-3, and the share of the evaluations.
+FASTEST = 40  # fastest modes that are kept below what the step allows
+CLOSE = 0.985  # of the squared frequency that the step allows: a mode counts before it exceeds it
+# Weights of the lowest and of the fastest modes, beside a misfit of some 1e-3, and the fraction of the evaluations.
 STAGES = ((0.3, 0.03, 1.0 / 3.0), (1.0, 1.0, 2.0 / 3.0))
 SHRINK = 1e-4  # weight of the mean square of the logarithms of stiffness
-TOTAL = 1e-1  # weight of the whole mass, which the lowest frequencies know only in part
+TOTAL = 1e-1  # weight of the whole mass, which the lowest frequencies determine only in part
 SPREAD = 1e-4  # weight of the mean square of the masses' logarithms, over those of the tissue around
 MASS_BOUNDS = (-3.0, 4.0)  # of these logarithms
 ROUGH = 1e-5  # of a squared frequency, to which the fastest are found
@@ -35,10 +35,20 @@ ROOM = 1.03  # of that step, which loads make too long
 
 
 class Together:
-    """What stiffness and masses are judged by, as a function of their logarithms: (p + moving nodes,).
+    """Loss of stiffness and masses as a function of their logarithms, (p + moving nodes,).
 
-    Those of stiffness count from `first` (p,), those of masses from the tissue around each node. frequencies: the
-    lowest, Hz; largest: what the fastest modes should stay under, rad/s.
+    Parameters
+    ----------
+    misfit : Misfit
+        Misfit of the settled loads.
+    first : Floats, shape (p,)
+        Stiffness from which the logarithms count; those of masses count from the tissue around each node.
+    frequencies : Floats, Hz
+        Lowest frequencies.
+    largest : float, rad/s
+        Frequency below which the fastest modes should stay.
+    organ : Organ
+        The organ.
     """
 
     def __init__(self, organ: Organ, misfit: Misfit, first: Floats, frequencies: Floats, largest: float) -> None:
@@ -49,19 +59,40 @@ class Together:
         self._start = np.random.default_rng(0).standard_normal(len(misfit.elastic.free))
 
     def split(self, logarithm: Floats) -> tuple[Floats, Floats]:
-        """Stiffness (p,) and masses (n,) kg."""
+        """Return stiffness (p,) and masses (n,), kg.
+
+        Parameters
+        ----------
+        logarithm : Floats, shape (p + moving nodes,)
+            Their logarithms.
+        """
         mass = self.around.copy()
         mass[self.moving] *= np.exp(logarithm[len(self.first) :])
         return self.first * np.exp(logarithm[: len(self.first)]), mass
 
     def join(self, stiffness: Floats, mass: Floats) -> Floats:
-        """Logarithms of stiffness (p,) and masses (n,) kg."""
+        """Return the logarithms of stiffness and masses.
+
+        Parameters
+        ----------
+        stiffness : Floats, shape (p,)
+            Stiffness of every spring or cell.
+        mass : Floats, shape (n,), kg
+            Masses of the nodes.
+        """
         return np.concatenate([np.log(stiffness / self.first), np.log(mass / self.around)[self.moving]])
 
     def evaluate(self, logarithm: Floats, low: float, high: float) -> tuple[float, Floats, Floats]:
-        """Loss, its slope by every logarithm, and the errors (c,) of the cases.
+        """Return the loss, its gradient by every logarithm, and the errors (c,) of the cases.
 
-        low, high: weights of the lowest and of the fastest modes.
+        Parameters
+        ----------
+        logarithm : Floats, shape (p + moving nodes,)
+            The logarithms.
+        low : float
+            Weight of the lowest modes.
+        high : float
+            Weight of the fastest modes.
         """
         elastic, count = self.misfit.elastic, len(self.first)
         stiffness, mass = self.split(logarithm)
@@ -95,7 +126,26 @@ class Together:
 
 
 def for_one_substep(organ: Organ, misfit: Misfit, first: Floats, frequencies: Floats, damping_rate: float) -> Together:
-    """What judges an organ that a tick of 1 ms should take one substep of; damping_rate: over mass, 1/s."""
+    """Return the loss for an organ that should take one substep per tick of 1 ms.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    misfit : Misfit
+        Misfit of the settled loads.
+    first : Floats, shape (p,)
+        Stiffness from which the logarithms count.
+    frequencies : Floats, Hz
+        Lowest frequencies.
+    damping_rate : float, 1/s
+        Damping over mass.
+
+    Returns
+    -------
+    Together
+        The loss.
+    """
     return Together(organ, misfit, first, frequencies, stable_frequency(ROOM * TICK / SAFETY, damping_rate))
 
 
@@ -107,9 +157,27 @@ def fit_together(
     bounds: tuple[float, float],
     watch: Callable[[int, Floats], None] | None = None,
 ) -> tuple[Floats, Floats]:
-    """Stiffness (p,) and masses (n,) kg of the least loss, by L-BFGS from those given.
+    """Return the stiffness and masses of least loss, by L-BFGS from those given.
 
-    bounds: of the logarithms of stiffness; watch: told the number of every evaluation and the errors (c,) found.
+    Parameters
+    ----------
+    together : Together
+        The loss.
+    stiffness : Floats, shape (p,)
+        Stiffness at the start.
+    mass : Floats, shape (n,), kg
+        Masses at the start.
+    evaluations : int
+        Largest number of evaluations.
+    bounds : tuple[float, float]
+        Of the logarithms of stiffness.
+    watch : Callable[[int, Floats], None] | None, optional
+        Called with the number of every evaluation and the errors (c,) found.
+
+    Returns
+    -------
+    tuple[Floats, Floats]
+        Stiffness, shape (p,), and masses, shape (n,), kg.
     """
     made = 0
 
@@ -130,7 +198,7 @@ def fit_together(
 
 
 def _fastest(tangent: csc_array, mass: Floats, start: Floats) -> tuple[Floats, Floats]:
-    """The largest squared frequencies (FASTEST,) 1/s^2, and shapes (a, FASTEST) 1/sqrt(kg) of masses (a,) kg."""
+    """Return the largest squared frequencies (FASTEST,) 1/s^2, and shapes (a, FASTEST) 1/sqrt(kg) of masses (a,) kg."""
     root = 1.0 / np.sqrt(mass)
     scaled = (diagonal(root) @ tangent @ diagonal(root)).tocsr()
     square, shape = eigsh(scaled, k=min(FASTEST, len(mass) - 1), which="LA", v0=start, tol=ROUGH)

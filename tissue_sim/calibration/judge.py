@@ -1,4 +1,4 @@
-"""How far the real-time model is off the finite-element body: settled shapes, and the motion after a release."""
+"""Errors of the real-time model against the finite-element body: at equilibrium, and in motion after a release."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from tissue_sim.model.cells import swelling
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
-TOLERANCE = 1e-4  # residual force over load that counts as settled
+TOLERANCE = 1e-4  # residual force over load, below which it counts as settled
 LONGEST = 20.0  # simulated seconds after which a load is given up
-RAMP = 0.3  # s in which a load is raised: as the finite elements, which know no inertia there, and a hand would
+RAMP = 0.3  # s in which a load is raised: slowly, as a hand does and as the finite elements without inertia imply
 RELEASE_STEP = 0.01  # s of the implicit dynamics
 RELEASE_TIME = 1.0  # s
 
 
 class Answer(NamedTuple):
-    """What a body says to cases."""
+    """Answer of a body to load cases."""
 
     displacement: Floats  # (c, n_surface, 3) m
     volume: Floats  # (c,) relative change of volume
@@ -31,7 +31,22 @@ class Answer(NamedTuple):
 
 
 def settled_answers(organ: Organ, cases: Cases, watch: Callable[[], None] | None = None) -> Answer:
-    """Where the real-time model comes to rest under each case; a fault or a snap on the way is no rest."""
+    """Return where the real-time model comes to rest under each case; one with a fault or a snap doesn't count.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    cases : Cases
+        The load cases.
+    watch : Callable[[], None] | None, optional
+        Called after each case.
+
+    Returns
+    -------
+    Answer
+        The answers.
+    """
     simulation = Simulation(organ)
     count = simulation.state.count
     displacement, volume = np.zeros_like(cases.force), np.zeros(len(cases))
@@ -48,13 +63,26 @@ def settled_answers(organ: Organ, cases: Cases, watch: Callable[[], None] | None
 
 
 def errors(found: Floats, wanted: Floats) -> Floats:
-    """Relative L2 (c,) of displacements (c, n, 3) over the surface nodes."""
+    """Return the relative L2 errors of displacements over the surface nodes.
+
+    Parameters
+    ----------
+    found : Floats, shape (c, n, 3), m
+        Displacements.
+    wanted : Floats, shape (c, n, 3), m
+        Displacements of the reference.
+
+    Returns
+    -------
+    Floats, shape (c,)
+        Errors.
+    """
     square: Floats = np.sum((found - wanted) ** 2, axis=(1, 2)) / np.sum(wanted**2, axis=(1, 2))
     return np.sqrt(square)
 
 
 class Release(NamedTuple):
-    """A node after its load was taken away, by both bodies."""
+    """Motion of a node after its load was removed, of both bodies."""
 
     time: Floats  # (t,) s
     wanted: Floats  # (t, 3) m, of the finite-element body
@@ -62,14 +90,30 @@ class Release(NamedTuple):
 
     @property
     def error(self) -> float:
-        """Relative L2 over the whole time."""
+        """Relative L2 error over the whole time."""
         return float(np.linalg.norm(self.found - self.wanted) / np.linalg.norm(self.wanted))
 
 
 def released(organ: Organ, force: Floats, node: int, time: Floats, wanted: Floats) -> Release:
-    """A node from the shape settled under forces (n_surface, 3) N, let go, at times (t,) s.
+    """Return the motion of a node of the model, released from equilibrium under a load.
 
-    wanted (t, 3) m: what the finite-element body does.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    force : Floats, shape (n_surface, 3), N
+        Load before the release.
+    node : int
+        Surface node.
+    time : Floats, shape (t,), s
+        Times.
+    wanted : Floats, shape (t, 3), m
+        Motion of the finite-element body.
+
+    Returns
+    -------
+    Release
+        Both motions.
     """
     simulation = Simulation(organ)
     simulation.settle(force, TOLERANCE, LONGEST, RAMP)

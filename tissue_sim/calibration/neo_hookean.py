@@ -18,7 +18,7 @@ NODES = 10  # of a quadratic tetrahedron
 
 @part
 def _gradients(slopes: Floats, inverse: Floats, found: Floats) -> None:
-    """Gradients (10, 3) 1/m of the shape functions, from those (10, 3) on the reference element."""
+    """Compute the gradients (10, 3) 1/m of the shape functions, from those (10, 3) on the reference element."""
     for a in range(NODES):
         for j in range(3):
             found[a, j] = slopes[a, 0] * inverse[0, j] + slopes[a, 1] * inverse[1, j] + slopes[a, 2] * inverse[2, j]
@@ -26,7 +26,7 @@ def _gradients(slopes: Floats, inverse: Floats, found: Floats) -> None:
 
 @part
 def _deformation(gradients: Floats, moved: Floats, nodes: Ints, f: Floats, back: Floats) -> float:
-    """Deformation gradient f (3, 3) and its inverse transposed `back`; returns det f."""
+    """Compute the deformation gradient f (3, 3) and its inverse transposed `back`; return det f."""
     for i in range(3):
         for j in range(3):
             total = 1.0 if i == j else 0.0
@@ -52,11 +52,33 @@ def energy_and_forces(
     lam: float,
     forces: Floats,
 ) -> tuple[float, float]:
-    """Elastic energy J under displacements `moved` (n, 3) m, and det F where it is least.
+    """Compute the elastic energy and its gradient.
 
-    elements (e, 10), slopes (q, 10, 3) of the shape functions on the reference element, inverse (e, q, 3, 3) 1/m
-    of the Jacobian, weight (e, q) m^3. Writes the energy's gradient to `forces` (n, 3) N. Where an element is turned
-    over (det F <= 0) the energy is infinite and `forces` is not complete.
+    Where an element is inverted (det F <= 0) the energy is infinite and `forces` is not complete.
+
+    Parameters
+    ----------
+    moved : Floats, shape (n, 3), m
+        Displacements.
+    elements : Ints, shape (e, 10)
+        Node indices.
+    slopes : Floats, shape (q, 10, 3)
+        Gradients of the shape functions on the reference element.
+    inverse : Floats, shape (e, q, 3, 3), 1/m
+        Inverse of the Jacobian.
+    weight : Floats, shape (e, q), m^3
+        Weights of the quadrature.
+    mu : float, Pa
+        Shear modulus.
+    lam : float, Pa
+        Lame's first constant.
+    forces : Floats, shape (n, 3), N
+        Receives the gradient.
+
+    Returns
+    -------
+    tuple[float, float]
+        Energy, J, and the least det F.
     """
     f, back, gradients = np.empty((3, 3)), np.empty((3, 3)), np.empty((NODES, 3))
     stress = np.empty((3, 3))
@@ -97,7 +119,29 @@ def tangent(
     slots: Ints,
     blocks: Floats,
 ) -> None:
-    """Second derivative of the energy, added up in `blocks` (b, 3, 3) N/m; slots (e, 10, 10) say where a pair goes."""
+    """Compute the second derivative of the energy.
+
+    Parameters
+    ----------
+    moved : Floats, shape (n, 3), m
+        Displacements.
+    elements : Ints, shape (e, 10)
+        Node indices.
+    slopes : Floats, shape (q, 10, 3)
+        Gradients of the shape functions on the reference element.
+    inverse : Floats, shape (e, q, 3, 3), 1/m
+        Inverse of the Jacobian.
+    weight : Floats, shape (e, q), m^3
+        Weights of the quadrature.
+    mu : float, Pa
+        Shear modulus.
+    lam : float, Pa
+        Lame's first constant.
+    slots : Ints, shape (e, 10, 10)
+        Block of each pair of nodes.
+    blocks : Floats, shape (b, 3, 3), N/m
+        Receives the sum.
+    """
     f, back, gradients = np.empty((3, 3)), np.empty((3, 3)), np.empty((NODES, 3))
     pushed = np.empty((NODES, 3))
     local = np.empty((NODES, NODES, 3, 3))

@@ -1,9 +1,9 @@
-"""What the finite-element reference lacks, by a finer mesh under the same loads, and its answers with that made good.
+"""Discretisation error of the finite-element reference, by a finer mesh under the same loads, and its correction.
 
-Settling a nonlinear body takes minutes even on the coarse mesh. What that mesh is off by is a matter of linear
-elasticity nearly alone, though: a kidney's settled shapes were off by 0.3 to 0.8 % of those of a mesh of four times the
-nodes, and with the difference of the two linear answers added by 0.1 to 0.3 %. And it is a matter of few shapes: what
-64 loads say of it holds for all others to 0.1 % in the mean.
+Settling a nonlinear body takes minutes even on the coarse mesh. The discretisation error is almost entirely one of
+linear elasticity, though: a kidney's settled shapes differed by 0.3 to 0.8 % from those of a mesh of four times the
+nodes, and with the difference of the two linear answers added by 0.1 to 0.3 %. And few shapes determine it: the
+difference under 64 loads gives that under all others to 0.1 % on average.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.judge import errors
 
-BOUND = 1.0  # %, what the reference may be off
+BOUND = 1.0  # %, largest accepted error of the reference
 FINER = Grading(clamp=2, growth=0.8)  # and no element under the loads longer than the surface's
-# Of the difference to the finer mesh, what that is off itself: a third by a mesh of another three times as many nodes
-# (left kidney of a CT: 1.2 to 1.6 % and 0.3 to 0.5 %), as elements of half the size are off by a quarter (Richardson).
+# Error of the finer mesh as a fraction of the difference: a third by a mesh of another three times as many nodes (left
+# kidney of a CT: 1.2 to 1.6 % and 0.3 to 0.5 %), as elements of half the size have a quarter of the error (Richardson).
 LEFT = 1.0 / 3.0
-PLACES = 22  # of the fit's loads that are answered on the finer mesh, too
-WEAK = 1e-3  # shapes that the answers to those hardly have are left out
+PLACES = 22  # places of the fit's loads that are also computed on the finer mesh
+WEAK = 1e-3  # relative strength below which shapes of those answers are left out
 
 
 class Refined(NamedTuple):
-    """The reference's mesh and the finer one under c loads."""
+    """Reference mesh and the finer one under c loads."""
 
     nodes: int
     finer_nodes: int
@@ -37,11 +37,11 @@ class Refined(NamedTuple):
 
     @property
     def worst(self) -> float:
-        """What is left at worst when the difference is made good, %."""
+        """Largest error that is left after the correction, %."""
         return LEFT * float(self.difference.max())
 
     def __str__(self) -> str:
-        """One line for reports."""
+        """Return one line for reports."""
         verdict = "" if self.worst <= BOUND else f" (above {BOUND:g} %)"
         return (
             f"reference of {self.nodes} nodes, corrected by one of {self.finer_nodes} that differs by"
@@ -51,19 +51,73 @@ class Refined(NamedTuple):
 
 
 def finer_body(body: Body, forces: Floats) -> Body:
-    """The body on the finer mesh, for loads (c, n_surface, 3) N. Raises UserError as Body does."""
+    """Return the body on the finer mesh.
+
+    Parameters
+    ----------
+    body : Body
+        The finite-element body.
+    forces : Floats, shape (c, n_surface, 3), N
+        Loads under which it is refined.
+
+    Returns
+    -------
+    Body
+        The finer body.
+
+    Raises
+    ------
+    UserError
+        As Body does.
+    """
     return Body(body.organ, np.flatnonzero(forces.any(axis=(0, 2))), FINER)
 
 
 def refined(body: Body, finer: Body, answers: Floats, finer_answers: Floats) -> Refined:
-    """How far the linear answers (c, n, 3) m of a body are off those of a finer one."""
+    """Return the difference of the linear answers of a body to those of a finer one.
+
+    Parameters
+    ----------
+    body : Body
+        The finite-element body.
+    finer : Body
+        The finer body.
+    answers : Floats, shape (c, n, 3), m
+        Answers of the body.
+    finer_answers : Floats, shape (c, n, 3), m
+        Answers of the finer body.
+
+    Returns
+    -------
+    Refined
+        The difference.
+    """
     return Refined(body.n_nodes, finer.n_nodes, 100.0 * errors(answers, finer_answers))
 
 
 def answers_made_good(body: Body, forces: Floats, answers: Floats, samples: Floats) -> Arrays:
-    """What the finer mesh makes of c loads whose answers (c, n, 3) m by the body are known, and of samples.
+    """Return the answers of the finer mesh to loads, and to samples of other loads.
 
-    The fields of Refined, and `answers` and `samples`. Raises UserError as Body does.
+    Parameters
+    ----------
+    body : Body
+        The finite-element body.
+    forces : Floats, shape (c, n_surface, 3), N
+        Loads.
+    answers : Floats, shape (c, n, 3), m
+        Answers of the body to them.
+    samples : Floats, shape (s, n_surface, 3), N
+        Other loads.
+
+    Returns
+    -------
+    Arrays
+        The fields of Refined, and `answers` and `samples`.
+
+    Raises
+    ------
+    UserError
+        As Body does.
     """
     finer = finer_body(body, forces)
     good = finer.settle_linear(forces)
@@ -72,15 +126,40 @@ def answers_made_good(body: Body, forces: Floats, answers: Floats, samples: Floa
 
 
 def samples_of(count: int) -> Longs:
-    """Some of so many cases, all of PLACES places that are spread over them."""
+    """Return indices of some cases: all of PLACES places that are spread over them.
+
+    Parameters
+    ----------
+    count : int
+        Number of cases.
+
+    Returns
+    -------
+    Longs, shape (s,)
+        Indices.
+    """
     places = np.unique(np.linspace(0, count // AXES - 1, PLACES).astype(np.int64))
     return (AXES * places[:, None] + np.arange(AXES)).ravel()
 
 
 def made_good(answers: Floats, samples: Floats, finer_samples: Floats) -> Floats:
-    """Answers (c, n, 3) m as a finer mesh would give them, by what it makes of samples (s, n, 3) m.
+    """Return answers as a finer mesh would give them, by its answers to samples.
 
-    Every answer is put together of the samples' as well as can be, and so is its difference.
+    Every answer is approximated by a combination of the samples' answers, and its difference by the same combination.
+
+    Parameters
+    ----------
+    answers : Floats, shape (c, n, 3), m
+        Answers of the coarse mesh.
+    samples : Floats, shape (s, n, 3), m
+        Its answers to the samples.
+    finer_samples : Floats, shape (s, n, 3), m
+        Answers of the finer mesh to the samples.
+
+    Returns
+    -------
+    Floats, shape (c, n, 3), m
+        Corrected answers.
     """
     shapes, strength, mix = np.linalg.svd(samples.reshape(len(samples), -1).T, full_matrices=False)
     some = strength > WEAK * strength[0]

@@ -1,4 +1,4 @@
-"""Objects that live in processes of their own: two cores work at once only without Python's lock between them."""
+"""Objects in separate processes: two cores work at the same time only without Python's lock between them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,21 @@ from tissue_sim.child import end_with_parent
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
 
-_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # each of BLAS, which reads it when it is loaded
+_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # for each BLAS, which reads it when it is loaded
 
 
 class Remote:
-    """An object made in a new process by make(*arguments), which must not fail.
+    """Object made in a new process by make(*arguments), which must not fail.
 
     The process ends with this one. What the object keeps between calls (factored matrices) never leaves it: workers
-    that are handed the next task anew, as joblib's are, would work that out again.
+    that are handed every task separately, as joblib's are, would compute it again.
+
+    Parameters
+    ----------
+    make : Callable[..., Any]
+        Makes the object.
+    arguments : Any
+        Arguments of `make`.
     """
 
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
@@ -28,7 +35,25 @@ class Remote:
         self._object = self._manager.make(make, *arguments)  # type: ignore[attr-defined]
 
     def call(self, method: str, *arguments: Any) -> Any:
-        """What a method returns or raises there. Raises UserError when the process is gone."""
+        """Return what a method returns, or raise what it raises.
+
+        Parameters
+        ----------
+        method : str
+            Name of the method.
+        arguments : Any
+            Its arguments.
+
+        Returns
+        -------
+        Any
+            The result.
+
+        Raises
+        ------
+        UserError
+            Where the process has ended.
+        """
         try:
             return getattr(self._object, method)(*arguments)
         except (EOFError, ConnectionError, FileNotFoundError):  # the last: its socket
@@ -36,7 +61,7 @@ class Remote:
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
-        # Asked by shutdown alone, it would not hear while a mesh is made, which doesn't let go of Python's lock.
+        # On shutdown alone it would not react while a mesh is made, which doesn't release Python's lock.
         process = self._manager._process  # type: ignore[attr-defined]
         if process is not None:
             process.kill()
@@ -45,7 +70,7 @@ class Remote:
 
 
 class _Process(BaseManager):
-    """The process, which makes what it is told to."""
+    """Process that makes the object."""
 
 
 def _make(make: Callable[..., Any], *arguments: Any) -> Any:

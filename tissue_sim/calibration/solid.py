@@ -1,4 +1,4 @@
-"""A solid of quadratic tetrahedra: stiffness, mass, and what it does under loads, linear and neo-Hookean."""
+"""Solid of quadratic tetrahedra: stiffness, mass, and its answers to loads, linear and neo-Hookean."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ TOLERANCE = 1e-6  # of the load, in the energy norm of the solid at rest
 MOST_STEPS = 80  # of Newton's method for one load step
 QUICK = 6  # steps, after which the next load step is twice as large
 MOST_LOAD_STEPS = 64
-MOST_STEPS_IN_ALL = 160  # under one load, after which it is given up: near buckling it went on for a quarter of an hour
+MOST_STEPS_IN_ALL = 160  # under one load, after which it is given up: near buckling one took a quarter of an hour
 MOST_ITERATIONS = 400  # of conjugate gradients
 MOST_HALVINGS = 40
-WORN = 40  # iterations for a step, after which a new preconditioner costs less
-MOST_TOGETHER = 16  # loads that settle in step
+WORN = 40  # iterations for a step, after which a new preconditioner is cheaper
+MOST_TOGETHER = 16  # loads that settle together
 MEMORY = 5e8  # bytes of their matrices
 FORCING = 0.1  # of a residual, to which a step that follows is solved
-ROOM = 1e-4  # decrease of energy that a step must give, of what its slope promises (Armijo)
+ROOM = 1e-4  # least decrease of energy of a step, relative to that of its slope (Armijo)
 
 
 class Equilibrium(NamedTuple):
-    """Where a solid came to rest."""
+    """Equilibrium of a solid."""
 
     displacement: Floats  # (n, 3) m of all nodes
     load_steps: int
@@ -45,25 +45,25 @@ class Equilibrium(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """Where a solid came to from a state near by."""
+    """Equilibrium of a solid near a given state."""
 
     displacement: Floats  # (n, 3) m of all nodes
     converged: bool
 
 
 class Preconditioner(Protocol):
-    """What knows about what displacements answer forces."""
+    """Approximate solver for the displacements that forces cause."""
 
     def precondition(self, right: Floats) -> Floats:
-        """Displacements (3n, c) m for forces (3n, c) N."""
+        """Return displacements (3n, c) m for forces (3n, c) N."""
         ...
 
 
 class Renewable(Preconditioner, Protocol):
-    """One that may be taken anew about another state."""
+    """Preconditioner that can be computed anew about another state."""
 
     def renew(self, moved: Floats) -> None:
-        """Know what holds about a state (n, 3) m."""
+        """Compute it about a state (n, 3) m."""
         ...
 
 
@@ -71,10 +71,24 @@ Settling = Generator[Floats, Floats, Equilibrium]
 
 
 class Solid:
-    """A body of compressible neo-Hookean material, of quadratic tetrahedra.
+    """Body of compressible neo-Hookean material, of quadratic tetrahedra.
 
-    nodes (n, 3) m and elements (e, 10) as in FeMesh; `held` (n, 3) says which axes of them don't move; stiffness: how
-    many times the moduli hold at points (e, q, 3) m, those at which energy is summed up; everywhere once if None.
+    Parameters
+    ----------
+    nodes : Floats, shape (n, 3), m
+        Nodes as in FeMesh.
+    elements : Ints, shape (e, 10)
+        Node indices as in FeMesh.
+    held : NDArray[np.bool_], shape (n, 3)
+        Axes that don't move.
+    youngs_modulus : float, Pa
+        Young's modulus.
+    poisson_ratio : float
+        Poisson's ratio.
+    density : float, kg/m^3
+        Density.
+    stiffness : Callable[[Floats], Floats] | None, optional
+        Returns the factor of the moduli at quadrature points (e, q, 3) m; None for 1 everywhere.
     """
 
     def __init__(
@@ -107,14 +121,31 @@ class Solid:
 
     # matrices ----------------------------------------------------------------------------------
     def tangent(self, displacement: Floats) -> bsr_array:
-        """Stiffness (3n, 3n) N/m about a displaced state (n, 3) m, held axes included, without ties."""
+        """Return the stiffness about a displaced state, held axes included, without ties.
+
+        Parameters
+        ----------
+        displacement : Floats, shape (n, 3), m
+            The displacement.
+
+        Returns
+        -------
+        bsr_array
+            shape (3n, 3n), N/m
+        """
         blocks = np.empty((len(self._columns), 3, 3))
         tangent(displacement, *self._fixed_arguments(), self._slots, blocks)
         n = len(self.nodes)
         return bsr_array((blocks, self._columns, self._row_start), shape=(3 * n, 3 * n))
 
     def energy(self, displacement: Floats) -> tuple[float, Floats, float]:
-        """Elastic energy J, its gradient (n, 3) N, and the least det F; the energy of a solid turned over is inf."""
+        """Return the elastic energy J, its gradient (n, 3) N, and the least det F; the energy is inf where inverted.
+
+        Parameters
+        ----------
+        displacement : Floats, shape (n, 3), m
+            The displacement.
+        """
         forces = np.empty_like(self.nodes)
         energy, least = energy_and_forces(displacement, *self._fixed_arguments(), forces)
         if self.ties is not None:
@@ -146,11 +177,17 @@ class Solid:
         return csr_array((found, self._columns, self._row_start), shape=(n, n))
 
     def add_masses(self, masses: Floats) -> None:
-        """Put point masses (n,) kg on nodes, beside the tissue's own: weights that hang there."""
+        """Add point masses to nodes, beside the tissue's own mass: weights that hang there.
+
+        Parameters
+        ----------
+        masses : Floats, shape (n,), kg
+            The masses.
+        """
         share = (masses / np.maximum(np.bincount(self.elements.ravel(), minlength=len(masses)), 1))[self.elements]
         corner = np.arange(NODES)
         self._element_masses[:, corner, corner] += share
-        self.__dict__.pop("mass", None)  # which is made of them
+        self.__dict__.pop("mass", None)  # the matrix is assembled from them
 
     @cached_property
     def _factor(self) -> Cholesky:
@@ -161,9 +198,21 @@ class Solid:
         return dissect(self.elements, self.nodes[self.elements[:, :4]].mean(axis=1), self.held)
 
     def factor(self, displacement: Floats, shift: float = 0.0) -> Cholesky:
-        """Cholesky factor of the stiffness about a displaced state (n, 3) m, plus `shift` 1/s^2 times the mass.
+        """Return the Cholesky factor of the stiffness about a displaced state, plus a multiple of the mass.
 
-        Ties are in it. Raises NotPositive.
+        Ties are included.
+
+        Parameters
+        ----------
+        displacement : Floats, shape (n, 3), m
+            The displacement.
+        shift : float, 1/s^2, optional
+            Factor on the mass.
+
+        Raises
+        ------
+        NotPositive
+            When it has none.
         """
 
         def fill(number: int, place: Longs, pieces: Pieces) -> None:
@@ -187,7 +236,13 @@ class Solid:
         return Cholesky(self._fronts, len(self.nodes), fill)
 
     def solve(self, loads: Floats) -> Floats:
-        """Linear displacements (c, n, 3) m under nodal loads (c, n, 3) N."""
+        """Return linear displacements (c, n, 3), m, under nodal loads.
+
+        Parameters
+        ----------
+        loads : Floats, shape (c, n, 3), N
+            The loads.
+        """
         loads = np.asarray(loads, dtype=np.float64)
         answer = np.empty(loads.shape)
         for first in range(0, len(loads), AT_ONCE):
@@ -197,18 +252,23 @@ class Solid:
 
     # equilibrium -------------------------------------------------------------------------------
     def settle(self, load: Floats) -> Equilibrium:
-        """Equilibrium of the neo-Hookean solid under dead nodal loads (n, 3) N.
+        """Return the equilibrium of the neo-Hookean solid under dead nodal loads (n, 3) N.
 
         Newton's method on the potential energy, every step by conjugate gradients with the linear solid as
-        preconditioner, cut where curvature is negative (Steihaug 1983), and shortened until the energy falls. All of
-        the load at once; halved where that fails.
+        preconditioner, cut where curvature is negative (Steihaug 1983), and shortened until the energy falls. The whole
+        load is applied at once; halved where that fails.
         """
         return next(self.settle_many([load]))
 
     def settle_many(self, loads: Iterable[Floats]) -> Iterator[Equilibrium]:
-        """Equilibria under several loads, in their order, each as it is ready; see settle.
+        """Yield equilibria under several loads, in their order, each as it is ready; see settle.
 
-        Several advance in step, so that the preconditioner serves them together: reading it takes most of the time.
+        Several advance together, so that they share the preconditioner: reading it takes most of the time.
+
+        Parameters
+        ----------
+        loads : Iterable[Floats], shape (n, 3), N
+            The loads.
         """
         room = max(1, min(MOST_TOGETHER, int(MEMORY / (9 * 8 * len(self._columns)))))
         waiting = iter(enumerate(loads))
@@ -233,10 +293,18 @@ class Solid:
                 following += 1
 
     def follow(self, start: Floats, load: Floats, factor: Renewable, tolerance: float) -> Followed:
-        """Equilibrium near a state (n, 3) m under nodal loads (n, 3) N, with ties, by Newton's method.
+        """Return the equilibrium near a state under nodal loads, with ties, by Newton's method.
 
-        factor: the preconditioner, which is renewed where it is worn; tolerance: of the tissue's energy, which a step
-        may still free.
+        Parameters
+        ----------
+        start : Floats, shape (n, 3), m
+            Displacement of the state.
+        load : Floats, shape (n, 3), N
+            The loads.
+        factor : Renewable
+            The preconditioner, which is renewed where it is worn.
+        tolerance : float
+            Fraction of the tissue's energy that a step may still release.
         """
         moved = start
         energy, inner, _ = self.energy(moved)
@@ -260,9 +328,9 @@ class Solid:
     def _shortened(
         self, moved: Floats, way: Floats, slope: float, load: Floats, potential: float
     ) -> tuple[Floats, float, Floats, float] | None:
-        """State on a way down from another at which the potential energy has fallen as it ought to; None without one.
+        """Return a state down the direction at which the potential energy has fallen enough; None without one.
 
-        Beside it the energy and its gradient there, and by how much the potential energy has changed.
+        Beside it the energy and its gradient there, and the change of the potential energy.
         """
         length = 1.0
         for _ in range(MOST_HALVINGS):
@@ -276,7 +344,7 @@ class Solid:
         return None
 
     def _settling(self, load: Floats) -> Settling:
-        """Settle under one load; yields residuals (n, 3) N and is sent what the solid at rest makes of them."""
+        """Settle under one load; yield residuals (n, 3) N and receive their displacements by the solid at rest."""
         displacement = np.zeros_like(self.nodes)
         done, share, load_steps, steps, iterations = 0.0, 1.0, 0, 0, 0
         factor: Cholesky | None = None
@@ -295,7 +363,7 @@ class Solid:
         return Equilibrium(displacement, load_steps, steps, iterations, self.energy(displacement)[2], done >= 1.0)
 
     def _factor_or(self, displacement: Floats, other: Cholesky | None) -> Cholesky | None:
-        """Factor about a displaced state, or the other where that state is unstable."""
+        """Return the factor about a displaced state, or the other where that state is unstable."""
         try:
             return self.factor(displacement)
         except NotPositive:
@@ -304,7 +372,7 @@ class Solid:
     def _newton(
         self, start: Floats, load: Floats, factor: Cholesky | None
     ) -> Generator[Floats, Floats, tuple[Floats, int, int, bool, Cholesky | None]]:
-        """Newton's method from a state (n, 3) m; a factor serves as preconditioner in place of that at rest.
+        """Run Newton's method from a state (n, 3) m; a factor replaces that at rest as preconditioner.
 
         Returns the state, steps, iterations, whether it converged, and the last factor.
         """
@@ -318,11 +386,11 @@ class Solid:
         before: float | None = None
         for step in range(MOST_STEPS):
             residual = np.where(held, 0.0, load - inner)
-            # At rest's norm whatever the preconditioner, so that the tolerance means the same.
+            # The norm is that of the solid at rest whatever the preconditioner, so that the tolerance means the same.
             error = math.sqrt(max(float(np.vdot(residual, (yield residual))), 0.0)) / size
             if error <= TOLERANCE:
                 return moved, step, iterations, True, factor
-            # Eisenstat & Walker 1996, choice 2: no more accurate than the step deserves.
+            # Eisenstat & Walker 1996, choice 2: no more accurate than the step requires.
             forcing = 0.1 if before is None else min(0.1, 0.9 * (error / before) ** 2)
             before = error
             forcing = max(forcing, 0.1 * TOLERANCE / error)
@@ -340,7 +408,7 @@ class Solid:
     def _direction(
         self, moved: Floats, residual: Floats, forcing: float, factor: Preconditioner | None
     ) -> Generator[Floats, Floats, tuple[Floats, int]]:
-        """Newton's direction: see conjugate_gradients."""
+        """Return Newton's direction; see conjugate_gradients."""
         matrix = self.tangent(moved)
 
         def apply(way: Floats) -> Floats:
@@ -356,10 +424,10 @@ class Solid:
 def conjugate_gradients(
     apply: Callable[[Floats], Floats], right: Floats, forcing: float, factor: Preconditioner | None
 ) -> Generator[Floats, Floats, tuple[Floats, int]]:
-    """Solution (n, 3), to `forcing` of the right-hand side in the preconditioner's norm, and iterations.
+    """Return the solution (n, 3), to `forcing` of the right-hand side in the preconditioner's norm, and iterations.
 
-    Without a factor the caller preconditions what is yielded. Ends at a direction of negative curvature: with what
-    there is, or with that direction when it is the first.
+    Without a factor the caller preconditions what is yielded. The iteration ends at a direction of negative curvature:
+    with the solution so far, or with that direction when it is the first.
     """
     way, r, p = np.zeros_like(right), right, np.zeros_like(right)
     old = enough = 0.0
@@ -384,7 +452,7 @@ def conjugate_gradients(
 
 
 def _answer(run: Generator[Floats, Floats, tuple[Floats, int]]) -> tuple[Floats, int]:
-    """What conjugate gradients end with that ask nobody."""
+    """Return the result of conjugate gradients that have a factor."""
     try:
         next(run)
     except StopIteration as end:
@@ -400,7 +468,7 @@ def _advance(
     running: dict[int, tuple[Settling, Floats]],
     ready: dict[int, Equilibrium],
 ) -> None:
-    """Let one load's settling go on to its next question, or to its end."""
+    """Continue one load's settling to its next residual, or to its end."""
     try:
         running[number] = run, (next(run) if answer is None else run.send(answer))
     except StopIteration as end:
@@ -408,9 +476,9 @@ def _advance(
 
 
 def shape_functions(order: int) -> tuple[Floats, Floats, Floats]:
-    """Quadratic shape functions at a rule of some order on the reference tetrahedron.
+    """Return quadratic shape functions at a quadrature rule on the reference tetrahedron.
 
-    Values (q, 10), slopes (q, 10, 3), and weights (q,), whose sum is the volume 1/6.
+    Values (q, 10), gradients (q, 10, 3), and weights (q,), whose sum is the volume 1/6.
     """
     skfem, _ = libraries()
     points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, order)

@@ -17,15 +17,15 @@ from tissue_sim.calibration.solid import Solid
 from tissue_sim.organ.organ import Organ
 
 FINE = Grading(near=1)  # where an organ may be touched: two nodes on an edge of its surface
-TIE = 2000.0  # N/m, by which a touching node is held to its place on the sphere: 10 um under 20 mN
+TIE = 2000.0  # N/m, holds a touching node to its place on the sphere: 10 um under 20 mN
 ENTERED = 1e-6  # m inside a sphere
-MOST_ROUNDS = 40  # of finding out which nodes touch, at one depth
-ROUGH, TOLERANCE = 1e-3, 1e-6  # of the energy: while it is found out which nodes touch, and of what is kept
-HALVINGS = 4  # of a step at whose end nothing settles
+MOST_ROUNDS = 40  # of determining which nodes touch, at one depth
+ROUGH, TOLERANCE = 1e-3, 1e-6  # of the energy: while it is determined which nodes touch, and of the result
+HALVINGS = 4  # of a step at whose end no equilibrium is found
 
 
 class Squeezed(NamedTuple):
-    """A solid between spheres, at rest."""
+    """Equilibrium of a solid between spheres."""
 
     displacement: Floats  # (n, 3) m of all nodes
     forces: Floats  # (s, 3) N of the spheres on the solid
@@ -35,10 +35,28 @@ class Squeezed(NamedTuple):
 
 
 def touchable(organ: Organ, touched: NDArray[np.bool_], grading: Grading = FINE) -> tuple[Solid, Longs]:
-    """Finite elements of an organ that may be touched around surface nodes (n,), and isn't where it is held.
+    """Return the finite elements of an organ that may be touched around some surface nodes, except where it is held.
 
-    They are fine there, so that contact is that of a sphere, and touched at all nodes of their own. Raises UserError
-    as Body does.
+    They are fine there, so that contact is that of a sphere.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    touched : NDArray[np.bool_], shape (n,)
+        Surface nodes that may be touched.
+    grading : Grading, optional
+        Sizes of the elements.
+
+    Returns
+    -------
+    tuple[Solid, Longs]
+        The solid, and those of its nodes that may be touched.
+
+    Raises
+    ------
+    UserError
+        As Body does.
     """
     touched = touched.copy()
     touched[organ.fixed] = False
@@ -47,15 +65,45 @@ def touchable(organ: Organ, touched: NDArray[np.bool_], grading: Grading = FINE)
 
 
 def own_nodes(body: Body, near: Longs) -> Longs:
-    """The solid's own nodes on the organ's triangles of numbers near (t,): where it is touched in truth."""
+    """Return the solid's nodes on some of the organ's triangles, which carry the contact.
+
+    Parameters
+    ----------
+    body : Body
+        The finite-element body.
+    near : Longs, shape (t,)
+        Indices of the triangles.
+
+    Returns
+    -------
+    Longs
+        Node indices, ascending.
+    """
     return np.unique(body.filling.facets[np.isin(body.filling.triangle, near)]).astype(np.int64)
 
 
 def squeezed(solid: Solid, nodes: Longs, paths: Floats, radius: float) -> list[Squeezed]:
-    """Equilibria of a solid whose nodes (k,) stick to spheres that go along paths (steps, s, 3) m.
+    """Return the equilibria of a solid whose nodes stick to spheres that move along paths.
 
-    A node that comes to lie inside a sphere is tied to the nearest place on it, and let go once it would be pulled.
-    One entry a step; ends at the first at which no equilibrium is found, however short the steps that lead there.
+    A node that enters a sphere is tied to the nearest place on it, and released once it would be pulled. The result has
+    one entry per step; it ends at the first step at which no equilibrium is found, however short the steps that lead
+    there.
+
+    Parameters
+    ----------
+    solid : Solid
+        The solid.
+    nodes : Longs, shape (k,)
+        Nodes that may be touched.
+    paths : Floats, shape (steps, s, 3), m
+        Centres of the spheres.
+    radius : float, m
+        Radius of the spheres.
+
+    Returns
+    -------
+    list[Squeezed]
+        The equilibria.
     """
     run = _Squeeze(solid, nodes, radius)
     found: list[Squeezed] = []
@@ -70,7 +118,7 @@ def squeezed(solid: Solid, nodes: Longs, paths: Floats, radius: float) -> list[S
 
 
 class Tied:
-    """What a solid with ties gives way by: a factor with those of some time, and what changed since by Woodbury.
+    """Solver for a solid with ties: a factor with earlier ties, and their changes since by Woodbury's formula.
 
     A tie is so much stiffer than the solid that conjugate gradients would take three iterations for each.
     """
@@ -82,16 +130,16 @@ class Tied:
 
     def _take(self, moved: Floats) -> None:
         self._factor, self._ties = self._solid.factor(moved), self._solid.ties
-        self._gives: dict[int, Floats] = {}  # of a node, (3n, 3) m/N
+        self._gives: dict[int, Floats] = {}  # compliance of a node, (3n, 3) m/N
         self._changed: Longs = np.zeros(0, dtype=np.int64)
 
     def renew(self, moved: Floats) -> None:
-        """Know what holds about a state (n, 3) m; go on with what was known where that is unstable."""
+        """Compute it about a state (n, 3) m; keep the earlier one where that state is unstable."""
         with suppress(NotPositive):
             self._take(moved)
 
     def retie(self) -> None:
-        """Take up the solid's ties."""
+        """Adopt the solid's ties."""
         assert self._solid.ties is not None
         assert self._ties is not None
         change = self._solid.ties - self._ties
@@ -108,7 +156,7 @@ class Tied:
             self._small = lu_factor(among + np.diag(1.0 / np.repeat(change[self._changed], 3)))
 
     def precondition(self, right: Floats) -> Floats:
-        """Displacements (3n, c) m for forces (3n, c) N."""
+        """Return displacements (3n, c) m for forces (3n, c) N."""
         moved = self._factor.precondition(right)
         if not len(self._changed):
             return moved
@@ -116,12 +164,12 @@ class Tied:
 
 
 def _axes(nodes: Longs) -> Longs:
-    """Unknowns (3k,) of nodes (k,)."""
+    """Return the unknowns (3k,) of nodes (k,)."""
     return np.asarray((3 * nodes[:, None] + np.arange(3)).ravel())
 
 
 class _Squeeze:
-    """A solid on the way between spheres of one radius, m, that touch it at nodes (k,)."""
+    """Solid that moves with spheres of one radius, m, which touch it at nodes (k,)."""
 
     def __init__(self, solid: Solid, nodes: Longs, radius: float) -> None:
         self._solid, self._nodes, self._radius = solid, nodes, radius
@@ -132,7 +180,7 @@ class _Squeeze:
         self._tied = Tied(solid)
 
     def go(self, start: Floats, end: Floats) -> Squeezed:
-        """Where it comes to rest when the spheres go from centres (s, 3) m to others."""
+        """Return the equilibrium after the spheres have moved from centres (s, 3) m to others."""
         at, share = 0.0, 1.0
         while True:
             kept = self._owner.copy(), self._place.copy(), self._moved
@@ -150,7 +198,7 @@ class _Squeeze:
         return self._found(end, settled)
 
     def _settle(self, centres: Floats) -> bool:
-        """Whether an equilibrium was found for spheres at centres (s, 3) m, from where the solid is."""
+        """Find the equilibrium for spheres at centres (s, 3) m, from the present state; return whether there is one."""
         solid, nodes = self._solid, self._nodes
         tolerance = ROUGH
         for _ in range(MOST_ROUNDS):
@@ -171,19 +219,19 @@ class _Squeeze:
         return False
 
     def _wanted(self, centres: Floats) -> Floats:
-        """Displacements (t, 3) m at which the nodes that touch lie at their places."""
+        """Return the displacements (t, 3) m at which the nodes that touch lie at their places."""
         stuck = self._owner >= 0
         return np.asarray(centres[self._owner[stuck]] + self._place[stuck] - self._solid.nodes[self._nodes[stuck]])
 
     def _pushes(self, centres: Floats) -> Floats:
-        """What the spheres push the nodes with, (k, 3) N."""
+        """Return the forces of the spheres on the nodes, (k, 3) N."""
         stuck = self._owner >= 0
         push = np.zeros((len(self._nodes), 3))
         push[stuck] = TIE * (self._wanted(centres) - self._moved[self._nodes[stuck]])
         return push
 
     def _touch(self, centres: Floats) -> bool:
-        """Tie nodes that have come to lie inside a sphere, let those go that are pulled; returns whether there are."""
+        """Tie nodes that have entered a sphere, release those that are pulled; return whether there were any."""
         away = (self._solid.nodes[self._nodes] + self._moved[self._nodes])[:, None] - centres
         gap = np.linalg.norm(away, axis=2) - self._radius
         stuck = self._owner >= 0

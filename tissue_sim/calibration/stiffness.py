@@ -1,4 +1,4 @@
-"""What a calibration begins with, and how an organ takes up the stiffness that it finds."""
+"""Start of a calibration, and the transfer of its stiffness to an organ."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_like
 
 METHODS = ("cells", "groups")
-# Interior atoms for each surface node, where cells are fitted: more of them cost time and gain accuracy.
+# Interior atoms per surface node, where cells are fitted: more of them are slower and more accurate.
 INTERIOR_SHARE = {"fast": 0.3, "balanced": 0.75, "accurate": 1.5}
 ONE_STEP = ("fast",)  # aims for which masses are fitted with the stiffness, so that a step of 1 ms is stable
-CELL_LAYER = 0.7  # of them, in a layer under the surface
-CELL_START = (1.0, 0.5)  # of the tissue's mu and lambda: where the fit of cells begins
-RETURN_START = 0.01  # of the organ's return springs, where the search begins: the clamp holds the organ
+CELL_LAYER = 0.7  # fraction of them in a layer under the surface
+CELL_START = (1.0, 0.5)  # fractions of the tissue's mu and lambda at which the fit of cells begins
+RETURN_START = 0.01  # fraction of the organ's return springs at which the search begins: the clamp holds the organ
 
 _BOUNDS = {
     "seed": (0, 2**31),
@@ -63,7 +63,25 @@ class Settings:
 
 
 def prepared(organ: Organ, settings: Settings) -> Organ:
-    """The organ with the interior atoms wanted, and with cells of its tissue where those are fitted."""
+    """Return the organ with the wanted interior atoms, and with cells where those are fitted.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    settings : Settings
+        Settings of the calibration.
+
+    Returns
+    -------
+    Organ
+        The organ.
+
+    Raises
+    ------
+    UserError
+        For an unknown method or aim.
+    """
     by_cells = settings.method == "cells"
     interior = settings.interior
     if interior is None:
@@ -80,12 +98,25 @@ def prepared(organ: Organ, settings: Settings) -> Organ:
 
 
 def without_cells(organ: Organ) -> Organ:
-    """The organ with springs alone."""
+    """Return the organ with springs alone."""
     return replace(organ, cell_nodes=organ.cell_nodes[:0], cell_mu=organ.cell_mu[:0], cell_lambda=organ.cell_lambda[:0])
 
 
 def first_stiffness(organ: Organ, model: Model) -> Floats:
-    """Stiffness (p,) in the order of strains_of where a fit begins: the organ's, its return springs weakened."""
+    """Return the stiffness at which a fit begins: the organ's, its return springs weakened.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    model : Model
+        The organ's model.
+
+    Returns
+    -------
+    Floats, shape (p,)
+        Stiffness, in the order of strains_of.
+    """
     if model.tissue is not None:
         return np.concatenate([organ.cell_mu, organ.cell_lambda])
     stiffness = strains_of(model).stiffness.copy()
@@ -94,7 +125,22 @@ def first_stiffness(organ: Organ, model: Model) -> Floats:
 
 
 def with_stiffness(organ: Organ, model: Model, stiffness: Floats) -> Organ:
-    """The organ with stiffness (p,) in the order of strains_of its model."""
+    """Return the organ with another stiffness.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    model : Model
+        The organ's model.
+    stiffness : Floats, shape (p,)
+        Stiffness in the order of strains_of.
+
+    Returns
+    -------
+    Organ
+        The organ.
+    """
     if model.tissue is not None:
         mu, lam = stiffness.reshape(2, -1)
         return replace(organ, cell_mu=mu, cell_lambda=lam)
@@ -106,6 +152,6 @@ def with_stiffness(organ: Organ, model: Model, stiffness: Floats) -> Organ:
     spring[spring > 0.0] = axial
     hinge[hinge > 0.0] = angular
     pull[model.return_nodes] = pulls
-    # Nothing reads those of held nodes, but they would stand in the file as what they were.
+    # Nothing reads those of held nodes, but the file would keep their old values.
     pull[organ.fixed] = 0.0
     return replace(organ, spring_stiffness=spring, angular_stiffness=hinge, return_stiffness=pull)

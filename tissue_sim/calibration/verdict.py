@@ -1,4 +1,4 @@
-"""What a calibration says of itself: lines of text, and pictures of the held-out errors, worst cases and release."""
+"""Presentation of a calibration's result: lines of text, and pictures of held-out errors, worst cases and release."""
 
 from __future__ import annotations
 
@@ -23,7 +23,18 @@ _ERRORS, _COLOURS, _BANDS = "viridis", 256, 8  # colour map of errors, its colou
 
 
 def lines(figures: dict[str, Any]) -> Iterator[str]:
-    """The figures as text."""
+    """Yield the figures as lines of text.
+
+    Parameters
+    ----------
+    figures : dict[str, Any]
+        Figures of a calibration.
+
+    Yields
+    ------
+    Iterator[str]
+        One line.
+    """
     reference, fitted, motion = figures["reference"], figures["fit"], figures["motion"]
     if "error" in reference:
         yield reference["error"]
@@ -52,9 +63,24 @@ def lines(figures: dict[str, Any]) -> Iterator[str]:
 
 
 def write_pictures(found: Calibrated, folder: Path) -> list[Path]:
-    """Write errors.png, worst.png and release.png; returns their paths.
+    """Write errors.png, worst.png and release.png.
 
-    Raises UserError without matplotlib, or when the folder can't be written.
+    Parameters
+    ----------
+    found : Calibrated
+        The result of a calibration.
+    folder : Path
+        Where they are written.
+
+    Returns
+    -------
+    list[Path]
+        Their paths.
+
+    Raises
+    ------
+    UserError
+        Without matplotlib, and where the folder can't be written.
     """
     figures = {"errors.png": _errors, "worst.png": _worst, "release.png": _release}
     paths = []
@@ -77,7 +103,7 @@ def _figure(width: float, height: float) -> Any:
 
 
 def _errors(found: Calibrated) -> Any:
-    """Error of every held-out case, the best first, beside that of linear elasticity."""
+    """Return a figure of the error of every held-out case, the best first, beside that of linear elasticity."""
     figure = _figure(8.0, 4.2)
     axis = figure.subplots()
     error = 100.0 * errors(found.found.displacement, found.wanted.displacement)
@@ -100,7 +126,7 @@ def _errors(found: Calibrated) -> Any:
 
 
 def _release(found: Calibrated) -> Any:
-    """How far the poked node is from rest after the release."""
+    """Return a figure of the poked node's distance from rest after the release."""
     figure = _figure(7.0, 3.8)
     axis = figure.subplots()
     motion = found.release
@@ -116,7 +142,7 @@ def _release(found: Calibrated) -> Any:
 
 
 def _worst(found: Calibrated) -> Any:
-    """The worst cases: the settled finite elements, the model coloured by its distance from them, and both by node."""
+    """Return a figure of the worst cases: finite elements, the model coloured by its error, and both by node."""
     from matplotlib.cm import ScalarMappable
 
     error = errors(found.found.displacement, found.wanted.displacement)
@@ -148,7 +174,7 @@ def _worst(found: Calibrated) -> Any:
 
 
 def _view(rest: Floats, pressed: Floats) -> View:
-    """The organ from the side of the pressed place."""
+    """Return a view of the organ from the side of the pressed place."""
     towards = pressed - rest.mean(axis=0)
     upright = abs(towards[2]) < 0.9 * float(np.linalg.norm(towards))
     return view_of(rest, towards, (0.0, 0.0, 1.0) if upright else (0.0, 1.0, 0.0), (_SIDE, _SIDE), 0.12)

@@ -1,6 +1,6 @@
-"""The commands of `tissue_sim`: a module for each, with `add_arguments` and `run`, imported when it is used."""
+"""Commands of `tissue_sim`: a module for each, with `add_arguments` and `run`, imported when it is used."""
 
-# Module and summary of each. Those of the bench and of ROS stand with what they run.
+# Module and summary of each. Commands of the bench and of ROS are beside what they run.
 COMMANDS = {
     "demo": ("tissue_sim.ros.demo", "run the node, a scripted haptic bridge and the viewer"),
     "phantom": ("tissue_sim.commands.phantom", "write a synthetic CT for trying `tissue_sim build`"),

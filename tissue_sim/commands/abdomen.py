@@ -1,4 +1,4 @@
-"""`tissue_sim abdomen`: a scene of liver, kidneys and spleen, from synthetic shapes or from masks of a CT."""
+"""Command `tissue_sim abdomen`: a scene of liver, kidneys and spleen, from synthetic shapes or masks of a CT."""
 
 from __future__ import annotations
 
@@ -21,17 +21,25 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.progress import steps
 
 NAME = "abdomen"
-BREATHS, WAY = 15.0, (0.0, 0.0, -0.015)  # a minute; m that the liver goes down: z leads to the head
+BREATHS, WAY = 15.0, (0.0, 0.0, -0.015)  # per minute; m that the liver moves: z points to the head
 LIGAMENT = 0.004  # m beyond the nearest nodes of two organs, up to which a ligament joins them
-FALCIFORM = 0.02  # m in front of the liver, where it hangs on the wall
+FALCIFORM = 0.02  # m in front of the liver, where it is attached to the wall
 ENDINGS = (".nii.gz", ".nii", ".nrrd", ".mha")
 
 
 class Part(NamedTuple):
-    """An organ of the scene.
+    """Organ of the scene.
 
-    name as in masks of a CT; fixed: where the wall holds it; youngs_modulus, Pa; breathes: how far it goes with the
-    liver.
+    Attributes
+    ----------
+    name : str
+        Name as of the masks of a CT.
+    fixed : str
+        Where the wall holds it, as for select_fixed.
+    youngs_modulus : float
+        Young's modulus, Pa.
+    breathes : float
+        Motion with the breath relative to the liver's.
     """
 
     name: str
@@ -40,7 +48,7 @@ class Part(NamedTuple):
     breathes: float
 
 
-# Held by the diaphragm above, and by the wall behind. A kidney goes about two thirds of the liver's way.
+# Organs are held by the diaphragm above and the wall behind. A kidney moves about two thirds as far as the liver.
 PARTS = (
     Part("liver", "z>0.9", 6_000.0, 1.0),
     Part("kidney_left", "y>0.9", 10_000.0, 0.7),
@@ -50,7 +58,7 @@ PARTS = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "--masks",
         metavar="FOLDER",
@@ -63,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the organs, fit them, write the scene, return 0. Raises UserError."""
+    """Build the organs, fit them, write the scene, and return 0. Raises UserError."""
     try:
         return _run(args)
     except ModuleNotFoundError as error:
@@ -104,7 +112,7 @@ def _run(args: argparse.Namespace) -> int:
                 raise UserError(failed[0])
     path = Path(args.out) / f"{NAME}.yaml"
     write_scene({part.name: Organ.load(folder / f"{part.name}.npz") for part in PARTS}, path, source)
-    SceneFile.read(path)  # what can't be read again is told at once
+    SceneFile.read(path)  # a file that can't be read is reported at once
     print(f"{path}: {len(PARTS)} organs; 'tissue_sim info {path}' describes it")
     return 0
 
@@ -130,12 +138,12 @@ def _mask_file(folder: Path, name: str) -> Path:
 
 
 def write_scene(organs: Mapping[str, Organ], path: Path, source: str) -> None:
-    """Write the scene's file: where its organs hang on each other and on the wall, and how they breathe.
+    """Write the scene's file: the organs' ligaments to each other and to the wall, and how they breathe.
 
     Raises UserError when it can't be written.
     """
     liver = organs["liver"].surface_positions
-    front = liver[np.argmin(liver[:, 1])] - [0.0, FALCIFORM, 0.0]  # y leads to the back
+    front = liver[np.argmin(liver[:, 1])] - [0.0, FALCIFORM, 0.0]  # y points to the back
     said = {
         "format": FORMAT,
         "organs": [{"name": part.name, "file": f"{NAME}/{part.name}.npz", "breathes": part.breathes} for part in PARTS],

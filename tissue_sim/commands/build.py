@@ -1,4 +1,4 @@
-"""`tissue_sim build`: from a CT, a segmentation or a mesh to an organ file."""
+"""Command `tissue_sim build`: from a CT, a segmentation or a mesh to an organ file."""
 
 from __future__ import annotations
 
@@ -29,13 +29,19 @@ from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 from tissue_sim.progress import task
 
-# What stages take of a usual build, beside each other: only the bar's pace depends on it.
+# Relative durations of the stages of a usual build; only the pace of the progress bar depends on them.
 _SHARE = {"read": 8, "segment": 40, "wall": 6, "balloon": 38, "skeleton": 6, "springs": 2, "report": 25}
 _UNITS = ("mm", "cm", "m", "um", "in")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `tissue_sim build`."""
+    """Add the arguments of `tissue_sim build`.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The command's parser.
+    """
     parser.add_argument("image", nargs="?", metavar="IMAGE", help="CT: a NIfTI, NRRD or MHA file, or a DICOM folder")
     source = parser.add_argument_group("input (IMAGE with a seed, or one of --mask, --surface)")
     source.add_argument(
@@ -122,7 +128,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the organ that the arguments describe, print what was done, return 0. Raises UserError."""
+    """Build the organ that the arguments describe, print what was done, and return 0.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed arguments.
+
+    Returns
+    -------
+    int
+        Exit code.
+
+    Raises
+    ------
+    UserError
+        As the stages do, and for wrong use.
+    """
     try:
         return _run(args)
     except ModuleNotFoundError as error:
@@ -185,7 +207,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _add_stages(parser: argparse.ArgumentParser) -> None:
-    """An option for every field of SegmentationParameters, with its help and unit."""
+    """Add an option for every field of SegmentationParameters, with its help and unit."""
     group = parser.add_argument_group("segmentation from a seed")
     group.add_argument(
         "--organ",
@@ -220,7 +242,7 @@ def _parameters(args: argparse.Namespace) -> SegmentationParameters:
 
 
 def _check_counts(args: argparse.Namespace) -> None:
-    """Refuse at once what would be refused after the segmentation."""
+    """Refuse at once what would otherwise be refused after the segmentation."""
     from tissue_sim.organ.interior import check_interior
     from tissue_sim.organ.skeletons.skeleton import check_atoms
     from tissue_sim.organ.surfaces.balloon import check_points
@@ -248,7 +270,7 @@ def _check_counts(args: argparse.Namespace) -> None:
 
 
 def _source(args: argparse.Namespace) -> str:
-    """The one input that was named; refuses none, several, and options that don't belong to it."""
+    """Return the one input that was named; refuse none, several, and options that don't belong to it."""
     inputs = (("IMAGE", args.image), ("--mask", args.mask), ("--surface", args.surface))
     given = [(what, path) for what, path in inputs if path]
     if not given:
@@ -284,7 +306,7 @@ def _source(args: argparse.Namespace) -> str:
 
 
 def report_path(args: argparse.Namespace, out: Path) -> Path | None:
-    """Where the report goes: None without --report, beside `out` without a name.
+    """Return the path of the report: None without --report, beside `out` without a name.
 
     Raises UserError for what couldn't be written after the build.
     """
@@ -304,7 +326,7 @@ def report_path(args: argparse.Namespace, out: Path) -> Path | None:
 
 
 def _stages_of(args: argparse.Namespace) -> list[str]:
-    """The stages that this input goes through."""
+    """Return the stages that this input goes through."""
     left_out = {"segment"} if not args.image else set()
     left_out |= {"balloon"} if args.keep_points else set()
     stages = [stage for stage in STAGES if stage not in left_out]
@@ -312,7 +334,7 @@ def _stages_of(args: argparse.Namespace) -> list[str]:
 
 
 def _given(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
-    """What the input is, and its options as the library takes them."""
+    """Return the kind of the input, and its options as the library takes them."""
     part = int(args.part) if args.part and args.part.isdigit() else args.part
     of_parts = {"part": part, "merge_parts": args.merge_parts}
     if args.surface:
@@ -326,20 +348,20 @@ def _given(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
 
 @contextmanager
 def _under_way(stages: list[str]) -> Iterator[Progress]:
-    """What the stages tell: lines on the standard output, and how far they are as shares of one task."""
+    """Yield the receiver of what the stages report: lines on the standard output, and progress as parts of one task."""
     start = dict(zip(stages, itertools.accumulate((_SHARE[stage] for stage in stages), initial=0.0), strict=False))
     with task(stages[0], sum(_SHARE[stage] for stage in stages), "%") as whole:
 
         def watch(stage: str, done: float) -> None:
             if stage in start:
                 whole.name = stage
-                whole.reach(max(whole.done, start[stage] + done * _SHARE[stage]))  # never back
+                whole.reach(max(whole.done, start[stage] + done * _SHARE[stage]))  # never backwards
 
         yield Progress(partial(print, flush=True), watch)
 
 
 def parse_triple(option: str, text: str) -> Floats:
-    """Three finite numbers, (3,), of a text like `1.5,-20,300`. Raises UserError naming the option."""
+    """Return three finite numbers, (3,), of a text such as `1.5,-20,300`. Raises UserError naming the option."""
     try:
         values = np.array([float(part) for part in text.replace(" ", "").split(",")])
     except ValueError:

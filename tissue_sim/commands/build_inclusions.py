@@ -9,7 +9,25 @@ from tissue_sim.organ.inclusions import check_stiffness
 
 
 def parse_inclusions(given: Sequence[str], label: str | None = None) -> dict[str, float]:
-    """How many times as stiff each label is. Raises UserError for what isn't N:TIMES, or a label that comes twice."""
+    """Return the stiffness factor of each label.
+
+    Parameters
+    ----------
+    given : Sequence[str]
+        Values of the option, N:TIMES each.
+    label : str | None, optional
+        Label of the organ itself.
+
+    Returns
+    -------
+    dict[str, float]
+        Factors by label.
+
+    Raises
+    ------
+    UserError
+        Where a value isn't N:TIMES, or a label occurs twice.
+    """
     found: dict[str, float] = {}
     for text in given:
         part, _, times = text.rpartition(":")

@@ -17,7 +17,7 @@ from tissue_sim.unexpected import catch_all
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Write the kidney; returns the exit code."""
+    """Write the kidney and return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m tissue_sim.commands.build_shipped", description=__doc__)
     parser.add_argument("--out", type=Path, default=KIDNEY, help="organ file to write (default: %(default)s)")
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="also write a page on how it was built")

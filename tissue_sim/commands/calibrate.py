@@ -1,4 +1,4 @@
-"""`tissue_sim calibrate`: fit an organ to a finite-element body of its shape, and tell how good it has become."""
+"""Command `tissue_sim calibrate`: fit an organ to a finite-element body of its shape, and report the accuracy."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.version import __version__
 
-MEAN, WORST, SHARP = 5.5, 12.0, 15.0  # %, bounds of --check on held-out loads: smooth, smooth, the sharp ones' mean
+MEAN, WORST, SHARP = 5.5, 12.0, 15.0  # %, bounds of --check: smooth loads' mean and worst, sharp ones' mean
 RELEASE = 15.0  # %
 TIME = (
     "A kidney of 994 points takes two minutes on two idle cores, and another half a minute if kernels have to be"
@@ -39,7 +39,7 @@ _DEFAULT = Settings()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.epilog = TIME
     parser.add_argument("organ", nargs="+", metavar="ORGAN", help="organ file (.npz) with fixed nodes; or several")
     parser.add_argument(
@@ -92,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate, write and print figures; returns 0, or 1 when an organ of several failed or, with --check, a bound."""
+    """Calibrate, write and print figures; return 0, or 1 when an organ failed or, with --check, a bound was missed."""
     settings = _settings(args)
     out = Path(args.out)
     several = len(args.organ) > 1 or out.is_dir()
@@ -164,7 +164,7 @@ def _run_many(args: argparse.Namespace, settings: Settings) -> int:
 
 
 def _settings(args: argparse.Namespace) -> Settings:
-    """The settings that the arguments name; raises UserError for numbers out of range."""
+    """Return the settings that the arguments name; raises UserError for numbers out of range."""
     names = ("seed", "method", "aim", "cases", "evaluations", "interior", "smooth", "sharp")
     try:
         return Settings(**{name: getattr(args, name) for name in names})
@@ -173,7 +173,7 @@ def _settings(args: argparse.Namespace) -> Settings:
 
 
 def _missed(figures: dict[str, Any]) -> Iterator[str]:
-    """Bounds that are missed."""
+    """Yield the bounds that are missed."""
     held_out = figures["held_out"]
     smooth, sharp = held_out["smooth"], held_out.get("sharp")
     for name, value, bound in (

@@ -1,4 +1,4 @@
-"""`tissue_sim calibrate` of several organs: as many at once as there is room for, a row as each is ready."""
+"""Calibration of several organs by `tissue_sim calibrate`: some at a time, with a row as each is ready."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ _WIDTHS = (28, 9, 7, 9, 7, 10, 9, 9, 12, 8)
 
 
 class Task(NamedTuple):
-    """One organ's calibration."""
+    """Calibration of one organ."""
 
     organ: Organ
     settings: Settings
-    folder: str | None  # of its checkpoint; None on a cluster, whose workers may not share one
+    folder: str | None  # folder of its checkpoint; None on a cluster, whose workers may not share one
 
 
 class Done(NamedTuple):
-    """A calibrated organ, and what it took."""
+    """Calibrated organ, its figures, and the minutes that it took."""
 
     organ: Organ
     figures: dict[str, Any]
@@ -42,7 +42,13 @@ class Done(NamedTuple):
 
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
-    """Arguments that say where organs are calibrated."""
+    """Add the arguments that say where organs are calibrated.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The command's parser.
+    """
     parser.add_argument("--jobs", type=int, metavar="N", help="number of organs calibrated at once (default: 1)")
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="use the workers of a Dask cluster, such as tcp://10.0.0.1:8786"
@@ -50,7 +56,13 @@ def add_cluster(parser: argparse.ArgumentParser) -> None:
 
 
 def check_cluster(args: argparse.Namespace) -> None:
-    """Raise UserError for what is out of range, or both."""
+    """Raise UserError for values out of range, or for both options.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed arguments.
+    """
     if args.jobs is not None and args.jobs < 1:
         raise UserError(f"--jobs {args.jobs} is less than 1")
     if args.jobs and args.scheduler:
@@ -58,7 +70,25 @@ def check_cluster(args: argparse.Namespace) -> None:
 
 
 def outputs_of(organs: Sequence[Path], folder: Path) -> list[Path]:
-    """Where each organ's calibrated one goes. Raises UserError where two would be one file, or an organ be lost."""
+    """Return the output file of each organ.
+
+    Parameters
+    ----------
+    organs : Sequence[Path]
+        Organ files.
+    folder : Path
+        Folder of the outputs.
+
+    Returns
+    -------
+    list[Path]
+        The output files.
+
+    Raises
+    ------
+    UserError
+        Where two would be one file, or an organ would be overwritten.
+    """
     found: dict[Path, Path] = {}
     for organ in organs:
         out = folder / f"{organ.stem}.npz"
@@ -73,10 +103,32 @@ def outputs_of(organs: Sequence[Path], folder: Path) -> list[Path]:
 def calibrate_many(
     organs: Sequence[Path], outputs: Sequence[Path], settings: Settings, jobs: int, scheduler: str | None
 ) -> dict[str, dict[str, Any] | str]:
-    """Calibrate organ files into others, with a table as they come; returns figures by name, or why there are none.
+    """Calibrate organ files into others, and print a table as they become ready.
 
-    What was made of the same organ with the same settings before is not made again.
-    Raises UserError when the scheduler doesn't answer.
+    An output that was made from the same organ with the same settings isn't made again.
+
+    Parameters
+    ----------
+    organs : Sequence[Path]
+        Organ files.
+    outputs : Sequence[Path]
+        Files of the calibrated organs.
+    settings : Settings
+        Settings of the calibrations.
+    jobs : int
+        Number of calibrations at a time on this machine.
+    scheduler : str | None
+        Address of a Dask scheduler; None for this machine.
+
+    Returns
+    -------
+    dict[str, dict[str, Any] | str]
+        Figures by name, or the reason why there are none.
+
+    Raises
+    ------
+    UserError
+        Where the scheduler doesn't answer.
     """
     found: dict[str, dict[str, Any] | str] = {}
     with progress.task("organs", len(organs)) as under_way:
@@ -113,7 +165,7 @@ def calibrate_many(
 
 
 def task_of(source: Path, settings: Settings, folder: Path | None) -> Task | str:
-    """What is to be done for an organ file, or why it can't be read: that is one organ's failure."""
+    """Return the task for an organ file, or the reason why it can't be read: that fails one organ only."""
     try:
         return Task(Organ.load(source), settings, None if folder is None else str(folder))
     except UserError as error:
@@ -131,12 +183,12 @@ def worked_out(task: Task | str) -> Done:
         try:
             found: Calibrated = calibrate(task.organ, task.settings, checkpoint, Silent())
         finally:
-            checkpoint.remove()  # after a refusal, too: the organ must change; a process that is killed leaves it
+            checkpoint.remove()  # also after a refusal, as the organ must change; a process that is killed leaves it
     return Done(found.organ, found.figures, (time.perf_counter() - began) / 60.0)
 
 
 def made_before(source: Path, out: Path, settings: Settings) -> dict[str, Any] | None:
-    """Figures of an output that was made of the same organ with the same settings; None where there is none."""
+    """Return the figures of an output made from the same organ with the same settings; None where there is none."""
     try:
         figures = Organ.load(out).provenance.get("calibration")
         made_of = Organ.load(source).digest()
@@ -149,7 +201,20 @@ def made_before(source: Path, out: Path, settings: Settings) -> dict[str, Any] |
 
 
 def write_whole(organ: Organ, out: Path) -> None:
-    """Write the organ, whole or not at all. Raises UserError when it can't be written."""
+    """Write the organ completely or not at all.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    out : Path
+        The file.
+
+    Raises
+    ------
+    UserError
+        Where it can't be written.
+    """
     part = out.with_name(f".{out.name}.part")
     organ.save(part)
     try:
@@ -159,7 +224,20 @@ def write_whole(organ: Organ, out: Path) -> None:
 
 
 def write_figures(found: dict[str, dict[str, Any] | str], path: Path) -> None:
-    """Write all figures as JSON. Raises UserError when the file can't be written."""
+    """Write all figures as JSON.
+
+    Parameters
+    ----------
+    found : dict[str, dict[str, Any] | str]
+        Figures by name.
+    path : Path
+        The file.
+
+    Raises
+    ------
+    UserError
+        Where the file can't be written.
+    """
     try:
         path.write_text(json.dumps(found, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     except OSError as error:
@@ -167,7 +245,7 @@ def write_figures(found: dict[str, dict[str, Any] | str], path: Path) -> None:
 
 
 def cells_of(figures: dict[str, Any], minutes: str) -> list[str]:
-    """An organ's row, without its name."""
+    """Return an organ's row, without its name."""
     smooth, sharp = figures["held_out"]["smooth"], figures["held_out"].get("sharp")
     loads = [found for found in (smooth, sharp) if found]
     settled = f"{sum(found['settled'] for found in loads)}/{sum(found['cases'] for found in loads)}"
@@ -184,5 +262,5 @@ def cells_of(figures: dict[str, Any], minutes: str) -> list[str]:
 
 
 def _row(name: str, cells: Sequence[str]) -> list[tuple[str, int]]:
-    """Cells with the widths that they are shown in; a reason takes what room it needs."""
+    """Return cells with their widths; a reason takes the room that it needs."""
     return list(zip((name, *cells), (_WIDTHS[0], *(0,)) if len(cells) == 1 else _WIDTHS, strict=True))

@@ -21,7 +21,7 @@ _LIVER, _HEART = 0.2, 0.12  # m, longest side of meshes without a unit
 
 
 class Source(NamedTuple):
-    """An organ's file in the folder, and what it is built with beside defaults."""
+    """Organ file in the folder, and the options beyond defaults with which it is built."""
 
     name: str
     file: str
@@ -44,7 +44,7 @@ SOURCES = (
     _mask("aorta"),
     _mask("portal_vein", file="portal_vein_and_splenic_vein"),
     _mask("colon"),
-    _mask("colon_2400", "--points", "2400", file="colon"),  # as the refusal asks for
+    _mask("colon_2400", "--points", "2400", file="colon"),  # as the refusal advises
     Source("hra_kidney", "hra_organs/kidney_left_solid.stl", ("--unit", "mm")),
     Source("hra_spleen", "hra_organs/VH_F_Spleen.glb"),
     Source("hra_heart", "hra_organs/v1.2_VH_F_Heart.glb", ("--merge-parts",)),
@@ -63,7 +63,7 @@ SOURCES = (
 
 
 def main() -> int:
-    """Build what there is, calibrate it, print the table; returns 0, or 2 for wrong use.
+    """Build what there is, calibrate it, print the table, and return 0, or 2 for wrong use.
 
     An organ that is refused is no failure: its row says what to change.
     """
@@ -89,7 +89,7 @@ def main() -> int:
 
 
 def built(sources: list[Source], data: Path, folder: Path) -> list[Path]:
-    """Organ files of the sources that are there and can be built. Raises UserError when there is none."""
+    """Return organ files of the sources that exist and can be built. Raises UserError when there is none."""
     folder.mkdir(parents=True, exist_ok=True)
     found = []
     for source in sources:

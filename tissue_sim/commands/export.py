@@ -14,7 +14,7 @@ EVERY = 20  # ticks from one frame of a bag to the next
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("organ", metavar="ORGAN|BAG", help="organ file (.npz), or folder of a recorded bag")
     parser.add_argument(
         "out",

@@ -1,4 +1,4 @@
-"""`tissue_sim info`: what an organ file or a scene holds, for people or as JSON."""
+"""Command `tissue_sim info`: the content of an organ file or a scene, for people or as JSON."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LARGEST = 0.5  # m, radius of a tool
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("file", metavar="FILE", help="organ file (.npz), or a scene of several (.yaml)")
     parser.add_argument(
         "--ball",
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the organ or the scene; returns 0. Raises UserError for a file that is missing, damaged or neither."""
+    """Print the organ or the scene; return 0. Raises UserError for a file that is missing, damaged or neither."""
     if args.ball is not None and not 0.0 < args.ball <= LARGEST:
         raise UserError(f"--ball {args.ball:g} is outside 0..{LARGEST:g} m")
     if Path(args.file).suffix.lower() in (".yaml", ".yml"):

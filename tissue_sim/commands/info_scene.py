@@ -1,4 +1,4 @@
-"""What a scene holds, for `tissue_sim info`."""
+"""Content of a scene, for `tissue_sim info`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,23 @@ from tissue_sim.model.simulation import Simulation
 
 
 def describe_scene(path: Path) -> dict[str, Any]:
-    """All figures of a scene, ready for JSON; units stand in the names. Raises UserError for what is no scene."""
+    """Return all figures of a scene, ready for JSON; units stand in the names.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    dict[str, Any]
+        The figures by name.
+
+    Raises
+    ------
+    UserError
+        Where the file isn't a scene.
+    """
     said = SceneFile.read(path)
     scene = said.scene([])
     breathing = said.breathing
@@ -58,7 +74,18 @@ def _attachment(one: Attachment, said: SceneFile, simulations: list[Simulation])
 
 
 def scene_lines(found: dict[str, Any]) -> list[str]:
-    """The figures for people."""
+    """Return the figures as lines of text.
+
+    Parameters
+    ----------
+    found : dict[str, Any]
+        The figures by name.
+
+    Returns
+    -------
+    list[str]
+        The lines.
+    """
     lines = [f"scene {found['scene']}: {len(found['organs'])} organs"]
     for organ in found["organs"]:
         low, high = (", ".join(f"{v:.0f}" for v in organ[key]) for key in ("lower_corner_mm", "upper_corner_mm"))

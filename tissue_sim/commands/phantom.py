@@ -1,4 +1,4 @@
-"""`tissue_sim phantom`: a CT to try things on, of no patient, with a kidney that is known."""
+"""Command `tissue_sim phantom`: a synthetic CT to try things on, with a kidney that is known."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_NOISE, _WIDEST_GAP = 200.0, 20.0  # HU; mm
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `tissue_sim phantom`."""
+    """Add the arguments of `tissue_sim phantom`."""
     parser.add_argument(
         "out",
         nargs="?",
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the phantom's CT, and its kidney's mask where asked; returns 0. Raises UserError."""
+    """Write the phantom's CT, and its kidney's mask on request; return 0. Raises UserError."""
     for path in (args.out, args.mask):
         if path is not None:
             _check(path)

@@ -1,4 +1,4 @@
-"""`tissue_sim solve`: settled displacements of an organ under given loads."""
+"""Command `tissue_sim solve`: displacements of an organ at equilibrium under given loads."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tissue_sim.organ.organ import Organ
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("organ", metavar="ORGAN", help="organ file (.npz)")
     parser.add_argument(
         "--loads",
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Solve every load; returns 0, also when some did not settle (`converged` tells)."""
+    """Solve every load; return 0, even when some did not settle (which `converged` tells)."""
     if not 0.0 < args.tolerance < 1.0:
         raise UserError(f"--tolerance {args.tolerance:g} is outside 0..1")
     if not 0.0 < args.longest <= 3600.0:
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     simulation = Simulation(
         organ, model=args.model, rate=args.rate, local_region=args.local_region, integrator=args.integrator
     )
-    simulation.step()  # compile before the clock runs
+    simulation.step()  # compiles before the time is taken
     displacements = np.zeros_like(forces)
     seconds = np.zeros(len(forces))
     converged = np.zeros(len(forces), dtype=bool)
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def read_loads(path: str, n_surface: int) -> Floats:
-    """Forces (L, n_surface, 3) N of a loads file; raises UserError naming what is wrong with it."""
+    """Return the forces (L, n_surface, 3) N of a loads file; raises UserError naming what is wrong with it."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             if "forces" not in stored.files:

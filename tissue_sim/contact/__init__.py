@@ -1,1 +1,1 @@
-"""Tools and where they may touch the organ: FCL collision on the triangles under each tool."""
+"""Tools and contact search: FCL collision with the triangles near each tool."""

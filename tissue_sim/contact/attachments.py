@@ -1,4 +1,4 @@
-"""What organs hang on: attachments to each other or to points, each of many links, and the breath that carries them."""
+"""Attachments of organs to each other or to points, each of many links, and the breathing that moves them."""
 
 from __future__ import annotations
 
@@ -20,12 +20,26 @@ from tissue_sim.organ.topology import node_area
 
 @dataclass(frozen=True)
 class Attachment:
-    """A ligament: links that pull and never push, from surface nodes of one organ to those of another, or to a point.
+    """Ligament: links that pull and never push, from surface nodes of one organ to another organ or a point.
 
-    organs: which two of a scene, or which one and None. stiffness: N/m of all its links together, which share it by
-    the area around their nodes; damping: N s/m likewise. within: m, up to which nodes are joined with the nearest one
-    of the other organ; or else nodes: (k, 2) of both, or (k,) of the one that hangs on `point`, (3,) m. slack: m, the
-    length up to which links don't pull; None: that at rest. moves: how far a point goes with the breath.
+    Attributes
+    ----------
+    organs : tuple[int, int | None]
+        Which two organs of a scene, or which one and None.
+    stiffness : float
+        N/m of all its links together, divided among them by the area around their nodes.
+    damping : float
+        N s/m, likewise.
+    within : float
+        Distance, m, up to which nodes are joined with the nearest one of the other organ; alternative to `nodes`.
+    nodes : ArrayLike | None
+        Nodes of both organs, shape (k, 2), or of the one that hangs on `point`, shape (k,).
+    point : ArrayLike | None
+        Point, shape (3,), m.
+    slack : float | None
+        Length, m, up to which links don't pull; None for that at rest.
+    moves : float
+        Motion of the point with the breath, as a factor.
     """
 
     organs: tuple[int, int | None]
@@ -40,16 +54,21 @@ class Attachment:
 
 @dataclass(frozen=True)
 class Breathing:
-    """A breath of so many a minute that leads what goes with it by `way` (3,) m, from breathed out to breathed in.
+    """Breathing that moves what follows it by a displacement, from breathed out to breathed in.
 
-    rate: 0 for one that goes where it is told to be.
+    Attributes
+    ----------
+    rate : float
+        Breaths per minute; 0 for one that follows external input.
+    way : ArrayLike
+        Displacement, shape (3,), m.
     """
 
     rate: float
     way: ArrayLike
 
     def breath(self) -> Breath:
-        """As the kernels take it. Raises UserError for numbers out of range."""
+        """Return it as kernels take it. Raises UserError for numbers out of range."""
         way = np.asarray(self.way, dtype=np.float64)
         if self.rate != 0.0 and not 1.0 <= self.rate <= 120.0:
             raise UserError(f"a breathing rate of {self.rate:g} a minute is outside 1..120")
@@ -62,7 +81,25 @@ class Breathing:
 
 
 def links_of(attachments: Sequence[Attachment], simulations: Sequence[Simulation]) -> Links:
-    """The links of all attachments. Raises UserError, with its number, for one that joins nothing, or can't be."""
+    """Return the links of all attachments.
+
+    Parameters
+    ----------
+    attachments : Sequence[Attachment]
+        Attachments of the organs.
+    simulations : Sequence[Simulation]
+        Simulations of the organs.
+
+    Returns
+    -------
+    Links
+        The links.
+
+    Raises
+    ------
+    UserError
+        For an attachment that joins nothing or is invalid; the message gives its number.
+    """
     for simulation in simulations:
         if attachments and simulation.local_region != "off":
             raise UserError(
@@ -98,7 +135,7 @@ def _far_ends(one: Attachment, organs: Sequence[Organ], nodes: Longs) -> Floats:
 
 
 def _nodes_of(one: Attachment, organs: Sequence[Organ], number: int) -> Longs:
-    """Nodes (l, 2) of an attachment's links."""
+    """Return the nodes (l, 2) of an attachment's links."""
     near, far = one.organs
     name = f"attachment {number}"
     if not 0 <= near < len(organs) or (far is not None and (not 0 <= far < len(organs) or far == near)):

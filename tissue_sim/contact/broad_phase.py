@@ -1,4 +1,4 @@
-"""Which part of the surface lies near a tool: compiled sweeps over boxes and points."""
+"""Broad phase: the part of the surface near a tool, by compiled sweeps over boxes and points."""
 
 from __future__ import annotations
 
@@ -13,7 +13,19 @@ from tissue_sim.model.shapes import signed_distance
 
 @kernel
 def surface_box(position: Any, n_surface: int, low: Any, high: Any) -> None:
-    """Axis-aligned box low (3,), high (3,) of the first n_surface positions (n, 3), m."""
+    """Compute the axis-aligned box of the surface nodes into `low` and `high`.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    n_surface : int
+        Number of surface nodes.
+    low : Any, shape (3,), m
+        Lower corner of the box.
+    high : Any, shape (3,), m
+        Upper corner of the box.
+    """
     for c in range(3):
         low[c] = high[c] = position[0, c]
     for node in range(1, n_surface):
@@ -24,7 +36,23 @@ def surface_box(position: Any, n_surface: int, low: Any, high: Any) -> None:
 
 @kernel
 def body_box(corners: Any, padding: float, rotation: Any, origin: Any, low: Any, high: Any) -> None:
-    """Axis-aligned box low (3,), high (3,) of a body's corners (k, 3), turned by rotation (9,), grown by padding, m."""
+    """Compute the axis-aligned box of a body into `low` and `high`.
+
+    Parameters
+    ----------
+    corners : Any, shape (k, 3), m
+        Points whose hull, grown by `padding`, holds the body.
+    padding : float, m
+        Distance by which the hull is grown.
+    rotation : Any, shape (9,)
+        Rotation matrix, row by row.
+    origin : Any, shape (3,), m
+        Origin of the body.
+    low : Any, shape (3,), m
+        Lower corner of the box.
+    high : Any, shape (3,), m
+        Upper corner of the box.
+    """
     for c in range(3):
         low[c], high[c] = math.inf, -math.inf
     for k in range(len(corners)):
@@ -37,7 +65,24 @@ def body_box(corners: Any, padding: float, rotation: Any, origin: Any, low: Any,
 
 @kernel
 def boxes_meet(low: Any, high: Any, other_low: Any, other_high: Any) -> bool:
-    """True when two boxes have a point in common."""
+    """Return whether two boxes have a point in common.
+
+    Parameters
+    ----------
+    low : Any, shape (3,), m
+        Lower corner of the box.
+    high : Any, shape (3,), m
+        Upper corner of the box.
+    other_low : Any, shape (3,), m
+        Lower corner of the other box.
+    other_high : Any, shape (3,), m
+        Upper corner of the other box.
+
+    Returns
+    -------
+    bool
+        True where they meet.
+    """
     apart = False
     for c in range(3):
         apart = apart or low[c] > other_high[c] or high[c] < other_low[c]
@@ -46,7 +91,24 @@ def boxes_meet(low: Any, high: Any, other_low: Any, other_high: Any) -> bool:
 
 @kernel
 def boxes_apart(low: Any, high: Any, other_low: Any, other_high: Any) -> float:
-    """Return how far apart two boxes are along the axis where they are farthest, m; 0 where they meet."""
+    """Return the largest distance between two boxes along an axis.
+
+    Parameters
+    ----------
+    low : Any, shape (3,), m
+        Lower corner of the box.
+    high : Any, shape (3,), m
+        Upper corner of the box.
+    other_low : Any, shape (3,), m
+        Lower corner of the other box.
+    other_high : Any, shape (3,), m
+        Upper corner of the other box.
+
+    Returns
+    -------
+    float, m
+        The distance; 0 where they meet.
+    """
     apart = 0.0
     for c in range(3):
         apart = max(apart, low[c] - other_high[c], other_low[c] - high[c])
@@ -85,15 +147,15 @@ def triangles_in_box(position: Any, rest: Any, triangles: Any, low: Any, high: A
 
 
 class Lattices(NamedTuple):
-    """Where contact points lie on a triangle whose edges are divided in so many parts, beside its corners."""
+    """Contact points on a triangle whose edges are divided into a number of parts, besides its corners."""
 
     weight: Any  # (k, 3) barycentric
-    edge: Any  # (k,) which corner is opposite to the edge that a point is on, -1 for none
-    start: Any  # (m + 2,) the first point for each number of parts, up to m
+    edge: Any  # (k,) corner opposite to the edge that a point is on, -1 for none
+    start: Any  # (m + 2,) first point for each number of parts, up to m
 
 
 class Fineness(NamedTuple):
-    """How close together a body finds contact points."""
+    """Spacing of a body's contact points."""
 
     parts: Any  # (t,) in how many parts the edges of each triangle are divided
     give: Any  # (t, 2) how many times as far as its nodes' compliance has it its points give way; how far at most, m
@@ -101,7 +163,7 @@ class Fineness(NamedTuple):
 
 
 class Search(NamedTuple):
-    """What contact points are looked for: those of a body at origin (3,), rotation (9,), within reach, m."""
+    """Query for contact points of a body at a pose, within a reach, m."""
 
     position: Any  # (n, 3) m of the nodes
     shapes: Any
@@ -115,7 +177,7 @@ class Search(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Room for contact points."""
+    """Buffers for contact points."""
 
     body: Any  # (c,)
     node: Any  # (c, 3)
@@ -126,10 +188,32 @@ class Found(NamedTuple):
 
 @kernel
 def points_near(near: Any, number: Any, search: Any, seen: Any, found: Any, count: int) -> int:
-    """Find the points of triangles near (t, 3) that lie within reach of a body: corners, and those of their lattices.
+    """Find the points of triangles that lie within reach of a body: corners, and those of their lattices.
 
     number (t,): which triangles they are. The points are written after the first `count` as far as there is room;
     returns how many there are now. seen (n,): room, zero outside this function.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    near : Any, shape (t, 3)
+        Triangles.
+    number : Any, shape (t,)
+        Their indices.
+    search : Any
+        The query.
+    seen : Any, shape (n,)
+        Buffer, zero outside this function.
+    found : Any
+        Receives the points after the first `count`, as far as there is room.
+    count : int
+        Number of points found before.
+
+    Returns
+    -------
+    int
+        Number of points found so far.
     """
     lattices, fineness = search.lattices, search.fineness
     for t in range(len(near)):
@@ -159,7 +243,7 @@ def points_near(near: Any, number: Any, search: Any, seen: Any, found: Any, coun
 
 @kernel
 def _add_point(nodes: Any, weight: Any, give: Any, search: Any, found: Any, count: int) -> int:
-    """Add a point where it is near the body; returns how many there are then."""
+    """Add a point where it is near the body; return how many there are then."""
     x = y = z = nx = ny = nz = 0.0
     for c in range(3):
         at, normal = search.position[nodes[c]], search.normal[nodes[c]]
@@ -187,7 +271,26 @@ def _unit(x: float, y: float, z: float, target: Any) -> None:
 
 @kernel
 def nearest_node(position: Any, n_surface: int, x: float, y: float, z: float) -> tuple[int, float]:
-    """Surface node nearest to a point, and its squared distance, m^2."""
+    """Return the surface node nearest to a point.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    n_surface : int
+        Number of surface nodes.
+    x : float, m
+        Coordinate of the point.
+    y : float, m
+        Coordinate of the point.
+    z : float, m
+        Coordinate of the point.
+
+    Returns
+    -------
+    tuple[int, float]
+        The node, and its squared distance, m^2.
+    """
     best, chosen = 1e300, -1
     for node in range(n_surface):
         dx, dy, dz = position[node, 0] - x, position[node, 1] - y, position[node, 2] - z
@@ -199,7 +302,17 @@ def nearest_node(position: Any, n_surface: int, x: float, y: float, z: float) ->
 
 @kernel
 def add_normals(position: Any, triangles: Any, normal: Any) -> None:
-    """Add each triangle's area-weighted outward normal to its nodes' rows of normal (n, 3)."""
+    """Add each triangle's area-weighted outward normal to its nodes.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    triangles : Any, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    normal : Any, shape (n, 3), m^2
+        Sums at the nodes, updated.
+    """
     for t in range(len(triangles)):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         ax, ay, az = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
@@ -225,7 +338,7 @@ class Placed(NamedTuple):
 
 @kernel
 def holds_node(position: Any, n_surface: int, placed: Placed) -> bool:
-    """True when a surface node lies inside a body."""
+    """Return True when a surface node lies inside a body."""
     shapes, body, origin, r, low, high = placed
     for node in range(n_surface):
         x, y, z = position[node, 0], position[node, 1], position[node, 2]
@@ -240,9 +353,25 @@ def holds_node(position: Any, n_surface: int, placed: Placed) -> bool:
 
 @kernel
 def approach(first: Any, first_before: Any, second: Any, second_before: Any) -> float:
-    """By how much any point of one surface may have come nearer to any of another since before, m; (n, 3) and (m, 3) m.
+    """Return a bound on how much nearer any point of one surface may have come to any point of another.
 
-    What both do together, as with a breath, brings none nearer.
+    Motion that both have in common, as with breathing, doesn't count.
+
+    Parameters
+    ----------
+    first : Any, shape (n, 3), m
+        One surface.
+    first_before : Any, shape (n, 3), m
+        The same, earlier.
+    second : Any, shape (m, 3), m
+        The other surface.
+    second_before : Any, shape (m, 3), m
+        The same, earlier.
+
+    Returns
+    -------
+    float, m
+        The bound.
     """
     mean = np.zeros(3)
     for node in range(len(first)):
@@ -253,7 +382,7 @@ def approach(first: Any, first_before: Any, second: Any, second_before: Any) -> 
 
 @kernel
 def _farthest(now: Any, before: Any, shift: Any) -> float:
-    """How far the farthest of points (n, 3) m is from where a shift (3,) m would have brought it."""
+    """Return the largest distance of points (n, 3) m from where a shift (3,) m would have moved them."""
     most = 0.0
     for node in range(len(now)):
         square = 0.0

@@ -1,4 +1,4 @@
-"""From tool poses and a surface to a contact set: broad phase, FCL narrow phase, points under tips."""
+"""Contact search: from tool poses and a surface to a contact set, by broad phase, FCL, and points under tips."""
 
 from __future__ import annotations
 
@@ -41,34 +41,34 @@ from tissue_sim.model.tool_motion import way_between
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
 
-MOST_MARGIN = 0.01  # m: a tool that is farther from where it is to be gets there in steps, a contact set each
-TISSUE_WAY = 0.001  # m that tissue may come nearer to a tool before the next set, which its reach leaves room for
+MOST_MARGIN = 0.01  # m: a tool that is farther from its goal moves there in steps, with a contact set for each
+TISSUE_WAY = 0.001  # m that tissue may come nearer to a tool before the next set, for which the reach leaves room
 TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
 MOST_FOUND = 8 * MOST_POINTS  # points, per body
 _ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
 _ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
-COARSEST = 0.75  # of a tool's smallest radius: farthest that contact points may lie apart, or its nearest is added
-LEAST_DIVISIONS = 2  # a big ball that is pressed in a little touches less than a node's area
+COARSEST = 0.75  # of a tool's smallest radius: distance of contact points beyond which the nearest is added
+LEAST_DIVISIONS = 2  # a large ball that presses slightly touches less than a node's area
 MOST_DIVISIONS = 8
 
 
 class Sought(NamedTuple):
-    """What a contact set is to be found for. T bodies."""
+    """Query for a contact set of T bodies."""
 
-    poses: Floats  # (T, 7) m and unit quaternions xyzw, where they are
-    margins: Floats  # (T,) m beyond MARGIN that those need which move
+    poses: Floats  # (T, 7) m and unit quaternions xyzw, present poses
+    margins: Floats  # (T,) m beyond MARGIN that moving bodies need
     engaged: Longs  # (T,) Engaged: points are found for those that may touch
     pushing: Longs  # (T,) 1 for those whose external force needs the surface point under the tip
-    releases: Longs  # (T,) how often they had been released
+    releases: Longs  # (T,) number of releases so far
 
 
 @dataclass
 class FinderCounters:
-    """What the finder did and what it could leave out."""
+    """Counts of what the finder did and what it could leave out."""
 
     sets: int = 0
     far_skips: int = 0  # tools whose box missed the organ's: nothing computed
-    narrow_phases: int = 0  # times that FCL was asked
+    narrow_phases: int = 0  # number of queries to FCL
 
 
 def _fcl_model(position: Floats, near: Ints | Longs) -> Any:
@@ -81,9 +81,14 @@ def _fcl_model(position: Floats, near: Ints | Longs) -> Any:
 
 
 class ContactFinder:
-    """Finds contact sets. A pure function of poses and surface, but for room.
+    """Finder of contact sets: a pure function of poses and surface, except for its buffers.
 
-    organ: whose surface is touched; tools: the scene's.
+    Parameters
+    ----------
+    organ : Organ
+        Organ whose surface is touched.
+    tools : ToolSet
+        Tools of the scene.
     """
 
     def __init__(self, organ: Organ, tools: ToolSet) -> None:
@@ -92,7 +97,7 @@ class ContactFinder:
         self.n_surface = organ.n_surface
         self.tools = tools
         self.counters = FinderCounters()
-        # Room for what a search finds.
+        # Buffers for what a search finds.
         self._found = np.zeros((len(self.triangles), 3), dtype=np.int64)
         self._number = np.zeros(len(self.triangles), dtype=np.int64)
         self._low, self._high = np.zeros(3), np.zeros(3)  # of the surface
@@ -119,7 +124,7 @@ class ContactFinder:
         for give, size, kind, is_fine in zip(
             gives, tools.smallest, tools.shapes.kind.tolist(), self._is_fine, strict=True
         ):
-            # The face of a jaw lies on many triangles at once: as many points on each as the longest asks for would
+            # The face of a jaw lies on many triangles at once: as many points on each as the longest needs would
             # take most of a tick.
             each = edges if kind in (CONVEX, GRID) and not is_fine else np.full(len(edges), longest)
             parts = np.array([divisions_of(edge / (give.spacing * size)) for edge in each])
@@ -136,7 +141,20 @@ class ContactFinder:
         )
 
     def find(self, position: Floats, sought: Sought) -> ContactSet:
-        """Return the contact set of bodies on a surface, position (n, 3) m, surface first: its points near them."""
+        """Return the contact set of bodies on a surface: the surface's points near them.
+
+        Parameters
+        ----------
+        position : Floats, shape (n, 3), m
+            Positions of the nodes, surface first.
+        sought : Sought
+            The query.
+
+        Returns
+        -------
+        ContactSet
+            The contact set.
+        """
         n_bodies, poses, engaged = len(self.tools.grown), sought.poses.copy(), sought.engaged.copy()
         self.counters.sets += 1
         surface_box(position, self.n_surface, self._low, self._high)
@@ -175,9 +193,9 @@ class ContactFinder:
         return found
 
     def _add(self, body: int, position: Floats, pose: Floats, margin: float, count: int) -> tuple[int, float]:
-        """Add points near a body after the `count` that were found; returns how many there are now.
+        """Add points near a body after the `count` that were found; return how many there are now.
 
-        Beside that how far the body is from the organ at the least, m, where its boxes tell.
+        Beside that, a lower bound on the distance of the body from the organ, m, from their boxes.
         """
         origin, reach = pose[:3], MARGIN + margin
         self._place(body, pose, reach)
@@ -185,8 +203,8 @@ class ContactFinder:
         if boxes_meet(low, high, self._low, self._high):
             room = Near(self._found, self._number)
             some, moved = triangles_in_box(position, self._rest, self.triangles, low, high, room)
-        # FCL has the surface at rest: to build what it collides takes longer than all else here. Where the triangles
-        # near the body have moved by SLACK, it isn't asked.
+        # FCL has the surface at rest, as building its model takes longer than everything else here. Where the
+        # triangles near the body have moved by SLACK, it isn't used.
         is_asked = margin == 0.0 and moved < SLACK / math.sqrt(3.0)
         if some == 0 or (is_asked and not self._comes_near(body, origin)):
             self.counters.far_skips += 1
@@ -200,7 +218,13 @@ class ContactFinder:
         return self._add_nearest(body, position, near, origin, count) if self._is_fine[body] else count, 0.0
 
     def warm_up(self, position: Floats) -> None:
-        """Compile what a contact needs, so that the first one doesn't wait for it."""
+        """Compile what a contact needs, so that the first one doesn't wait for it.
+
+        Parameters
+        ----------
+        position : Floats, shape (n, 3), m
+            Positions of the nodes.
+        """
         n_bodies = len(self.tools.grown)
         poses = np.tile(np.append(position[0], [0.0, 0.0, 0.0, 1.0]), (n_bodies, 1))
         everything, none = np.ones(n_bodies, dtype=np.int64), np.zeros(n_bodies, dtype=np.int64)
@@ -210,9 +234,19 @@ class ContactFinder:
         self.counters = FinderCounters()
 
     def is_inside(self, body: int, position: Floats, pose: Floats) -> bool:
-        """Return whether the middle of a body lies inside the organ, or a surface node inside the body.
+        """Return whether the centre of a body lies inside the organ, or a surface node inside the body.
 
-        The middle of a capsule's caps, too: a tip may lie in tissue, between nodes, with all else of it outside.
+        The centres of a capsule's caps count, too: a tip may lie in tissue, between nodes, with everything else
+        outside.
+
+        Parameters
+        ----------
+        body : int
+            Index of the body.
+        position : Floats, shape (n, 3), m
+            Positions of the nodes.
+        pose : Floats, shape (7,), m and unit quaternion xyzw
+            Pose of the body.
         """
         self._place(body, pose, 0.0)
         origin, low, high = pose[:3], self._box_low, self._box_high
@@ -222,11 +256,11 @@ class ContactFinder:
         return self._swallowed(body, position, origin) is not None
 
     def _way_out(self, body: int, position: Floats, pose: Floats) -> Floats | None:
-        """Return how a body that has slipped through the surface gets out of the organ, (3,) m; None for others.
+        """Return the displacement (3,) m that takes a body that has slipped in out of the organ; None for others.
 
-        Tissue gives way to a tool by less than its radius, so that what lies in its middle, or in that of a capsule's
-        caps, is never inside while it is resisted. The way is that to the nearest point of the surface, and on until
-        the body is beside it.
+        Tissue yields to a tool by less than its radius, so that its centre, or the centres of a capsule's caps, are
+        never inside while it is resisted. The displacement leads to the nearest point of the surface, and on until the
+        body is beside it.
         """
         self._place(body, pose, 0.0)
         point = self._swallowed(body, position, pose[:3])
@@ -238,9 +272,9 @@ class ContactFinder:
         return way + outward * (self.tools.clearance[body] + TISSUE_WAY)
 
     def _swallowed(self, body: int, position: Floats, origin: Floats) -> Floats | None:
-        """Return the first point (3,) m of a body's middle that lies inside the organ, None where none does.
+        """Return the first of a body's centre points (3,) m that lies inside the organ, None where none does.
 
-        The body has been placed, and the surface's box found.
+        The body has been placed, and the surface's box computed.
         """
         points = self.tools.middle[body] @ self._matrix.reshape(3, 3).T + origin
         near = points[~np.any((points < self._low) | (points > self._high), axis=1)]
@@ -254,7 +288,7 @@ class ContactFinder:
         body_box(self.tools.corners[body], padding, self._matrix, pose[:3], self._box_low, self._box_high)
 
     def _comes_near(self, body: int, origin: Floats) -> bool:
-        """FCL's word on whether a body comes within MARGIN of the surface; it may say so too often."""
+        """Return FCL's answer whether a body comes within MARGIN of the surface; it may be true too often."""
         self.counters.narrow_phases += 1
         return bool(fcl.collide(self._model, self._placed(body, origin), _ANY, fcl.CollisionResult()))
 
@@ -264,9 +298,9 @@ class ContactFinder:
         return placed
 
     def _add_nearest(self, body: int, position: Floats, near: Longs, origin: Floats, count: int) -> int:
-        """Where FCL finds each triangle nearest to a body too fine for a lattice, added to the points found.
+        """Add the point nearest to a body, by FCL, of each triangle that is too coarse for its lattice.
 
-        The points of a lattice stay where they are on the tissue; the nearest one wanders, and each step of it may be
+        The points of a lattice stay where they are on the tissue, while the nearest one moves, and its steps may be
         felt. But a needle would slip between those of the lattice.
         """
         result = fcl.CollisionResult()
@@ -295,7 +329,7 @@ class ContactFinder:
     def _nearest(self, position: Floats, point: Floats) -> tuple[Longs, Floats, float]:
         """Return nodes (3,), weights (3,) and distance, m, of the surface's point nearest to a point (3,) m.
 
-        It is looked for in the triangles around the nearest node.
+        The triangles around the nearest node are searched.
         """
         node, _ = nearest_node(position, self.n_surface, point[0], point[1], point[2])
         around = self.triangles[self._node_triangle[self._node_start[node] : self._node_start[node + 1]]]
@@ -305,27 +339,60 @@ class ContactFinder:
 
 
 def reach_margins(places: Floats, goals: Floats, last: Floats, share: float, extents: Floats) -> Floats:
-    """Return margins (T,) m beyond MARGIN for bodies at places (T, 7) that are to go to goals (T, 7), before: `last`.
+    """Return the margins beyond MARGIN for bodies that move towards goals.
 
-    How far they are from there, and what they may go on until the next set, `share` times what they went since the
-    last one, beyond half of MARGIN; in whole mm, so that a journal can hold them. extents (T,) m: `Shapes.extent`.
+    A margin covers the distance to the goal, and a possible motion until the next set, `share` times the motion since
+    the last one, beyond half of MARGIN; in whole mm, so that a journal can hold it.
+
+    Parameters
+    ----------
+    places : Floats, shape (T, 7)
+        Present poses.
+    goals : Floats, shape (T, 7)
+        Goals.
+    last : Floats, shape (T, 7)
+        Goals at the last set.
+    share : float
+        Factor of the motion since the last set.
+    extents : Floats, shape (T,), m
+        `Shapes.extent`.
+
+    Returns
+    -------
+    Floats, shape (T,), m
+        Margins.
     """
     covered = ways(places, goals, extents) + share * ways(last, goals, extents)
     return 1e-3 * np.ceil(1e3 * np.clip(covered - 0.5 * MARGIN, 0.0, MOST_MARGIN))
 
 
 def ways(poses: Floats, others: Floats, extents: Floats) -> Floats:
-    """Return bounds (T,) m on how far points of bodies lie apart in two poses each, (T, 7)."""
+    """Return bounds on how far points of bodies lie apart in two poses each.
+
+    Parameters
+    ----------
+    poses : Floats, shape (T, 7)
+        Poses.
+    others : Floats, shape (T, 7)
+        Other poses.
+    extents : Floats, shape (T,), m
+        `Shapes.extent`.
+
+    Returns
+    -------
+    Floats, shape (T,), m
+        Bounds.
+    """
     return np.array([way_between(*one) for one in zip(poses, others, extents, strict=True)])
 
 
 def divisions_of(wanted: float) -> int:
-    """In how many parts contact points divide an edge: rounded up, 2 to 8."""
+    """Return into how many parts contact points divide an edge: rounded up, 2 to 8."""
     return min(max(LEAST_DIVISIONS, math.ceil(wanted)), MOST_DIVISIONS)
 
 
 def lattices() -> Lattices:
-    """Return the points of triangles whose edges are divided in up to MOST_DIVISIONS parts."""
+    """Return the points of triangles whose edges are divided into up to MOST_DIVISIONS parts."""
     each = [edge_and_face_points(parts) if parts > 1 else np.zeros((0, 3)) for parts in range(MOST_DIVISIONS + 1)]
     weight = np.concatenate(each)
     edge = np.where(np.any(weight == 0.0, axis=1), np.argmin(weight, axis=1), -1)
@@ -346,6 +413,6 @@ def _fineness(triangles: Ints, parts: Longs, give: Floats, nodes: int) -> Finene
 
 
 def edge_and_face_points(m: int) -> Floats:
-    """Barycentric weights (k, 3) of a triangle whose edges are divided in m parts, without the corners."""
+    """Return barycentric weights (k, 3) of a triangle whose edges have m parts, without the corners."""
     lattice = [(i / m, j / m, (m - i - j) / m) for i in range(m + 1) for j in range(m + 1 - i)]
     return np.array([weights for weights in lattice if max(weights) < 1.0]).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Where a gripper takes hold of an organ: across its lower pole, with a jaw on either side."""
+"""Grasp of an organ by a gripper: across its lower pole, with a jaw on either side."""
 
 from __future__ import annotations
 
@@ -12,17 +12,30 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.gripper import Jaws
 
 DEPTH = 0.022  # m from the tip of the pole to the tips of the jaws
-WITHIN = 0.4  # of a gripper's length that tissue may lie between its jaws: the hinge stays outside
-SQUEEZED = 0.5  # of the width that the closed jaws leave
+WITHIN = 0.4  # fraction of a gripper's length between the jaws that tissue may fill: the hinge stays outside
+SQUEEZED = 0.5  # fraction of the width that the closed jaws leave
 CLEARANCE = 0.010  # m that the open jaws have beyond the width
 
 
 class Grasp(NamedTuple):
-    """How a gripper holds an organ.
+    """Pose and angles of a gripper that holds an organ.
 
-    place (3,) m of the gripper, between its tips; turn: quaternion (4,) xyzw; out (3,): unit way out of the organ, past
-    its pole; depth m under the tip of the pole; width m of the tissue between the tips, at rest; opened and closed:
-    angles in rad before and after.
+    Attributes
+    ----------
+    place : Floats, shape (3,), m
+        Origin of the gripper, between its tips.
+    turn : Floats, shape (4,), xyzw
+        Unit quaternion.
+    out : Floats, shape (3,)
+        Unit direction out of the organ, past its pole.
+    depth : float, m
+        Depth below the tip of the pole.
+    width : float, m
+        Width of the tissue between the tips, at rest.
+    opened : float, rad
+        Angle before the grasp.
+    closed : float, rad
+        Angle of the grasp.
     """
 
     place: Floats
@@ -35,10 +48,30 @@ class Grasp(NamedTuple):
 
 
 def at_lower_pole(vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, scale: float = 1.0) -> Grasp:
-    """A grasp of a closed surface (n, 3) m, (t, 3) at the lower end of its longest axis, +z being up.
+    """Return a grasp of a closed surface at the lower end of its longest axis, +z being up.
 
-    The jaws close along its second axis. scale: of the depth, for organs smaller than a kidney. Raises ValueError with
-    the reason where the jaws can't take hold.
+    The jaws close along its second axis.
+
+    Parameters
+    ----------
+    vertices : Floats, shape (n, 3), m
+        Points.
+    triangles : NDArray[np.integer], shape (t, 3)
+        Corner indices.
+    jaws : Jaws
+        The gripper.
+    scale : float, optional
+        Factor of the depth, for organs smaller than a kidney.
+
+    Returns
+    -------
+    Grasp
+        The grasp.
+
+    Raises
+    ------
+    ValueError
+        Where the jaws can't take hold, with the reason.
     """
     long, across, thick = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2]
     out = long if long[2] <= 0.0 else -long
@@ -61,13 +94,13 @@ def at_lower_pole(vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, 
 
 
 def _cut(pieces: Floats, point: Floats, normal: Floats) -> Floats:
-    """Where triangles (k, 3, 3) or lines (k, 2, 3) cross a plane: lines (m, 2, 3), or points (m, 1, 3)."""
+    """Return where triangles (k, 3, 3) or lines (k, 2, 3) cross a plane: lines (m, 2, 3), or points (m, 1, 3)."""
     height = (pieces - point) @ normal
     n = pieces.shape[1]
     first = np.arange(n) if n > 2 else np.arange(1)
     second = (first + 1) % n
     above = height > 0.0
-    crosses = above[:, first] != above[:, second]  # of a triangle's edges none or two
+    crosses = above[:, first] != above[:, second]  # none or two edges of a triangle
     piece, edge = np.nonzero(crosses)
     start, end = height[piece, first[edge]], height[piece, second[edge]]
     share = (start / (start - end))[:, None]

@@ -1,4 +1,4 @@
-"""Signed distances of a closed mesh on a grid: for tools that are not convex."""
+"""Signed distances of a closed mesh on a grid, for tools that are not convex."""
 
 from __future__ import annotations
 
@@ -11,19 +11,32 @@ from tissue_sim.contact.triangles import closest_points
 from tissue_sim.model.shapes import Grid
 
 FINEST, MOST_POINTS = 2e-4, 200_000  # m between points; points of a grid: 54 x 54 x 14 mm at 0.6 mm
-_CANDIDATES = 12  # pieces, among which the nearest is looked for
+_CANDIDATES = 12  # pieces among which the nearest is searched
 _CHUNK = 50_000
-_SAME = 1e-9  # m: distances that differ by less are one
+_SAME = 1e-9  # m: distances that differ by less are equal
 
 
 def distance_grid(mesh: trimesh.Trimesh, margin: float) -> Grid:
-    """Grid over the box of a closed mesh in m, grown by a margin in m, as fine as its size allows."""
+    """Return a grid of signed distances over the box of a closed mesh, as fine as its size allows.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        Closed mesh, m.
+    margin : float, m
+        Distance by which the box is grown.
+
+    Returns
+    -------
+    Grid
+        The grid.
+    """
     low, high = mesh.bounds[0] - margin, mesh.bounds[1] + margin
     spacing = max(FINEST, float(np.prod(high - low) / MOST_POINTS) ** (1.0 / 3.0))
     counts = np.ceil((high - low) / spacing).astype(int) + 1
     axes = [low[c] + spacing * np.arange(counts[c]) for c in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    # Pieces of one size: among those with the nearest middles is then the nearest one.
+    # Pieces have similar sizes, so that the nearest one is among those with the nearest centres.
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=2.0 * spacing, max_iter=20)
     pieces = vertices[faces]
     tree = cKDTree(pieces.mean(axis=1))
@@ -36,9 +49,10 @@ def distance_grid(mesh: trimesh.Trimesh, margin: float) -> Grid:
 
 
 def _distance(pieces: Floats, tree: cKDTree, points: Floats) -> Floats:
-    """Distances (p,) m of points (p, 3) to outward triangles (t, 3, 3), whose middles are in a tree; negative inside.
+    """Return distances (p,) m of points (p, 3) to outward triangles (t, 3, 3), negative inside.
 
-    Where several are equally near, at an edge or corner, the one seen most squarely tells the side.
+    The tree holds the triangles' centres. Where several are equally near, at an edge or corner, the one whose normal is
+    closest to the direction of the point determines the side.
     """
     count = min(_CANDIDATES, len(pieces))
     near = tree.query(points, k=count)[1].reshape(len(points), count)
@@ -55,7 +69,7 @@ def _distance(pieces: Floats, tree: cKDTree, points: Floats) -> Floats:
 
 
 def _spread(signed: Floats, known: np.ndarray) -> Floats:
-    """Signs of what lies away from the surface: regions between the known points are all inside or all outside."""
+    """Return distances with signs away from the surface: regions between known points are all inside or all outside."""
     from scipy.ndimage import label
 
     regions, count = label(~known)

@@ -1,4 +1,4 @@
-"""A gripper: one tool with two jaws that open about a hinge."""
+"""Gripper: one tool with two jaws that open about a hinge."""
 
 from __future__ import annotations
 
@@ -14,17 +14,42 @@ WIDEST = 2.5  # rad; an angle beyond it is in another unit
 
 
 class Jaws(NamedTuple):
-    """How a gripper is built: radius m of its jaws, 0 for those of a mesh, and length m from the tips to the hinge."""
+    """Dimensions of a gripper.
+
+    Attributes
+    ----------
+    radius : float, m
+        Radius of its jaws, 0 for those of a mesh.
+    length : float, m
+        Length from the tips to the hinge.
+    """
 
     radius: float
     length: float
 
     def gap(self, angle: float) -> float:
-        """Metres between the tips at an angle of so many rad between the jaws."""
+        """Return the distance between the tips, m.
+
+        Parameters
+        ----------
+        angle : float, rad
+            Angle between the jaws.
+        """
         return float(2.0 * (self.radius * np.cos(0.5 * angle) + self.length * np.sin(0.5 * angle) - self.radius))
 
     def angle(self, gap: float) -> float:
-        """Angle in rad at which so many m are between the tips; raises ValueError where they don't open so wide."""
+        """Return the angle between the jaws, rad.
+
+        Parameters
+        ----------
+        gap : float, m
+            Distance between the tips.
+
+        Raises
+        ------
+        ValueError
+            Where they don't open so wide.
+        """
         if not 0.0 <= gap <= self.gap(WIDEST):
             raise ValueError(f"the tips open to {1e3 * self.gap(WIDEST):.3g} mm at most")
         lever = np.hypot(self.radius, self.length)
@@ -32,12 +57,28 @@ class Jaws(NamedTuple):
 
 
 def jaw_poses(pose: Floats, angle: float, radius: float, length: float) -> Floats:
-    """Poses (2, 7) of a gripper's jaws, m and unit quaternions xyzw.
+    """Return the poses of a gripper's jaws.
 
-    pose (7,) of the gripper: its origin lies where the tips of the closed jaws meet, its shaft along -z; angle rad
-    between the jaws, which turn about an axis along y through the hinge, `length` m behind the tips. Each jaw's x axis
-    points away from the other one, and its origin lies `radius` m from the middle when closed: 0 for jaws of a mesh,
-    whose pads lie in x = 0. Negative angles count as closed.
+    The gripper's origin lies where the tips of the closed jaws meet, its shaft along -z. The jaws turn about an axis
+    along y through the hinge, `length` behind the tips. Each jaw's x axis points away from the other one, and its
+    origin lies `radius` from the middle when closed: 0 for jaws of a mesh, whose pads lie in x = 0. Negative angles
+    count as closed.
+
+    Parameters
+    ----------
+    pose : Floats, shape (7,)
+        Pose of the gripper, m and unit quaternion xyzw.
+    angle : float, rad
+        Angle between the jaws.
+    radius : float, m
+        Radius of the jaws, 0 for those of a mesh.
+    length : float, m
+        Length from the tips to the hinge.
+
+    Returns
+    -------
+    Floats, shape (2, 7)
+        Poses, m and unit quaternions xyzw.
     """
     half, turn = 0.5 * min(max(angle, 0.0), WIDEST), tuple(pose[3:].tolist())
     sine, cosine = math.sin(half), math.cos(half)
@@ -51,7 +92,22 @@ def jaw_poses(pose: Floats, angle: float, radius: float, length: float) -> Float
 
 
 def about(origin: Floats, wrenches: Floats, origins: Floats) -> Floats:
-    """Sum (6,) of wrenches (b, 6), each N and N m about its own of origins (b, 3) m, about one origin (3,) m."""
+    """Return the sum of wrenches about one origin.
+
+    Parameters
+    ----------
+    origin : Floats, shape (3,), m
+        Origin of the sum.
+    wrenches : Floats, shape (b, 6), N and N m
+        Wrenches, each about its own origin.
+    origins : Floats, shape (b, 3), m
+        Their origins.
+
+    Returns
+    -------
+    Floats, shape (6,), N and N m
+        The sum.
+    """
     total = wrenches.sum(axis=0)
     total[3:] += np.cross(origins - origin, wrenches[:, :3]).sum(axis=0)
     return np.asarray(total)

@@ -1,4 +1,4 @@
-"""What joins the organs of a scene: attachments, the breath, and that they touch each other."""
+"""Connection of the organs of a scene: attachments, breathing, and contact with each other."""
 
 from __future__ import annotations
 
@@ -20,8 +20,28 @@ def join(
 ) -> Joined:
     """Join simulations.
 
-    breathes (k,): how far the clamp of each goes with the breath; friction: Coulomb coefficient between organs.
-    Raises UserError where they don't fit together.
+    Parameters
+    ----------
+    simulations : Sequence[Simulation]
+        Simulations of the organs.
+    attachments : Sequence[Attachment], optional
+        Attachments of the organs.
+    breathing : Breathing | None, optional
+        Breathing; None for none.
+    breathes : Sequence[float], shape (k,), optional
+        Motion of each clamp with the breath, as a factor.
+    friction : float, optional
+        Coulomb coefficient between organs.
+
+    Returns
+    -------
+    Joined
+        The joined simulations.
+
+    Raises
+    ------
+    UserError
+        Where they don't fit together.
     """
     breath = Breath.new() if breathing is None else breathing.breath()
     return Joined(simulations, links_of(attachments, simulations), make_pairs(friction), breath, breathes)

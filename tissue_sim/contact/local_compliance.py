@@ -1,13 +1,13 @@
-"""How far tissue gives way under a contact point between the surface's nodes, which its mesh is too coarse to tell.
+"""Local compliance of tissue under a contact point between the surface's nodes, which the mesh can't resolve.
 
-A half-space gives way to a wave of pressure of length L by pressure times L / (pi E*), with E* = E / (1 - nu^2)
-(Johnson, Contact Mechanics, 1985, chapter 3). Nodes carry waves longer than an edge; the shorter ones, of which a small
-finger's pressure is made, are a foundation of springs under the contact points, as soft as for waves of an edge's
+A half-space yields to a wave of pressure of length L by pressure times L / (pi E*), with E* = E / (1 - nu^2) (Johnson,
+Contact Mechanics, 1985, chapter 3). Nodes represent waves longer than an edge; the shorter ones, of which a small
+finger's pressure consists, are a foundation of springs under the contact points, as soft as for waves of an edge's
 length. Across the normal it is softer by (2 - nu) / (2 (1 - nu)) (Mindlin 1949).
 
-A mesh gives way by less between its nodes than at them, and a ball as large as an edge feels where it is; so tissue
-gives way by more there (`more_between`). To shafts and jaws it gives way by less (`Give`), or it would slip from under
-their edges.
+A mesh yields less between its nodes than at them, and the force of a ball as large as an edge depends on its place; so
+tissue yields more there (`more_between`). To shafts and jaws it yields less (`Give`), or it would slip from under their
+edges.
 """
 
 from __future__ import annotations
@@ -23,17 +23,24 @@ from tissue_sim.organ.inclusions import inclusions_of, stiffness_at
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
 
-STRETCHED = 1.15  # times as far as at rest, that points lie apart under a tool
-LAYER = 0.5  # mean edges, that tissue between nodes gives way by at the most: with less a deep pinch is too stiff
+STRETCHED = 1.15  # largest stretch of the distance of points under a tool
+LAYER = 0.5  # mean edges, by which tissue between nodes yields at most: with less a deep pinch is too stiff
 MOST_POISSON = 0.5
 
 
 class Give(NamedTuple):
-    """How tissue gives way to a kind of tool.
+    """Parameters of how tissue yields to a kind of tool.
 
-    spacing: of the radius of the finest thing about the tool, how far contact points lie apart at most; most: of
-    that radius, how far tissue gives way; covered: of how far points lie apart, what nothing between them is farther
-    from one; between: by what fraction more it gives way between nodes.
+    Attributes
+    ----------
+    spacing : float
+        Largest distance of contact points, relative to the smallest radius about the tool.
+    most : float
+        Largest yielding of tissue, relative to that radius.
+    covered : float
+        Largest distance of a place from contact points, relative to the distance of points.
+    between : float
+        Fraction by which tissue yields more between nodes.
     """
 
     spacing: float
@@ -42,9 +49,9 @@ class Give(NamedTuple):
     between: float
 
 
-# Nothing within a triangle is farther from its corners than 1 / sqrt(3) of its longest side, to which a fifth is added.
-# Under a point load the kidney that ships gives way by 0.71 of its nodes' in the middle of an edge, 0.64 in that of a
-# triangle: of balls of 0.5 to 3 edges, over nodes and between, 0.5 leaves the least error (docs/models.md).
+# No place in a triangle is farther from its corners than 1 / sqrt(3) of its longest side, to which a fifth is added.
+# Under a point load the kidney that ships yields by 0.71 of its nodes' displacement in the middle of an edge, 0.64 in
+# that of a triangle; for balls of 0.5 to 3 edges, over nodes and between, 0.5 gives the least error (docs/models.md).
 OF_BALLS = Give(spacing=0.45, most=0.8, covered=0.7, between=0.5)
 OF_OTHERS = Give(spacing=0.75, most=0.5, covered=1.0, between=0.0)
 
@@ -60,19 +67,44 @@ def most_give(give: Give, organ: Organ, smallest: float, spacing: Floats) -> Flo
 
 
 def more_between(give: Give, organ: Organ, smallest: float) -> float:
-    """Return by what fraction more tissue gives way between nodes, times 1 less the sum of a point's squared weights.
+    """Return by what fraction tissue yields more between nodes, times 1 less the sum of a point's squared weights.
 
-    smallest: radius of the finest thing about the tool, m; within a triangle what lies between nodes is most of what
-    gives way at all, and knows no nodes.
+    Within a triangle the yielding between nodes is most of all yielding and is independent of the nodes.
+
+    Parameters
+    ----------
+    give : Give
+        How tissue yields to the tool.
+    organ : Organ
+        The organ.
+    smallest : float, m
+        Smallest radius about the tool.
+
+    Returns
+    -------
+    float
+        The fraction.
     """
     return give.between * min(1.0, smallest / mean_edge(organ))
 
 
 def local_compliance(organ: Organ, smallest: float) -> Floats:
-    """Of each surface node (n, 2) m/N: along the normal and across it, of all the area that belongs to it.
+    """Return the compliance of the area of each surface node, along the normal and across it.
 
-    smallest: radius of the finest thing about the tool, m; tissue gives way to it no more than to a flat punch of that
-    size. Zero for an organ that knows no Young's modulus.
+    Tissue yields to a tool at most as to a flat punch of its smallest radius. The result is zero for an organ without a
+    Young's modulus.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    smallest : float, m
+        Smallest radius about the tool.
+
+    Returns
+    -------
+    Floats, shape (n, 2), m/N
+        Compliance.
     """
     modulus, nu = organ.youngs_modulus, organ.poisson_ratio
     if not modulus > 0.0 or not abs(nu) <= MOST_POISSON:

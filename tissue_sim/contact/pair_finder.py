@@ -1,4 +1,4 @@
-"""Finds where organs of a scene touch each other or themselves, or may before the next search: nodes near triangles."""
+"""Search for contact of organs with each other or themselves, now or before the next search: nodes near triangles."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tissue_sim.contact.triangles import nearest_among
 from tissue_sim.model.pairs import MOST_PAIRS, PairSet, pair_set
 from tissue_sim.organ.organ import Organ
 
-MARGIN = 0.003  # m from a surface within which a node is looked at
+MARGIN = 0.003  # m from a surface within which a node is examined
 DEEPEST = 0.01  # m that a node may lie inside
-STALE = 0.002  # m that surfaces have come together by, after which all nodes are looked at again
+STALE = 0.002  # m of approach after which all nodes are examined again
 
 
 @dataclass
 class PairCounters:
-    """What was looked for, and what could be left out."""
+    """Counts of searches, and of what could be left out."""
 
     searches: int = 0
     far_skips: int = 0  # pairs of organs whose boxes miss each other
@@ -31,7 +31,7 @@ class PairCounters:
 
 
 class _Apart(NamedTuple):
-    """By how much two surfaces, (n, 3) and (m, 3) m, may come together before a node of the first is near, (n,) m."""
+    """Approach of two surfaces, (n, 3) and (m, 3) m, before a node of the first is near, (n,) m."""
 
     room: Floats
     first: Floats
@@ -39,7 +39,7 @@ class _Apart(NamedTuple):
 
 
 class PairFinder:
-    """Finds pairs of organs, where they lie at rest (k of them)."""
+    """Finder of contacts between k organs, given where they lie at rest."""
 
     def __init__(self, organs: Sequence[Organ]) -> None:
         self.counters = PairCounters()
@@ -53,14 +53,24 @@ class PairFinder:
         self._found = pair_set()
 
     def forget(self) -> None:
-        """Organs have jumped."""
+        """Note that organs have jumped."""
         for one in self._own:
             one.forget()
 
     def find(self, positions: Sequence[Floats], own: Sequence[bool] = ()) -> PairSet:
-        """The pairs of surfaces at positions, (n, 3) m each in one frame; written anew by the next call.
+        """Return the pairs of surfaces; they are overwritten by the next call.
 
-        own (k,): which organs may touch themselves, by default none.
+        Parameters
+        ----------
+        positions : Sequence[Floats], one array of shape (n, 3) for each, m
+            Surfaces in one frame.
+        own : Sequence[bool], shape (k,), optional
+            Which organs may touch themselves; by default none.
+
+        Returns
+        -------
+        PairSet
+            The pairs.
         """
         found = self._found
         found.found[0] = 0
@@ -110,9 +120,9 @@ class PairFinder:
         self._put(first, second, np.column_stack([near[kept], triangles[kept]]), weights[kept])
 
     def _nearest(self, second: int, nodes: Floats, surface: Floats) -> tuple[Longs, Floats, Floats]:
-        """Of nodes (k, 3) m the place of a surface (m, 3) m that is nearest: its triangle's nodes (k, 3), and weights.
+        """Return for nodes (k, 3) m the nearest place of a surface (m, 3) m: triangles (k, 3), weights and distances.
 
-        Weights are (k, 3); and how far it is, (k,) m. One farther than DEEPEST may be taken for another that is, too.
+        Weights are (k, 3), distances (k,) m. A place farther than DEEPEST may be replaced by another that is, too.
         """
         triangles, count = self._near[second], 0
         if len(nodes):
@@ -136,5 +146,5 @@ class PairFinder:
 
 
 def _normals(corners: Floats) -> Floats:
-    """Outward normals (k, 3) of triangles (k, 3, 3), not of length 1."""
+    """Return the outward normals (k, 3) of triangles (k, 3, 3), not of length 1."""
     return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))

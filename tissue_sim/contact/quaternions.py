@@ -1,6 +1,6 @@
-"""Unit quaternions xyzw of plain floats, by the same additions and products on every processor.
+"""Unit quaternions xyzw of plain floats, with the same additions and products on every processor.
 
-Small arrays would cost more, and SciPy's rotations have other last bits on another processor: a replay stands on these.
+Small arrays would be slower, and SciPy's rotations differ in the last bits between processors, which a replay must not.
 """
 
 from __future__ import annotations
@@ -13,7 +13,23 @@ Quaternion = tuple[float, float, float, float]
 
 
 def unit_quaternion(values: Sequence[float]) -> Quaternion:
-    """A quaternion xyzw scaled to length 1; raises ValueError when it is zero or isn't four finite numbers."""
+    """Return a quaternion scaled to length 1.
+
+    Parameters
+    ----------
+    values : Sequence[float], xyzw
+        The quaternion.
+
+    Returns
+    -------
+    Quaternion
+        Unit quaternion xyzw.
+
+    Raises
+    ------
+    ValueError
+        Where it is zero or isn't four finite numbers.
+    """
     if len(values) != 4 or not all(map(math.isfinite, values)):
         raise ValueError("must be a quaternion of four finite numbers: x, y, z, w")
     length = math.hypot(*values)
@@ -24,7 +40,20 @@ def unit_quaternion(values: Sequence[float]) -> Quaternion:
 
 
 def multiply(first: Quaternion, second: Quaternion) -> Quaternion:
-    """The rotation `first` after `second`, xyzw."""
+    """Return the rotation `first` after `second`.
+
+    Parameters
+    ----------
+    first : Quaternion, xyzw
+        Unit quaternion.
+    second : Quaternion, xyzw
+        Unit quaternion.
+
+    Returns
+    -------
+    Quaternion
+        Unit quaternion xyzw.
+    """
     ax, ay, az, aw = first
     bx, by, bz, bw = second
     return (
@@ -36,7 +65,20 @@ def multiply(first: Quaternion, second: Quaternion) -> Quaternion:
 
 
 def rotate(rotation: Quaternion, vector: Vector) -> Vector:
-    """A vector turned by a unit quaternion xyzw."""
+    """Return a vector turned by a rotation.
+
+    Parameters
+    ----------
+    rotation : Quaternion, xyzw
+        Unit quaternion.
+    vector : Vector
+        The vector.
+
+    Returns
+    -------
+    Vector
+        The turned vector.
+    """
     x, y, z, w = rotation
     vx, vy, vz = vector
     cx, cy, cz = y * vz - z * vy + w * vx, z * vx - x * vz + w * vy, x * vy - y * vx + w * vz
@@ -44,6 +86,19 @@ def rotate(rotation: Quaternion, vector: Vector) -> Vector:
 
 
 def rotate_back(rotation: Quaternion, vector: Vector) -> Vector:
-    """A vector turned by the inverse of a unit quaternion xyzw."""
+    """Return a vector turned by the inverse of a rotation.
+
+    Parameters
+    ----------
+    rotation : Quaternion, xyzw
+        Unit quaternion.
+    vector : Vector
+        The vector.
+
+    Returns
+    -------
+    Vector
+        The turned vector.
+    """
     x, y, z, w = rotation
     return rotate((-x, -y, -z, w), vector)

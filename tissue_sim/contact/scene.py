@@ -1,4 +1,4 @@
-"""Organs and tools in one thread: poses in, ticks, wrenches out. For tests, benches and scripts."""
+"""Scene of organs and tools in one thread: poses in, ticks, wrenches out; for tests, benches and scripts."""
 
 from __future__ import annotations
 
@@ -26,14 +26,35 @@ from tissue_sim.organ.organ import Organ
 class Scene:
     """Organs whose contact sets are found anew before each tick, or every few ticks as beside the node's loop.
 
-    organ: one, or several, where they lie; tools the rigid tools; model, rate, local_region, integrator as in
-    Simulation, of every organ; ticks_a_set: ticks for each contact set; stiffness (k,) factors on that of each organ's
-    tissue. attachments between organs, or to points; breathing, and how far each organ's clamp goes with it,
-    `breathes` (k,). Several organs touch each other, with the Coulomb coefficient `organ_friction`. gravity (3,) m/s^2,
-    under which they have their shapes. self_contact: whether an organ's own folds touch.
+    A tool moves in space and touches all organs; each yields to it independently, and the haptic output is the sum.
 
-    A tool moves in the room, and touches all organs; each gives way to it by itself, and what a hand feels is the sum.
-    Raises UserError where organs and attachments don't fit together.
+    Parameters
+    ----------
+    organ : Organ | Sequence[Organ]
+        One organ, or several, where they lie.
+    tools : list[Tool]
+        Rigid tools.
+    model : str, optional
+        As in Simulation, of every organ.
+    rate : float, Hz, optional
+        As in Simulation.
+    local_region : str, optional
+        As in Simulation.
+    ticks_a_set : int, optional
+        Ticks per contact set.
+    integrator : str, optional
+        As in Simulation.
+    stiffness : Sequence[float], shape (k,), optional
+        Factors of each organ's stiffness.
+    attachments : Sequence[Attachment], optional
+        Attachments between organs, or to points.
+    breathing : Breathing | None, optional
+        Breathing; None for none.
+
+    Raises
+    ------
+    UserError
+        Where organs and attachments don't fit together.
     """
 
     def __init__(
@@ -100,31 +121,31 @@ class Scene:
 
     @property
     def simulations(self) -> list[Simulation]:
-        """Of each organ."""
+        """Simulation of each organ."""
         return [one.simulation for one in self.organs]
 
     @property
     def simulation(self) -> Simulation:
-        """Of the first organ."""
+        """Simulation of the first organ."""
         return self.organs[0].simulation
 
     @property
     def finder(self) -> ContactFinder:
-        """Of the first organ."""
+        """Contact finder of the first organ."""
         return self.organs[0].finder
 
     @property
     def contacts(self) -> ContactSet | None:
-        """The first organ's newest contact set."""
+        """Newest contact set of the first organ."""
         return self.organs[0].contacts
 
     @property
     def offsets(self) -> Floats:
-        """(k, 3) m by which the breath has carried each organ; its positions are those without it."""
+        """Displacement of each organ by the breath, (k, 3) m, which its positions don't include."""
         return np.array([one.state.carried for one in self.simulations])
 
     def reset(self) -> None:
-        """Back to rest, breathed out, without tools; the settings stay."""
+        """Return to rest, breathed out, without tools; the settings stay."""
         for one in self.organs:
             one.reset()
         self.joined.reset()
@@ -134,18 +155,24 @@ class Scene:
         self._origin[:] = 0.0
 
     def set_gravity(self, gravity: ArrayLike) -> None:
-        """Gravity (3,) m/s^2 of all organs, under which they have their shapes."""
+        """Set the gravity of all organs, under which they have their shapes.
+
+        Parameters
+        ----------
+        gravity : ArrayLike, shape (3,), m/s^2
+            The gravity.
+        """
         for one in self.simulations:
             one.set_gravity(gravity)
         self.joined.note_gravity()
 
     def set_substeps(self) -> None:
-        """Work out the substeps of each tick, after stiffness, damping or the rate changed."""
+        """Compute the substeps of each tick, after stiffness, damping or the rate changed."""
         self.joined.set_substeps()
 
     @property
     def wrenches(self) -> Floats:
-        """(T, 6) N and N m about each tool's origin: what the hands should feel.
+        """Haptic output of each tool about its origin, (T, 6) N and N m.
 
         The live array of an organ alone, unless a tool has more than one body.
         """
@@ -273,14 +300,14 @@ class Scene:
             self.joined.step()
 
     def find(self) -> None:
-        """Find what tools and organs may touch where they are now, and take it up."""
+        """Find what tools and organs may touch at present, and apply it."""
         self._sequence += 1
         for one in self.organs:
             one.find(self._sequence)
         self._find_pairs()
 
     def _find_pairs(self) -> None:
-        """Where organs touch each other, unless all of them sleep and the breath has not moved them since."""
+        """Find where organs touch each other, unless all of them sleep and the breath has not moved them since."""
         if self._pairs is None:
             return
         offsets = self.offsets

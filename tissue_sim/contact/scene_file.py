@@ -1,4 +1,4 @@
-"""A scene as one YAML file: organs and where they lie, what they hang on, the breath that carries them."""
+"""Scene as a YAML file: organs and where they lie, their attachments, and the breathing that moves them."""
 
 from __future__ import annotations
 
@@ -34,10 +34,26 @@ _OF_ATTACHMENT = "between", "of", "point", "moves", "within", "nodes", "stiffnes
 
 @dataclass(frozen=True)
 class SceneFile:
-    """What a scene's file says, its organs where they lie.
+    """Content of a scene's file, with its organs where they lie.
 
-    names (k,) of the organs; stiffness (k,) factors on their tissue's; breathes (k,) how far their clamps go with the
-    breath; friction: Coulomb coefficient between organs; gravity (3,) m/s^2.
+    Attributes
+    ----------
+    names : tuple[str, ...], shape (k,)
+        Names of the organs.
+    organs : tuple[Organ, ...], shape (k,)
+        The organs.
+    stiffness : tuple[float, ...], shape (k,)
+        Factors of their tissue's stiffness.
+    breathes : tuple[float, ...], shape (k,)
+        Motion of their clamps with the breath, as a factor.
+    attachments : tuple[Attachment, ...]
+        Attachments of the organs.
+    breathing : Breathing | None
+        Breathing; None for none.
+    friction : float
+        Coulomb coefficient between organs.
+    gravity : tuple[float, ...], shape (3,), m/s^2
+        Gravity.
     """
 
     names: tuple[str, ...]
@@ -51,7 +67,23 @@ class SceneFile:
 
     @classmethod
     def read(cls, path: Path) -> SceneFile:
-        """Read a scene. Raises UserError, one line that names the file and the entry, for what is none."""
+        """Read a scene.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+
+        Returns
+        -------
+        SceneFile
+            The content.
+
+        Raises
+        ------
+        UserError
+            Where the file isn't a scene; the message names the file and the entry.
+        """
         try:
             content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
         except OSError as error:
@@ -90,11 +122,35 @@ class SceneFile:
         )
 
     def join(self, simulations: Sequence[Simulation]) -> Joined:
-        """What joins simulations of its organs. Raises UserError where things don't fit together."""
+        """Return the joined simulations of its organs.
+
+        Parameters
+        ----------
+        simulations : Sequence[Simulation]
+            Simulations of the organs.
+
+        Raises
+        ------
+        UserError
+            When things don't fit together.
+        """
         return join(simulations, self.attachments, self.breathing, self.breathes, self.friction)
 
     def scene(self, tools: list[Tool], **options: Any) -> Scene:
-        """The scene, with tools; options as Scene takes them. Raises UserError where things don't fit together."""
+        """Return the scene with tools.
+
+        Parameters
+        ----------
+        tools : list[Tool]
+            The tools.
+        options : Any
+            Options of Scene.
+
+        Raises
+        ------
+        UserError
+            When things don't fit together.
+        """
         made = Scene(
             self.organs,
             tools,
@@ -137,7 +193,7 @@ def load_scene(path: str | os.PathLike[str], tools: Sequence[Tool] = (), **optio
 
 
 class _Wrong(Exception):
-    """What is wrong with an entry, which the message begins with."""
+    """Error about an entry, with which the message begins."""
 
 
 def _organ(path: Path, entry: Any, where: str) -> tuple[str, Organ, float, float]:

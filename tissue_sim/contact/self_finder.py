@@ -1,4 +1,4 @@
-"""Finds where the surface of an organ comes near itself: the walls of a fold that closes."""
+"""Search for self-contact: the walls of a fold that closes."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from tissue_sim.contact.triangles import nearest_of_face
 from tissue_sim.jit import kernel
 from tissue_sim.organ.organ import Organ
 
-FACING = -0.2  # cosine between the outward normals of two nodes, below which they face each other, or turn their backs
-BEHIND = 0.3  # sine of the angle by which a node may be behind another one's plane, and still face it
-MARGIN = 0.002  # m in front of a wall within which a node is looked at
-STALE = 0.002  # m that a surface has come nearer to itself by, after which all nodes are looked at again
-DEEPEST = 0.004  # m that it may lie behind a wall that it was in front of before
+FACING = -0.2  # cosine between the outward normals of two nodes, below which they face each other or face away
+BEHIND = 0.3  # sine of the angle by which a node may be behind another one's plane and still face it
+MARGIN = 0.002  # m in front of a wall within which a node is examined
+STALE = 0.002  # m of approach of a surface to itself, after which all nodes are examined again
+DEEPEST = 0.004  # m that a node may lie behind a wall that it was in front of before
 
 
 class SelfFinder:
-    """Finds pairs of nodes and triangles of one surface that face each other.
+    """Finder of pairs of nodes and triangles of one surface that face each other.
 
-    A node may be behind a triangle only where it was found in front of that wall the last time: the far wall of a thin
+    A node may be behind a triangle only where it was in front of that wall at the last search: the far wall of a thin
     organ is behind, too, and always was.
     """
 
@@ -34,9 +34,9 @@ class SelfFinder:
         longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
         self._reach = MARGIN + 0.6 * longest  # m between nodes; no place on a triangle is farther from all its corners
         self._order = np.argsort(organ.surface_positions[:, 0]).astype(np.int64)
-        # By how much each node may come nearer to others than its neighbours, m, before it is within reach of one.
+        # Approach of each node to nodes that aren't its neighbours, m, before it is within reach of one.
         self._room: Floats = np.zeros(n)
-        self._before: Floats | None = None  # the surface then
+        self._before: Floats | None = None  # the surface at that time
         self._normal, self._partner, self._apart = np.zeros((n, 3)), np.zeros(n, dtype=np.int64), np.zeros(n)
         self._was = np.full(n, -1, dtype=np.int64)  # the triangle that each node was found at the last time, or -1
         self._wall, self._weight, self._at = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros((4, 3))
@@ -48,11 +48,17 @@ class SelfFinder:
         self._around = _Lists.of(owner + edges @ owner)
 
     def forget(self) -> None:
-        """Nothing was in front of anything: the organ has jumped."""
+        """Note that the organ has jumped: no node counts as in front of a wall."""
         self._was[:] = -1
 
     def find(self, surface: Floats) -> tuple[Longs, Floats]:
-        """Pairs on a surface (n, 3) m: nodes (p, 4), one and a triangle's three, by the first; weights (p, 3)."""
+        """Return the pairs on a surface: nodes (p, 4), one and a triangle's three, and weights (p, 3).
+
+        Parameters
+        ----------
+        surface : Floats, shape (n, 3), m
+            Points of the surface.
+        """
         surface = np.ascontiguousarray(surface)
         near, around = self._near, self._around
         few, count = self._within_reach(surface), 0
@@ -89,7 +95,7 @@ class SelfFinder:
         return np.column_stack([found, self._triangles[self._wall[found]]]), self._weight[found]
 
     def _within_reach(self, surface: Floats) -> Longs:
-        """Nodes that may have come within reach of others than their neighbours, by their first coordinate then."""
+        """Return nodes that may have come within reach of others, sorted by their first coordinate then."""
         before = self._before
         nearer = STALE if before is None else approach(surface, before, surface, before)
         if nearer >= STALE:
@@ -99,14 +105,14 @@ class SelfFinder:
 
 
 class _Lists(NamedTuple):
-    """A sorted list for each of n."""
+    """Sorted list for each of n nodes."""
 
     start: Longs  # (n + 1,)
     items: Longs
 
     @classmethod
     def of(cls, table: Any) -> _Lists:
-        """The columns that each row of a sparse table has."""
+        """Return the columns that each row of a sparse table has."""
         made = csr_array(table)
         made.sort_indices()
         return cls(made.indptr.astype(np.int64), made.indices.astype(np.int64))
@@ -169,7 +175,7 @@ def facing_walls(
 
 @kernel
 def is_beside(triangle: Any, near_start: Any, near: Any, node: int) -> bool:
-    """Whether a corner of a triangle is a neighbour of a node."""
+    """Return whether a corner of a triangle is a neighbour of a node."""
     beside = False
     for corner in range(3):
         beside = beside or is_near(near_start, near, node, triangle[corner])
@@ -178,7 +184,7 @@ def is_beside(triangle: Any, near_start: Any, near: Any, node: int) -> bool:
 
 @kernel
 def reach_triangle(position: Any, triangle: Any, point: Any, room: Any) -> float:
-    """How near a triangle comes to a point, m^2; the weights of the place are written to room[3]."""
+    """Return the squared distance of a triangle from a point, m^2; the weights of the place go to room[3]."""
     for corner in range(3):
         for axis in range(3):
             room[corner, axis] = position[triangle[corner], axis]
@@ -192,7 +198,7 @@ def reach_triangle(position: Any, triangle: Any, point: Any, room: Any) -> float
 
 @kernel
 def stand(position: Any, triangle: Any, point: Any, outward: Any) -> tuple[float, float]:
-    """How far a point is in front of a triangle's plane, and how its own normal goes with that; neither to scale."""
+    """Return how far a point is in front of a triangle's plane, and how its normal agrees with it; neither to scale."""
     a, b, c = position[triangle[0]], position[triangle[1]], position[triangle[2]]
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -260,7 +266,7 @@ def facing_nodes(
 
 @kernel
 def put_in_order(position: Any, order: Any) -> None:
-    """Put nodes, (k,), in the order of their first coordinate, from where they are nearly so."""
+    """Sort nodes, (k,), by their first coordinate, from a nearly sorted order."""
     for place in range(1, len(order)):
         node = order[place]
         here = place
@@ -272,9 +278,9 @@ def put_in_order(position: Any, order: Any) -> None:
 
 @kernel
 def find_rooms(position: Any, order: Any, near_start: Any, near: Any, reach: float, most: float, room: Any) -> None:
-    """Write of each node (n,) how much farther than reach the nearest other one is, m, but for its neighbours.
+    """Compute for each node (n,) the distance to the nearest other one minus the reach, m, except neighbours.
 
-    most: that is told, m; order, near: see facing_nodes.
+    most: upper limit of the result, m; order, near: see facing_nodes.
     """
     room[:] = most
     put_in_order(position, order)
@@ -295,7 +301,7 @@ def find_rooms(position: Any, order: Any, near_start: Any, near: Any, reach: flo
 
 @kernel
 def is_near(near_start: Any, near: Any, node: int, other: int) -> bool:
-    """Whether one of two nodes is in the other's list, which is sorted."""
+    """Return whether one of two nodes is in the other's list, which is sorted."""
     low, high = near_start[node], near_start[node + 1]
     while low < high:
         middle = (low + high) // 2

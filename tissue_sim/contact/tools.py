@@ -22,19 +22,30 @@ if TYPE_CHECKING:
 
 SHAPE_NAMES = ("sphere", "capsule", "gripper", "mesh")
 MOST_PLANES = 256
-MARGIN = 0.003  # m around a tool: what it may cover before the next contact set
-SLACK = 0.003  # m that the surface may have moved from rest where FCL is asked
+MARGIN = 0.003  # m around a tool: distance that it may cover before the next contact set
+SLACK = 0.003  # m that the surface may have moved from rest where FCL is used
 
 
 @dataclass(frozen=True)
 class Tool:
-    """A rigid tool. Its frame's origin is the tip; an instrument's shaft lies along -z.
+    """Rigid tool; its frame's origin is the tip, and an instrument's shaft lies along -z.
 
-    name; shape: sphere, capsule, gripper (two capsules, or two jaws of a mesh; see contact.gripper) or mesh; radius m
-    (sphere, capsules); length m (of capsules, between the centres of their caps, from the origin along -z; from a
-    gripper's tips to its hinge); mesh: file in m, a closed surface where it is not convex; config/jaws/flat.obj comes
-    with the package. smoothing: fraction of the time between two poses in which the tool moves to the newer one; 1:
-    it moves evenly, and arrives as the next pose is due; 0: it is there in a tick.
+    Attributes
+    ----------
+    name : str
+        Its name.
+    shape : str
+        sphere, capsule, gripper (two capsules, or two jaws of a mesh; see contact.gripper) or mesh.
+    radius : float
+        Radius of a sphere or of capsules, m.
+    length : float
+        Length, m, of capsules between the centres of their caps, from the origin along -z; or from a gripper's tips to
+        its hinge.
+    mesh : str
+        Mesh file in m, a closed surface where it is not convex; config/jaws/flat.obj comes with the package.
+    smoothing : float
+        Fraction of the time between two poses in which the tool moves to the newer one. 1: it moves evenly, and arrives
+        as the next pose is due; 0: it arrives within a tick.
     """
 
     name: str
@@ -46,25 +57,32 @@ class Tool:
 
     @property
     def n_bodies(self) -> int:
-        """Rigid bodies that it is made of: the two jaws of a gripper, or one."""
+        """Number of its rigid bodies: the two jaws of a gripper, or one."""
         return 2 if self.shape == "gripper" else 1
 
     @property
     def is_round(self) -> bool:
-        """True when `radius` is that of its bodies: of spheres, capsules, and jaws that are capsules."""
+        """Whether `radius` is that of its bodies: of spheres, capsules, and jaws that are capsules."""
         return self.shape in ("sphere", "capsule") or (self.shape == "gripper" and not self.mesh)
 
     @property
     def jaws(self) -> Jaws:
-        """The jaws of a gripper."""
+        """Dimensions of a gripper."""
         return Jaws(0.0 if self.mesh else self.radius, self.length)
 
 
 class ToolSet:
-    """The tools of a scene in every form that is needed, body by body: a gripper has two, other tools one.
+    """Tools of a scene in all the forms that are needed, body by body: a gripper has two, other tools one.
 
-    Raises UserError naming the tool when a shape is unknown, out of range, or its mesh file
-    can't be used.
+    Parameters
+    ----------
+    tools : list[Tool]
+        The tools.
+
+    Raises
+    ------
+    UserError
+        Where a shape is unknown or out of range, or a mesh file can't be used; the message names the tool.
     """
 
     def __init__(self, tools: list[Tool]) -> None:
@@ -72,7 +90,7 @@ class ToolSet:
         names = [tool.name for tool in self.tools]
         if twice := [name for name in names if names.count(name) > 1]:
             raise UserError(f"two tools are called '{twice[0]}'; give each a name of its own")
-        self.bodies: list[list[int]] = []  # of each tool
+        self.bodies: list[list[int]] = []  # bodies of each tool
         bodies: list[_Body] = []
         for tool in self.tools:
             made = _bodies(tool)
@@ -91,7 +109,7 @@ class ToolSet:
             else (centre if body.grid is None else _deepest(body.grid))[None]
             for body, centre in zip(bodies, centres, strict=True)
         ]
-        self.clearance = [  # m, from there to the body's surface at the most
+        self.clearance = [  # m, from there to the farthest point of the body's surface
             body.size[0] or float(np.linalg.norm(body.corners - middle[0], axis=1).max())
             for body, middle in zip(bodies, self.middle, strict=True)
         ]
@@ -118,7 +136,22 @@ class ToolSet:
         return number_of(tool, [one.name for one in self.tools], "tool")
 
     def poses(self, tool: int, pose: Floats, angle: float = 0.0) -> Floats:
-        """Poses (b, 7) of a tool's bodies at a pose (7,), m and a unit quaternion xyzw; angle rad of a gripper."""
+        """Return the poses of a tool's bodies.
+
+        Parameters
+        ----------
+        tool : int
+            Index of the tool.
+        pose : Floats, shape (7,), m and unit quaternion xyzw
+            Pose of the tool.
+        angle : float, rad, optional
+            Angle between the jaws of a gripper.
+
+        Returns
+        -------
+        Floats
+            shape (b, 7), m and unit quaternion xyzw
+        """
         chosen = self.tools[tool]
         if chosen.n_bodies == 1:
             return pose[None]
@@ -127,7 +160,7 @@ class ToolSet:
 
 @dataclass(frozen=True)
 class _Body:
-    """One rigid body: its kind and size as in Shapes, and what a mesh has besides."""
+    """Rigid body: its kind and size as in Shapes, and what a mesh has besides."""
 
     kind: int
     size: tuple[float, float]
@@ -164,12 +197,12 @@ def _check_length(tool: Tool) -> None:
 
 
 def _mesh_body(tool: Tool) -> _Body:
-    import trimesh  # a fifth of a node's start, and most have no tools of a mesh
+    import trimesh  # takes a fifth of a node's start, and few nodes have tools of a mesh
 
     path = Path(tool.mesh) if Path(tool.mesh).is_file() else shipped_file(tool.mesh)
     if path is None:
         raise UserError(f"tool '{tool.name}': mesh file '{tool.mesh}' does not exist; name one in metres")
-    if path.suffix[1:].lower() not in trimesh.available_formats():  # a bag may name any file, which nobody then opens
+    if path.suffix[1:].lower() not in trimesh.available_formats():  # a bag may name any file, which must not be opened
         raise UserError(f"tool '{tool.name}': '{tool.mesh}' is not a mesh file; name one such as jaw.obj or jaw.stl")
     try:
         mesh = trimesh.load_mesh(path)

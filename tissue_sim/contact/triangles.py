@@ -11,22 +11,45 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 
 TIED = 1e-9  # of a squared distance
-FLAT = 1e-7  # a triangle whose height is less of an edge is taken for its edges
+FLAT = 1e-7  # height over edge below which only a triangle's edges count
 
 
 def closest_points(corners: Floats, points: Floats) -> Floats:
-    """Nearest point (k, 3) m of each triangle, corners (k, 3, 3) m, to its point, (k, 3) m."""
+    """Return the nearest point of each triangle to its point.
+
+    Parameters
+    ----------
+    corners : Floats, shape (k, 3, 3), m
+        Corners of the triangles.
+    points : Floats, shape (k, 3), m
+        Points.
+
+    Returns
+    -------
+    Floats, shape (k, 3), m
+        Nearest points.
+    """
     weights, _ = nearest_weights(corners, points)
     return np.einsum("kc,kcx->kx", weights, corners)
 
 
 def nearest_weights(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Nearest point of each triangle, corners (k, 3, 3) m, to its point, (k, 3) m.
+    """Return the nearest point of each triangle to its point, as barycentric weights.
 
-    Returns the barycentric weights (k, 3), none of them negative, and the distances (k,) m.
+    Parameters
+    ----------
+    corners : Floats, shape (k, 3, 3), m
+        Corners of the triangles.
+    points : Floats, shape (k, 3), m
+        Points.
+
+    Returns
+    -------
+    tuple[Floats, Floats]
+        Weights, shape (k, 3), none of them negative, and distances, shape (k,), m.
     """
     weights, distances = np.empty((len(corners), 3)), np.empty(len(corners))
-    # As they come, strided or not to be written to, each kind would be compiled anew.
+    # Strided and read-only arrays would be compiled separately.
     corners, points = (np.ascontiguousarray(given, dtype=np.float64) for given in (corners, points))
     _find_nearest(corners, points, weights, distances)
     return weights, distances
@@ -34,7 +57,7 @@ def nearest_weights(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
 
 @kernel
 def _find_nearest(corners: Any, points: Any, weights: Any, distances: Any) -> None:
-    """Write what `nearest_weights` returns."""
+    """Compute what `nearest_weights` returns."""
     for t in range(len(corners)):
         nearest_of_face(corners[t], points[t], weights[t])
         square = 0.0
@@ -45,10 +68,22 @@ def _find_nearest(corners: Any, points: Any, weights: Any, distances: Any) -> No
 
 
 def nearest_among(corners: Floats, points: Floats) -> tuple[Longs, Floats, Floats]:
-    """Which triangle, corners (t, 3, 3) m, comes nearest to each point, (k, 3) m: numbers (k,).
+    """Return the triangle that comes nearest to each point.
 
-    And the barycentric weights (k, 3) of the place, and how far it is, (k,) m. Of triangles that share the place it is
-    the one that the point stands over most steeply, so that its normal tells inside from outside.
+    Of triangles that share the nearest place it is the one whose normal is closest to the point's direction, so that
+    this normal tells inside from outside.
+
+    Parameters
+    ----------
+    corners : Floats, shape (t, 3, 3), m
+        Corners of the triangles.
+    points : Floats, shape (k, 3), m
+        Points.
+
+    Returns
+    -------
+    tuple[Longs, Floats, Floats]
+        Triangles, shape (k,), barycentric weights of the places, shape (k, 3), and distances, shape (k,), m.
     """
     found = _Nearest(np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3)), np.zeros(len(points)))
     corners, points = (np.ascontiguousarray(given, dtype=np.float64) for given in (corners, points))
@@ -66,7 +101,7 @@ class _Nearest(NamedTuple):
 
 @kernel
 def _find_nearest_among(corners: Any, points: Any, about: Any, weight: Any, found: Any) -> None:
-    """Write what `nearest_among` returns. about (t, 7): room for middles, radii and unit normals."""
+    """Compute what `nearest_among` returns; about (t, 7): buffer for centres, radii and unit normals."""
     for t in range(len(corners)):
         _survey(corners[t], about[t])
     for k in range(len(points)):
@@ -93,7 +128,7 @@ def _find_nearest_among(corners: Any, points: Any, about: Any, weight: Any, foun
 
 @kernel
 def _survey(corner: Any, about: Any) -> None:
-    """Write a triangle's middle (3,), the farthest corner's distance from it, and its unit normal (3,)."""
+    """Write a triangle's centre (3,), the farthest corner's distance from it, and its unit normal (3,)."""
     square = 0.0
     for c in range(3):
         about[c] = (corner[0, c] + corner[1, c] + corner[2, c]) / 3.0
@@ -115,7 +150,17 @@ def _survey(corner: Any, about: Any) -> None:
 
 @kernel
 def nearest_of_face(corner: Any, point: Any, weight: Any) -> None:
-    """Write the weights (3,) of the place right under the point, or of the nearest one of the edges."""
+    """Compute the barycentric weights of the place under the point, or of the nearest place of the edges.
+
+    Parameters
+    ----------
+    corner : Any, shape (3, 3), m
+        Corners of the triangle.
+    point : Any, shape (3,), m
+        The point.
+    weight : Any, shape (3,)
+        Receives the weights.
+    """
     ax, ay, az = corner[1, 0] - corner[0, 0], corner[1, 1] - corner[0, 1], corner[1, 2] - corner[0, 2]
     bx, by, bz = corner[2, 0] - corner[0, 0], corner[2, 1] - corner[0, 1], corner[2, 2] - corner[0, 2]
     px, py, pz = point[0] - corner[0, 0], point[1] - corner[0, 1], point[2] - corner[0, 2]
@@ -139,7 +184,7 @@ def nearest_of_face(corner: Any, point: Any, weight: Any) -> None:
 
 @kernel
 def _nearest_of_edge(start: Any, end: Any, point: Any) -> tuple[float, float]:
-    """Share of the way from start to end (3,) m where an edge is nearest to a point, and how near, m^2."""
+    """Return the fraction from start to end (3,) m where an edge is nearest to a point, and the distance, m^2."""
     along = length = 0.0
     for c in range(3):
         along += (end[c] - start[c]) * (point[c] - start[c])

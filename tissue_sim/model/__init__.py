@@ -1,4 +1,4 @@
-"""How an organ deforms: no files, no ROS."""
+"""Model of how an organ deforms: no files, no ROS."""
 
 from tissue_sim.model.simulation import Simulation
 

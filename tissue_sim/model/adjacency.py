@@ -1,4 +1,4 @@
-"""Which springs or cells each node has: what a local region is collected from."""
+"""Springs or cells of each node, from which a local region is collected."""
 
 from __future__ import annotations
 
@@ -13,7 +13,18 @@ from tissue_sim.model.model import Adjacency, Model
 
 
 def adjacency_of(model: Model) -> Adjacency:
-    """Slots of every node's edges and links, or cells, in the model's blocks, in ascending order."""
+    """Return the slots of every node's edges and links, or cells, in the model's blocks, in ascending order.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+
+    Returns
+    -------
+    Adjacency
+        The adjacency.
+    """
     n = len(model.rest)
     edge_start, edges = _rows(model.edges.nodes, np.arange(len(model.angular_nodes)), n)
     link_start, links = _rows(model.links.nodes, np.arange(_links(model)), n)
@@ -25,7 +36,18 @@ def adjacency_of(model: Model) -> Adjacency:
 
 
 def with_cell_neighbours(model: Model) -> Model:
-    """The model whose nodes are neighbours along the edges of its cells, so that those inside are within hops, too."""
+    """Return the model with neighbours along the edges of its cells, so that inner nodes have hop distances, too.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+
+    Returns
+    -------
+    Model
+        The model.
+    """
     assert model.tissue is not None
     ends = cells_of(model.tissue)[0].astype(np.int64)
     pairs = np.concatenate([ends[:, [a, b]] for a in range(4) for b in range(4) if a != b])
@@ -38,12 +60,12 @@ def with_cell_neighbours(model: Model) -> Model:
 
 
 def _links(model: Model) -> int:
-    """How many of the links' slots are springs and not filling."""
+    """Return how many of the links' slots are springs and not filling."""
     return int(np.count_nonzero(model.links.constants[:, BLOCK:]))
 
 
 def _rows(nodes: Ints, real: Longs, n: int) -> tuple[Ints, Ints]:
-    """Compressed rows node -> slots, of the real ones (r,), in ascending order, of nodes (b, BLOCK, c)."""
+    """Return compressed rows node -> slots, of the real ones (r,), in ascending order, of nodes (b, BLOCK, c)."""
     ends = nodes.reshape(-1, nodes.shape[2])[real].astype(np.int64)
     slots = np.repeat(real, ends.shape[1])
     order = np.argsort(ends.ravel(), kind="stable")

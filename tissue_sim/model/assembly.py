@@ -1,4 +1,4 @@
-"""From an organ and a model variant to the arrays that the kernels run on."""
+"""Assembly of an organ and a model variant into the arrays that the kernels run on."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from tissue_sim.organ.topology import tetrahedral_edges
 ModelName = Literal["auto", "surface", "volume", "hybrid", "cells"]
 ReturnTarget = Literal["rest", "implied"]
 RETURN_TARGETS: tuple[str, ...] = get_args(ReturnTarget)
-LEAST_CELL = 0.05  # of the mean cell's volume, below which a cell tells nothing
-# Of the rest area, below which a pair of triangles counts as collapsed. The turning of its normal goes with 1 / area:
-# with 0.1 the largest frequency of a pressed organ was up to three times that at rest, with 0.6 it is the same.
+LEAST_CELL = 0.05  # of the mean cell's volume, below which the sign of a cell's volume means nothing
+# Fraction of the rest area below which a pair of triangles counts as collapsed. Its normal turns as 1 / area: with 0.1
+# the largest frequency of a pressed organ was up to three times that at rest, with 0.6 it is the same.
 LEAST_AREA = 0.6
 MODEL_NAMES: tuple[str, ...] = get_args(ModelName)
 
@@ -46,22 +46,40 @@ NO_REDUCTION = Reduction(
 def assemble(
     organ: Organ, model: str = "auto", return_target: str = "rest", shape_gravity: ArrayLike = (0.0, 0.0, 0.0)
 ) -> Model:
-    """Arrays of one of the paper's three variants, or of cells; `auto`: the one that the organ was made for.
+    """Return the arrays of one of the paper's three variants, or of cells.
 
-    `surface` has edge, angular and return springs of the surface alone (equation 1); `volume` a
-    spring on every edge of a tetrahedral mesh of the surface nodes and interior points;
-    `hybrid` the surface with spokes, virtual springs and skeleton (section 3.3). `cells` has linear tetrahedra between
-    the nodes in place of springs. Nodes that a variant doesn't use stay at rest.
+    `surface` has edge, angular and return springs of the surface alone (equation 1); `volume` a spring on every edge of
+    a tetrahedral mesh of the surface nodes and interior points; `hybrid` the surface with spokes, virtual springs and
+    skeleton (section 3.3). `cells` has linear tetrahedra between the nodes in place of springs. Nodes that a variant
+    doesn't use stay at rest.
 
-    return_target: where return springs pull to, the `rest` position or the boundary that the skeleton has
-    `implied`; medial atoms return to rest in both.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    model : str, optional
+        One of MODEL_NAMES; `auto` for the variant that the organ was made for.
+    return_target : str, optional
+        Where return springs pull to: the `rest` position or the boundary that the skeleton has `implied`; medial atoms
+        return to rest in both.
+    shape_gravity : ArrayLike, shape (3,), m/s^2, optional
+        Gravity under which the organ's shape was taken. Cells get the shape that they would have without it; springs
+        keep theirs.
 
-    shape_gravity (3,) m/s^2: the gravity that the organ's shape was taken under. Cells get the shape that they would
-    have without it; springs keep theirs, as if they had been put in afterwards.
+    Returns
+    -------
+    Model
+        The model.
 
-    Raises UserError for an unknown variant or target, `volume` on an organ without interior points, `cells` on one
-    without cells, or `implied` on a variant without a skeleton or return springs; and where the tissue is too soft for
-    shape_gravity.
+    Raises
+    ------
+    UserError
+        For an unknown variant or target, `volume` on an organ without interior points, `cells` on one without cells,
+        `implied` on a variant without a skeleton or return springs, and where the tissue is too soft for shape_gravity.
+
+    References
+    ----------
+    Zhang, Gu et al. 2006, section 3.
     """
     if model not in MODEL_NAMES:
         raise UserError(f"unknown model '{model}'; choose one of {', '.join(MODEL_NAMES)}")
@@ -155,7 +173,7 @@ def assemble(
 
 
 def _bearing(model: Model, cells: Ints, law: Law) -> Model:
-    """The model whose cells push as those of the unloaded shape, and whose nodes bear their weight at rest."""
+    """Return the model whose cells push as those of the unloaded shape, and whose nodes bear their weight at rest."""
     free = model.inverse_mass > 0.0
     weight = np.zeros_like(model.rest)
     weight[free] = model.shape_gravity / model.inverse_mass[free, None]
@@ -169,12 +187,23 @@ def _bearing(model: Model, cells: Ints, law: Law) -> Model:
 
 
 def model_of(organ: Organ) -> ModelName:
-    """The variant that an organ was made for: cells where it has them, or else hybrid."""
+    """Return the variant that an organ was made for: cells where it has them, or else hybrid.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    ModelName
+        The variant.
+    """
     return "cells" if len(organ.cell_nodes) else "hybrid"
 
 
 def packed(model: Model) -> Model:
-    """The model with its springs packed anew for the kernels, after spring_* or angular_* were replaced."""
+    """Return the model with its springs packed again for the kernels, after spring_* or angular_* were replaced."""
     n = len(model.rest)
     springs = np.sort(np.stack([model.spring_first, model.spring_second], axis=1).astype(np.int64), axis=1)
     keys, order = np.unique(springs[:, 0] * n + springs[:, 1], return_index=True)
@@ -203,14 +232,14 @@ def packed(model: Model) -> Model:
 
 
 def _real_cells(organ: Organ) -> tuple[Ints, Floats]:
-    """Cells (c, 4) of the tissue, turned as the guard takes them, and their volumes (c,) m^3 at rest."""
+    """Return the cells (c, 4) of the tissue, oriented as for the guard, and their volumes (c,) m^3 at rest."""
     return _ints(organ.cell_nodes[:, [1, 0, 2, 3]]), _floats(shapes_of(organ.rest_positions, organ.cell_nodes)[1])
 
 
 def _cells(organ: Organ) -> tuple[Ints, Floats]:
-    """Tetrahedra (c, 4) of every triangle and its nearest medial atom, of positive volume (c,) m^3 at rest.
+    """Return tetrahedra (c, 4) of every triangle and its nearest medial atom, of positive volume (c,) m^3 at rest.
 
-    A cell that the surface folds over at rest, and so has no inside to lose, is left out.
+    A cell that the surface folds over at rest is left out.
     """
     x, triangles = organ.rest_positions, organ.surface_triangles
     if organ.n_atoms == 0:
@@ -232,11 +261,11 @@ def _floats(values: Any) -> Floats:
 
 
 def curvature_at_edges(rest: Floats, hinges: Ints) -> tuple[Floats, Floats, Floats]:
-    """Mean curvature normals at edges (Bergou et al. 2006, the operator of their section 3).
+    """Return mean curvature normals at edges (Bergou et al. 2006, the operator of their section 3).
 
-    hinges (h, 4): edge i, j and opposite corners k, l. Returns the weights (h, 4) of the four nodes,
-    the curvature s0 (h,) m of the rest shape along the pair's normal, and the length of the
-    unnormalised normal e x (x_k - x_l), (h,) m^2.
+    hinges (h, 4): edge i, j and opposite corners k, l. The result is the weights (h, 4) of the four nodes, the
+    curvature s0 (h,) m of the rest shape along the pair's normal, and the length of the unnormalised normal e x (x_k -
+    x_l), (h,) m^2.
     """
     i, j, k, m = (rest[hinges[:, c]] for c in range(4))
     at_i, at_j = [_cotangent(j - i, corner - i) for corner in (k, m)], [_cotangent(i - j, c - j) for c in (k, m)]
@@ -252,10 +281,10 @@ def _cotangent(a: Floats, b: Floats) -> Floats:
 
 
 def _volume_springs(organ: Organ, rest: Floats) -> tuple[Ints, Floats, Floats]:
-    """Springs on the edges of a tetrahedral mesh, k = E sum(V)/l^2 (Van Gelder 1998).
+    """Return springs on the edges of a tetrahedral mesh, k = E sum(V)/l^2 (Van Gelder 1998).
 
-    Delaunay tetrahedra whose centre lies inside the surface; surface edges that they miss are
-    added with the stiffness of the hybrid model's edge springs.
+    These are Delaunay tetrahedra whose centroid lies inside the surface; surface edges that they miss are added with
+    the stiffness of the hybrid model's edge springs.
     """
     if organ.n_nodes == organ.n_surface:
         raise UserError(f"organ '{organ.name}' has no interior points, which the volume model needs; use --atoms")

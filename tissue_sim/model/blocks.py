@@ -1,4 +1,4 @@
-"""Springs packed in blocks, the layout that the force kernels run on."""
+"""Springs packed in blocks, the layout on which the force kernels run."""
 
 from __future__ import annotations
 
@@ -9,19 +9,34 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Ints
 
-BLOCK = 16  # springs in a block: a few vectors of the processor; more only pads small regions
+BLOCK = 16  # springs in a block: a few vectors of the processor; more would only pad small regions
 LINE = 64  # bytes of the processor's cache
 
 
 class Blocks(NamedTuple):
-    """Springs of one kind; the last block is filled up with springs without stiffness."""
+    """Springs of one kind; the last block is filled with springs without stiffness."""
 
     nodes: Ints  # (b, BLOCK, c) nodes of each spring
     constants: Floats  # (b, k BLOCK) k constants of the springs, one row of BLOCK after the other
 
 
 def pack(nodes: Ints, constants: Floats, filling: Floats) -> Blocks:
-    """Blocks of springs with nodes (s, c) and constants (s, k); `filling` (k,) those of springs that only fill up."""
+    """Return springs in blocks.
+
+    Parameters
+    ----------
+    nodes : Ints, shape (s, c)
+        Nodes of the springs.
+    constants : Floats, shape (s, k)
+        Constants of the springs.
+    filling : Floats, shape (k,)
+        Constants of springs that only fill the last block.
+
+    Returns
+    -------
+    Blocks
+        The blocks.
+    """
     blocks = -(-len(nodes) // BLOCK)
     ends = np.zeros((blocks * BLOCK, nodes.shape[1]), dtype=np.int32)
     ends[: len(nodes)] = nodes
@@ -34,7 +49,18 @@ def pack(nodes: Ints, constants: Floats, filling: Floats) -> Blocks:
 
 
 def aligned(values: NDArray[Any]) -> NDArray[Any]:
-    """A copy that begins with a line of the cache: vectors that lie across two lines take a sixth longer to read."""
+    """Return a copy aligned to cache lines: vectors across two lines take a sixth longer to read.
+
+    Parameters
+    ----------
+    values : NDArray[Any]
+        The array.
+
+    Returns
+    -------
+    NDArray[Any]
+        The copy.
+    """
     room = np.empty(values.nbytes + LINE, dtype=np.uint8)
     first = -room.ctypes.data % LINE
     copy: NDArray[Any] = room[first : first + values.nbytes].view(values.dtype).reshape(values.shape)
@@ -43,6 +69,21 @@ def aligned(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def empty_blocks(count: int, nodes: int, constants: int) -> Blocks:
-    """Room for `count` springs of so many nodes and constants."""
+    """Return blocks of zeros.
+
+    Parameters
+    ----------
+    count : int
+        Number of springs.
+    nodes : int
+        Number of nodes of a spring.
+    constants : int
+        Number of constants of a spring.
+
+    Returns
+    -------
+    Blocks
+        The blocks.
+    """
     blocks = -(-count // BLOCK)
     return Blocks(np.zeros((blocks, BLOCK, nodes), dtype=np.int32), np.zeros((blocks, constants * BLOCK)))

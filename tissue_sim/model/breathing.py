@@ -1,8 +1,8 @@
-"""Breath: how far it moves what hangs on it, and what organs feel of that.
+"""Breathing: how far it moves what is attached, and the load that organs feel from it.
 
-An organ that breathes is simulated in the frame of its clamp, where that stands still. Tools come towards it as the
-frame goes the other way, and the frame's acceleration is a weight on its nodes. What hardly bends an organ it doesn't
-feel (`unfelt`).
+An organ that breathes is simulated in the frame of its clamp, in which the clamp is at rest. Tools come towards it as
+the frame moves the other way, and the frame's acceleration is a weight on its nodes. Loads that hardly bend an organ
+are left out (`unfelt`).
 """
 
 from __future__ import annotations
@@ -13,29 +13,46 @@ from typing import Any
 from tissue_sim.jit import kernel
 from tissue_sim.model.records import Record
 
-FOLLOW = 20.0  # 1/s, how fast it goes where it is told to be: 0.1 s behind
+FOLLOW = 20.0  # 1/s, rate at which it follows external input: 0.1 s behind
 
 
 class Breath(Record):
-    """How a breath goes: out at time 0, with a pause there, and in after half a period (Lujan et al. 1999, n = 2).
+    """Course of breathing: out at time 0, with a pause there, and in after half a period (Lujan et al. 1999, n = 2).
 
-    Or after what is told from outside, smoothly: as a critically damped spring would draw it there.
+    Or it follows external input, smoothly, as a critically damped spring would.
     """
 
     period: float  # s; 0: none
-    follows: bool  # what is told
+    follows: bool  # whether it follows external input
     x: float  # m, the way from breathed out to breathed in
     y: float
     z: float
     time: float  # s
-    told: float  # share of the way
-    share: float  # where it is on the way there
+    told: float  # fraction of the way, external input
+    share: float  # present fraction of the way
     speed: float  # 1/s
 
 
 @kernel
 def breathed_in(time: float, period: float) -> tuple[float, float, float]:
-    """Share of the way after so many s, sin^4(pi t / T), its speed, 1/s, and its acceleration, 1/s^2."""
+    """Return how far a periodic breath is at a time: sin^4(pi t / T) and its derivatives.
+
+    Parameters
+    ----------
+    time : float, s
+        The time.
+    period : float, s
+        The period.
+
+    Returns
+    -------
+    tuple[float, float, float]
+        Fraction of the way, its speed, 1/s, and its acceleration, 1/s^2.
+
+    References
+    ----------
+    Lujan et al. 1999, n = 2.
+    """
     if period <= 0.0:
         return 0.0, 0.0, 0.0
     turn = math.pi / period
@@ -45,7 +62,7 @@ def breathed_in(time: float, period: float) -> tuple[float, float, float]:
 
 @kernel
 def follow(breath: Any, step: float) -> tuple[float, float, float]:
-    """Go on for `step` s towards the share that was told; returns share, speed, 1/s, and acceleration, 1/s^2."""
+    """Advance by `step` s towards the external input; return fraction, speed, 1/s, and acceleration, 1/s^2."""
     change = FOLLOW * (FOLLOW * (breath.told - breath.share) - 2.0 * breath.speed)
     breath.speed += step * change
     breath.share += step * breath.speed
@@ -54,7 +71,17 @@ def follow(breath: Any, step: float) -> tuple[float, float, float]:
 
 @kernel
 def breathe(worlds: Any, carried: Any, step: float) -> None:
-    """Carry organs on by one tick of `step` s; carried: see `carried_with`. `share_loads` sets what they feel of it."""
+    """Move organs with the breath for one tick; `share_loads` sets the load that they feel from it.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    carried : Any
+        How organs follow the breath; updated.
+    step : float, s
+        Duration of the tick.
+    """
     breath = carried.breath
     breath.time += step
     if breath.follows:
@@ -80,7 +107,19 @@ def breathe(worlds: Any, carried: Any, step: float) -> None:
 
 @kernel
 def weigh(settings: Any, carried: Any, organ: int, share: float) -> None:
-    """Set an organ's gravity, less the share of its frame's acceleration that it feels."""
+    """Set an organ's gravity, minus the part of its frame's acceleration that it feels.
+
+    Parameters
+    ----------
+    settings : Any
+        Settings of the simulation.
+    carried : Any
+        How organs follow the breath; updated.
+    organ : int
+        Index of the organ.
+    share : float
+        Fraction of the acceleration that it feels.
+    """
     change, gravity = carried.change[organ], carried.gravity[organ]
     settings.gravity_x = gravity[0] - share * change[0]
     settings.gravity_y = gravity[1] - share * change[1]
@@ -89,6 +128,16 @@ def weigh(settings: Any, carried: Any, organ: int, share: float) -> None:
 
 @kernel
 def note_gravity(settings: Any, carried: Any, organ: int) -> None:
-    """Take an organ's gravity out of its settings, which are new: what it has without the breath."""
+    """Note an organ's gravity without the breath, from its settings, which are new.
+
+    Parameters
+    ----------
+    settings : Any
+        Settings of the simulation.
+    carried : Any
+        How organs follow the breath; updated.
+    organ : int
+        Index of the organ.
+    """
     gravity = carried.gravity[organ]
     gravity[0], gravity[1], gravity[2] = settings.gravity_x, settings.gravity_y, settings.gravity_z

@@ -1,6 +1,6 @@
-"""Cells: linear tetrahedra of a compressible neo-Hookean solid (cell_law), each with a stiffness of its own.
+"""Cells: linear tetrahedra of a compressible neo-Hookean solid (cell_law), each with its own stiffness.
 
-The whole organ's go in fans (fans), those of a local region one by one.
+Those of the whole organ are evaluated in cell groups (fans), those of a local region one by one.
 """
 
 from __future__ import annotations
@@ -19,17 +19,31 @@ from tissue_sim.model.model import Model, Tissue
 from tissue_sim.model.vectors import ROW, WIDTH, fused, gather_arms, put_node, scatter_arms
 from tissue_sim.model.volumes import triple_product
 
-# Of the largest squared frequency at rest, that the penalty of one cell has. With 1 the step is too long for what a few
-# squeezed cells do together, with 0.1 cells are turned inside out (measured under a pinch).
+# Squared frequency of one cell's penalty over the largest at rest. With 1 the step is too long for several squeezed
+# cells together, with 0.1 cells are inverted (measured under a pinch).
 PENALTY = 0.3
 CONSTANTS = 10
 SLOPES = 20  # constants of a cell that is linear about rest
 
 
 def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
-    """Cells (c, 4) of nodes at rest (n, 3) m, of positive volume, with Lame's moduli mu and lambda (c,) Pa.
+    """Return cells as kernels read them; the penalty is left out, see `with_penalty`.
 
-    The penalty is left out; see `with_penalty`.
+    Parameters
+    ----------
+    rest : Floats, shape (n, 3), m
+        Positions of the nodes at rest.
+    cells : Ints, shape (c, 4)
+        Node indices of the cells, of positive volume.
+    mu : Floats, shape (c,), Pa
+        Shear modulus of each cell.
+    lam : Floats, shape (c,), Pa
+        Lame's first constant of each cell.
+
+    Returns
+    -------
+    Tissue
+        The cells.
     """
     slope, volume = shapes_of(rest, cells)
     metric = np.einsum("cax,cbx->cab", slope[:, 1:], slope[:, 1:]) * (mu * volume)[:, None, None]
@@ -38,7 +52,7 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
         constants[:, row] = metric[:, a, b]
     constants[:, 6] = 1.0 / (6.0 * volume)
     constants[:, 7], constants[:, 8] = lam / 12.0, mu / 6.0
-    # What only fills up is the first cell without stiffness: with a volume, so that it isn't taken for a squeezed one.
+    # The filling is the first cell without stiffness: it has a volume, so that it isn't taken for a squeezed one.
     spare = -len(cells) % BLOCK
     filling = np.zeros((spare, CONSTANTS))
     filling[:, 6] = constants[0, 6]
@@ -58,7 +72,20 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
 
 
 def shapes_of(rest: Floats, cells: Ints | Longs) -> tuple[Floats, Floats]:
-    """Slopes of the nodes' shape functions (c, 4, 3) 1/m of cells (c, 4) at rest (n, 3) m, and volumes (c,) m^3."""
+    """Return the gradients of the nodes' shape functions and the volumes of cells.
+
+    Parameters
+    ----------
+    rest : Floats, shape (n, 3), m
+        Positions of the nodes at rest.
+    cells : Ints | Longs, shape (c, 4)
+        Node indices of the cells.
+
+    Returns
+    -------
+    tuple[Floats, Floats]
+        Gradients, shape (c, 4, 3), 1/m, and volumes, shape (c,), m^3.
+    """
     corner = rest[cells]
     a, b, c = (corner[:, k] - corner[:, 0] for k in (1, 2, 3))
     six = triple_product(a, b, c)
@@ -67,9 +94,26 @@ def shapes_of(rest: Floats, cells: Ints | Longs) -> tuple[Floats, Floats]:
 
 
 def penalty_of(rest: Floats, cells: Ints, inverse_mass: Floats, frequency: float) -> Floats:
-    """Penalty (c,) J/m^3 on squeezed cells: inverse_mass (n,) 1/kg, frequency rad/s the largest about rest."""
+    """Return the penalty on squeezed cells.
+
+    Parameters
+    ----------
+    rest : Floats, shape (n, 3), m
+        Positions of the nodes at rest.
+    cells : Ints, shape (c, 4)
+        Node indices of the cells.
+    inverse_mass : Floats, shape (n,), 1/kg
+        Inverse masses of the nodes.
+    frequency : float, rad/s
+        Largest frequency about rest.
+
+    Returns
+    -------
+    Floats, shape (c,), J/m^3
+        Penalty.
+    """
     slope, volume = shapes_of(rest, cells)  # slopes of J by each node, too
-    give = np.einsum("cnx,cnx,cn->c", slope, slope, inverse_mass[cells])  # of J, to an impulse along that, 1/(m^2 kg)
+    give = np.einsum("cnx,cnx,cn->c", slope, slope, inverse_mass[cells])  # of J to an impulse, 1/(m^2 kg)
     penalty = np.zeros(len(cells))
     free = give > 0.0
     penalty[free] = PENALTY * frequency**2 / give[free] / volume[free]
@@ -77,7 +121,20 @@ def penalty_of(rest: Floats, cells: Ints, inverse_mass: Floats, frequency: float
 
 
 def with_penalty(tissue: Tissue, penalty: Floats) -> Tissue:
-    """The same with a penalty (c,) J/m^3 on squeezed cells."""
+    """Return the same cells with a penalty on squeezed ones.
+
+    Parameters
+    ----------
+    tissue : Tissue
+        Cells of the model.
+    penalty : Floats, shape (c,), J/m^3
+        Penalty.
+
+    Returns
+    -------
+    Tissue
+        The cells.
+    """
     constants = aligned(tissue.constants)
     rows = np.zeros(len(tissue.nodes) * BLOCK)
     rows[: len(penalty)] = penalty / 6.0
@@ -88,13 +145,13 @@ def with_penalty(tissue: Tissue, penalty: Floats) -> Tissue:
 
 @kernel
 def _pull(s: float, j: float, t: float, k: float, u: float, m: float, pressure: float, normal: float) -> float:
-    """s j + t k + u m + pressure normal."""
+    """Return s j + t k + u m + pressure normal."""
     return fused(s, j, fused(t, k, fused(u, m, pressure * normal)))
 
 
 @kernel
 def _resist(work: Any, constant: Any) -> int:
-    """Turn the arms of a block into the pulls of its last three nodes on the first; returns how many are stiff."""
+    """Turn the arms of a block into the forces of its last three nodes on the first; return how many are stiff."""
     stiff = 0
     for c in range(BLOCK):
         jx, jy, jz = work[c], work[BLOCK + c], work[2 * BLOCK + c]
@@ -129,7 +186,7 @@ def _spread(position: Any, among: Any, tissue: Any) -> None:
 
 @kernel
 def _add_scattered(tissue: Any, among: Any, share: float, force: Any) -> None:
-    """Add a share of what was scattered to nodes among (k,) to force (n, 3) N."""
+    """Add a fraction of what was scattered to nodes among (k,) to force (n, 3) N."""
     for index in range(len(among)):
         node = among[index]
         for axis in range(3):
@@ -140,7 +197,25 @@ def _add_scattered(tissue: Any, among: Any, share: float, force: Any) -> None:
 def cell_forces_among(
     position: Any, among: Any, nodes: Any, constants: Any, tissue: Any, work: Any, force: Any
 ) -> None:
-    """The same of some of the cells, which have no other nodes than those `among` (k,), in blocks of their own."""
+    """Add the forces of some of the cells, in blocks of their own.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    among : Any, shape (k,)
+        All nodes of these cells.
+    nodes : Any, shape (b, BLOCK, 4)
+        Node indices of the cells.
+    constants : Any, shape (b, CONSTANTS BLOCK)
+        Their constants.
+    tissue : Any
+        Cells of the model.
+    work : Any
+        Buffer of the block.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
+    """
     stiff = 0
     _spread(position, among, tissue)
     for block in range(len(nodes)):
@@ -155,7 +230,25 @@ def cell_forces_among(
 def subtract_linear_cells(
     position: Any, among: Any, nodes: Any, slopes: Any, tissue: Any, work: Any, force: Any
 ) -> None:
-    """Subtract what some of the cells would push if they were linear about rest; slopes as cell_slopes has them."""
+    """Subtract the forces of some of the cells if they were linear about rest.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    among : Any, shape (k,)
+        All nodes of these cells.
+    nodes : Any, shape (b, BLOCK, 4)
+        Node indices of the cells.
+    slopes : Any, shape (b, SLOPES BLOCK)
+        Constants of cell_slopes.
+    tissue : Any
+        Cells of the model.
+    work : Any
+        Buffer of the block.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
+    """
     _spread(position, among, tissue)
     for block in range(len(nodes)):
         gather_arms(tissue.rows, nodes[block], work)
@@ -166,7 +259,7 @@ def subtract_linear_cells(
 
 @kernel
 def _resist_linearly(work: Any, slope: Any) -> None:
-    """Turn the arms of a block into the pulls of its last three nodes on the first, by Hooke's law."""
+    """Turn the arms of a block into the forces of its last three nodes on the first, by Hooke's law."""
     for c in range(BLOCK):
         jx, jy, jz = work[c] - slope[c], work[BLOCK + c] - slope[BLOCK + c], work[2 * BLOCK + c] - slope[2 * BLOCK + c]
         kx, ky = work[3 * BLOCK + c] - slope[3 * BLOCK + c], work[4 * BLOCK + c] - slope[4 * BLOCK + c]
@@ -195,10 +288,22 @@ def _resist_linearly(work: Any, slope: Any) -> None:
 
 
 def cell_slopes(tissue: Tissue, rest: Floats) -> Floats:
-    """Rows (b, SLOPES BLOCK) for subtract_linear_cells, in the blocks of the tissue at rest (n, 3) m.
+    """Return the constants of the cells for subtract_linear_cells.
 
-    From the first node to the others, m; the slopes of these nodes' shape functions, 1/m; mu and lambda times the
-    volume, J.
+    These are the arms from the first node to the others, m; the gradients of these nodes' shape functions, 1/m; mu and
+    lambda times the volume, J.
+
+    Parameters
+    ----------
+    tissue : Tissue
+        Cells of the model.
+    rest : Floats, shape (n, 3), m
+        Positions of the nodes at rest.
+
+    Returns
+    -------
+    Floats, shape (b, SLOPES BLOCK)
+        Constants, in the blocks of the tissue.
     """
     nodes, constants = tissue.nodes.reshape(-1, 4), _rows_of(tissue)
     slope, volume = shapes_of(rest, nodes)
@@ -208,17 +313,39 @@ def cell_slopes(tissue: Tissue, rest: Floats) -> Floats:
 
 
 def _rows_of(tissue: Tissue) -> Floats:
-    """Constants (b BLOCK, CONSTANTS) of every slot."""
+    """Return the constants (b BLOCK, CONSTANTS) of every slot."""
     return tissue.constants.reshape(-1, CONSTANTS, BLOCK).transpose(0, 2, 1).reshape(-1, CONSTANTS)
 
 
 def slots_of(tissue: Tissue) -> Longs:
-    """Slots in the blocks that hold a cell, in ascending order; the others only fill up."""
+    """Return the slots in the blocks that hold a cell, in ascending order; the others are filling.
+
+    Parameters
+    ----------
+    tissue : Tissue
+        Cells of the model.
+
+    Returns
+    -------
+    Longs, shape (c,)
+        Slots.
+    """
     return np.flatnonzero(_rows_of(tissue)[:, 8] > 0.0)
 
 
 def cells_of(tissue: Tissue) -> tuple[Ints, Floats, Floats]:
-    """The cells (c, 4) again, their moduli mu and lambda (2, c) Pa, and the penalty of each, J/m^3."""
+    """Return the cells, their moduli and penalties.
+
+    Parameters
+    ----------
+    tissue : Tissue
+        Cells of the model.
+
+    Returns
+    -------
+    tuple[Ints, Floats, Floats]
+        Node indices, shape (c, 4), mu and lambda, shape (2, c), Pa, and penalties, shape (c,), J/m^3.
+    """
     rows = _rows_of(tissue)
     real = slots_of(tissue)
     rows = rows[real]
@@ -226,17 +353,41 @@ def cells_of(tissue: Tissue) -> tuple[Ints, Floats, Floats]:
 
 
 def swelling(model: Model, position: Floats) -> Floats:
-    """Volume (c,) over that at rest of every cell that the guard looks at, at position (n, 3) m; under 0 inside out."""
+    """Return the volume over that at rest of every cell that the guard checks; below 0 it is inverted.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    position : Floats, shape (n, 3), m
+        Positions of the nodes, surface first.
+
+    Returns
+    -------
+    Floats, shape (c,)
+        Volume ratios.
+    """
     a, b, c, d = (position[model.cells[:, k]] for k in range(4))
     found: Floats = np.einsum("ck,ck->c", a - d, np.cross(b - d, c - d)) / 6.0 / model.cell_volume
     return found
 
 
 def strain_rows(rest: Floats, cells: Ints | Longs) -> tuple[csc_array, Longs]:
-    """Strains of cells (c, 4) about rest (n, 3) m as a matrix (7c, 3n), of which each modulus weighs the squares.
+    """Return the strains of cells about rest as a matrix, of which each modulus weighs the squares.
 
-    In the root of m^3: of mu the strains times the root of two and the shear angles, of lambda the swelling. The second
-    part names each row's modulus: mu of every cell, then lambda.
+    Rows are in the root of m^3: for mu the strains times the root of two and the shear angles, for lambda the swelling.
+
+    Parameters
+    ----------
+    rest : Floats, shape (n, 3), m
+        Positions of the nodes at rest.
+    cells : Ints | Longs, shape (c, 4)
+        Node indices of the cells.
+
+    Returns
+    -------
+    tuple[csc_array, Longs]
+        Matrix, shape (7c, 3n), and the modulus of each row: mu of every cell, then lambda.
     """
     slope, volume = shapes_of(rest, cells)
     count, root = len(cells), np.sqrt(volume)[:, None]
@@ -255,7 +406,22 @@ def strain_rows(rest: Floats, cells: Ints | Longs) -> tuple[csc_array, Longs]:
 
 
 def cell_energy(position: Floats, rest: Floats, tissue: Tissue) -> float:
-    """Elastic energy of cells at position (n, 3) m, J; 0 at rest (n, 3) m."""
+    """Return the elastic energy of cells; 0 at rest.
+
+    Parameters
+    ----------
+    position : Floats, shape (n, 3), m
+        Positions of the nodes, surface first.
+    rest : Floats, shape (n, 3), m
+        Positions of the nodes at rest.
+    tissue : Tissue
+        Cells of the model.
+
+    Returns
+    -------
+    float, J
+        The energy.
+    """
     cells, (mu, lam), penalty = cells_of(tissue)
     slope, volume = shapes_of(rest, cells)
     gradient = np.einsum("cai,caj->cij", position[cells], slope)

@@ -1,10 +1,11 @@
 """Contact of the tissue with rigid tools: non-penetration and Coulomb friction as constraints.
 
-A contact point is a weighted sum of up to three nodes. After each substep every point that ended
-inside a tool is moved onto it, and held against sliding within the friction cone. The force is
-what the constraint costs, so it is equal and opposite by construction and stable at any stiffness.
-What the tissue between nodes gives way by (contact.local_compliance) is part of the constraint, as in
-compliant constraints (Macklin et al. 2016): a point lies that much inside its tool.
+A contact point is a weighted sum of up to three nodes. After each substep every point that ended inside a tool is moved
+onto it, and held against sliding within the friction cone. The force is that of the constraint, so it is equal and
+opposite by construction and stable at any stiffness.
+
+The compliance of tissue between nodes (contact.local_compliance) is part of the constraint, as in compliant constraints
+(Macklin et al. 2016): a point lies that much inside its tool.
 """
 
 from __future__ import annotations
@@ -19,29 +20,28 @@ from tissue_sim.model.squeezed import SQUEEZED_PASSES, find_squeezed, has_stiff_
 from tissue_sim.model.state import Region
 from tissue_sim.model.watched import FAST, tissue_speed
 
-NEAR = 5e-5  # m: points that close may come to touch while others are resolved
+NEAR = 5e-5  # m: distance within which points may come to touch while others are resolved
 MOST_NEAR = 256  # contact points resolved in a substep
 MOST_PASSES = 20  # over the contact points in a substep, and
-PASSES_A_TICK = 40  # in a tick: short substeps begin with what the last one has found, but
+PASSES_A_TICK = 40  # in a tick: short substeps start from the last one's result, but at least
 LEAST_PASSES = 6
-RECOVERY_SPEED = 0.2  # m/s at which a point that already lay inside a tool comes out at the most
-TOLERANCE = 1e-3  # of the sum of the normal impulses, which a pass may still change
+RECOVERY_SPEED = 0.2  # m/s, largest speed at which a point that already lay inside a tool comes out
+TOLERANCE = 1e-3  # of the sum of the normal impulses: change in a pass at which it has converged
 
 
 @kernel
 def gather_contacts(
     state: Any, shapes: Any, mobility: Any, settings: Any, step: float, scratch: Any, spread: bool
 ) -> int:
-    """List the entries that touch or nearly touch in scratch.near_entry, with the impulses of the last substep.
+    """List the points that touch or nearly touch in scratch.near_entry, with the impulses of the last substep.
 
-    spread: they are those that add_contact_impulses has given already, whatever the tool's normal has become since.
+    spread: whether add_contact_impulses has already applied these impulses, whatever the tool's normal is now. For
+    each, scratch.near_plane (N, 11) holds: the tool's outward normal and the distance of its surface along that from
+    the tool's origin, m, minus the forgiven depth; the tool's motion there in the substep, minus its origin, m; the
+    response of nodes and tool to an impulse, m / (N s); and the place relative to the tool's origin, m.
 
-    For each scratch.near_plane (N, 11): the tool's outward normal and how far its surface lies along that from the
-    tool's origin, m, less the depth that is forgiven; how far the tool moves there in the substep, less its origin, m;
-    by how much nodes and tool give way there to an impulse, m / (N s); and where that is, from the tool's origin, m.
-
-    Returns how many; when more come close than the list holds, the first ones are kept. The others' impulses are
-    forgotten.
+    The number of points is returned; when more come close than the list holds, the first ones are kept. The others'
+    impulses are forgotten.
     """
     if scratch.watching[0] == 0:
         return 0
@@ -51,7 +51,7 @@ def gather_contacts(
         body = state.contacts.body[entry]
         pressed = state.contact_pressed[0, entry]
         if pressed == 0.0:
-            # A tool that gives way moves by what touches it, too.
+            # The contact moves a compliant tool, too.
             speed = tissue if scratch.give[body] == 0.0 else FAST
             scratch.watched_gap[index] -= step * (scratch.watched_speed[index] + speed)
             if scratch.watched_gap[index] >= NEAR:
@@ -83,9 +83,9 @@ def gather_contacts(
 
 @kernel
 def soften(state: Any, scratch: Any, near: int, scale: float) -> None:
-    """Set how soft a contact point is, scratch.near_soft (N, 4); scale: of the tissue's stiffness, times the step, s.
+    """Set the compliance of a contact point, scratch.near_soft (N, 4); scale: stiffness scale times the step, s.
 
-    By how much the tissue between nodes gives way to an impulse in a substep along the normal, m / (N s); the impulse
+    It holds the yielding of tissue between nodes to an impulse in a substep along the normal, m / (N s); the impulse
     that moves the point a metre out of the tool, N s/m, or 0 where none does; and both across the normal.
     """
     compliance, soft = state.contacts.compliance[scratch.near_entry[near]], scratch.near_soft[near]
@@ -97,9 +97,9 @@ def soften(state: Any, scratch: Any, near: int, scale: float) -> None:
 
 @kernel
 def begin_across(state: Any, scratch: Any, near: int) -> None:
-    """Note in scratch.near_began (N, 3) what the tissue between nodes gives way by across the normal, m, as it begins.
+    """Note in scratch.near_began (N, 3) the yielding of tissue between nodes across the normal, m, at the start.
 
-    By scratch.near_tangent, which is the last substep's.
+    It follows from scratch.near_tangent of the last substep.
     """
     began, held, soft = scratch.near_began[near], scratch.near_tangent[near], scratch.near_soft[near, 2]
     most = state.contacts.most_give[scratch.near_entry[near]]
@@ -110,7 +110,17 @@ def begin_across(state: Any, scratch: Any, near: int) -> None:
 
 @kernel
 def carry_force(state: Any, substeps: int, now: int) -> None:
-    """Let the last impulses of contact be those of the same forces where a tick has other substeps now."""
+    """Rescale the last contact impulses to the same forces where a tick has another number of substeps now.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    substeps : int
+        Previous number of substeps.
+    now : int
+        Present number of substeps.
+    """
     if substeps == now or substeps == 0:
         return
     scale = substeps / now
@@ -122,7 +132,7 @@ def carry_force(state: Any, substeps: int, now: int) -> None:
 
 @kernel
 def set_nodes(state: Any, mobility: Any, scratch: Any, near: int) -> float:
-    """Copy the nodes, weights and mobilities of a contact point beside each other; returns its own mobility, 1/kg."""
+    """Copy the nodes, weights and mobilities of a contact point side by side; return its own mobility, 1/kg."""
     entry, mobile = scratch.near_entry[near], 0.0
     for c in range(3):
         node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
@@ -134,7 +144,7 @@ def set_nodes(state: Any, mobility: Any, scratch: Any, near: int) -> float:
 
 @kernel
 def set_plane(state: Any, shapes: Any, scratch: Any, near: int) -> float:
-    """Take the tool as it is at a contact point into scratch.near_plane, see gather_contacts; returns the gap, m."""
+    """Write the tool's state at a contact point to scratch.near_plane, see gather_contacts; return the gap, m."""
     entry, plane = scratch.near_entry[near], scratch.near_plane[near]
     body = state.contacts.body[entry]
     x, y, z, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
@@ -151,10 +161,10 @@ def set_plane(state: Any, shapes: Any, scratch: Any, near: int) -> float:
 
 @kernel
 def forgive_depth(state: Any, scratch: Any, near: int, gap: float, step: float) -> None:
-    """Let a contact point that lay inside its tool before this substep, s, come out little by little; gap m at its end.
+    """Let a contact point that lay inside its tool before this substep, s, come out gradually; gap m at its end.
 
-    Tissue can close around a tool that was let go. Pushed out at once, a point would be as fast as a substep is short.
-    What the last force makes the tissue give way by is no such depth.
+    Tissue can close around a released tool. Pushed out at once, a point would be faster the shorter the substep is. The
+    yielding of tissue under the last force is no such depth.
     """
     entry, plane = scratch.near_entry[near], scratch.near_plane[near]
     given = min(scratch.near_soft[near, 0] * state.contact_pressed[0, entry], state.contacts.most_give[entry])
@@ -171,7 +181,7 @@ def forgive_depth(state: Any, scratch: Any, near: int, gap: float, step: float) 
 
 @kernel
 def is_outside(state: Any, scratch: Any, near: int) -> bool:
-    """True when the tool is on the tissue's outer side at a contact point, as gap_from_outside has it."""
+    """Return whether the tool is on the tissue's outer side at a contact point, as in gap_from_outside."""
     normal, plane = state.contacts.normal[scratch.near_entry[near]], scratch.near_plane[near]
     facing = normal[0] * plane[0]
     facing += normal[1] * plane[1]
@@ -181,7 +191,7 @@ def is_outside(state: Any, scratch: Any, near: int) -> bool:
 
 @kernel
 def look_again(state: Any, shapes: Any, scratch: Any, near: int, step: float) -> None:
-    """Take the tool as it is where a contact point has got to; what was pressed and held is split anew."""
+    """Update the tool's plane at a contact point's present place, and split its impulse into pressed and held anew."""
     px, py, pz = whole_impulse(scratch, near)
     forgive_depth(state, scratch, near, set_plane(state, shapes, scratch, near), step)
     plane, held = scratch.near_plane[near], scratch.near_tangent[near]
@@ -193,7 +203,7 @@ def look_again(state: Any, shapes: Any, scratch: Any, near: int, step: float) ->
 
 @kernel
 def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[float, float, float]:
-    """The last substep's impulse on a contact point, N s, as it points now: along the tool's normal, and across it."""
+    """Return the last substep's impulse on a contact point, N s, as it points now."""
     body = state.contacts.body[entry]
     _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
     _, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
@@ -204,13 +214,27 @@ def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[floa
 
 @kernel
 def add_contact_impulses(state: Any, shapes: Any, scratch: Any, scale: float, target: Any) -> None:
-    """Add the last substep's contact impulses, N s, times a scale to target (n, 3), and keep them whole in held[1]."""
+    """Add the last substep's contact impulses to the nodes, and keep them in held[1].
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    scratch : Any
+        Working memory; updated.
+    scale : float
+        Factor of the impulses.
+    target : Any, shape (n, 3)
+        Sums at the nodes, updated.
+    """
     shares = state.contacts.weight
     for index in range(scratch.watching[0]):
         entry = scratch.watched[index]
         if state.contact_pressed[0, entry] > 0.0 and state.bodies[state.contacts.body[entry]].engaged:
             push = aim_impulse(state, shapes, entry, scratch)
-            held = state.contact_held[1, entry]  # row 0 stays that of a whole substep for whoever reads beside the loop
+            held = state.contact_held[1, entry]  # row 0 stays that of a whole substep for readers beside the loop
             held[0], held[1], held[2] = push
             for corner in range(3):
                 node, share = state.contacts.node[entry, corner], scale * shares[entry, corner]
@@ -230,17 +254,35 @@ def resolve_contacts(
     step: float,
     spread: bool,
 ) -> int:
-    """Keep every contact point out of its tool; returns how many touched.
+    """Keep every contact point out of its tool; return how many touched.
 
-    Projected Gauss-Seidel on accumulated impulses: a point pushed too far by its neighbours is let
-    back, so that points sharing nodes settle on one distribution of force instead of taking turns. It starts
-    from the impulses of the last substep, and ends when a pass changes them by less than TOLERANCE of their sum.
-    scratch.origin (T, 3), scratch.rotation (T, 9) are the tools at the substep's end, last_* at its
-    beginning; mobility (n,) 1/kg is the velocity that an impulse gives a node; step s; spread: True when the
-    integrator has moved the organ by the last impulses already: points are then all but where they end, and the tool
-    is as flat as it is there. Adds to
-    scratch.impulse (T, 6) what acts on the tissue, N s, and its moment
-    about the tool's origin, N m s. Cells of the model that are squeezed too much are resolved along with the points.
+    Projected Gauss-Seidel on accumulated impulses: a point pushed too far by its neighbours moves back, so that points
+    sharing nodes converge to one distribution of force instead of alternating. It starts from the impulses of the last
+    substep, and ends when a pass changes them by less than TOLERANCE of their sum. Squeezed cells of the model are
+    resolved along with the points.
+
+    scratch.origin (T, 3) and scratch.rotation (T, 9) are the tools at the substep's end, last_* at its beginning. The
+    impulses on the tissue, N s, and their moments about the tool's origin, N m s, are added to scratch.impulse (T, 6).
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    mobility : Any, shape (n,), 1/kg
+        Velocity that a unit impulse gives each node.
+    scratch : Any
+        Working memory; updated.
+    settings : Any
+        Settings of the simulation.
+    step : float, s
+        The substep.
+    spread : bool
+        True when the integrator has moved the organ by the last impulses already: points are then nearly at their final
+        places, and the tool is as flat as it is there.
     """
     squeezed = find_squeezed(model, state, mobility, scratch, step)
     scratch.squeezing[0] = squeezed
@@ -275,14 +317,14 @@ def resolve_contacts(
 
 @kernel
 def whole_impulse(scratch: Any, near: int) -> tuple[float, float, float]:
-    """Impulse on a contact point in this substep, N s."""
+    """Return the impulse on a contact point in this substep, N s."""
     plane, pressed, held = scratch.near_plane[near], scratch.near_normal[near], scratch.near_tangent[near]
     return pressed * plane[0] + held[0], pressed * plane[1] + held[1], pressed * plane[2] + held[2]
 
 
 @kernel
 def resolve_contact(state: Any, shapes: Any, scratch: Any, near: int, friction: float, step: float) -> float:
-    """One contact point: no penetration, and no sliding within the friction cone; returns the impulse added, N s."""
+    """Resolve one contact point: no penetration, no sliding within the friction cone; return the added impulse, N s."""
     entry, plane = scratch.near_entry[near], scratch.near_plane[near]
     pressed, held, began = scratch.near_normal[near], scratch.near_tangent[near], scratch.near_began[near]
     soft, stiffness, soft_across, stiffness_across = scratch.near_soft[near]
@@ -342,7 +384,7 @@ def resolve_contact(state: Any, shapes: Any, scratch: Any, near: int, friction: 
 def give_impulse(
     state: Any, shapes: Any, scratch: Any, near: int, px: float, py: float, pz: float, step: float
 ) -> None:
-    """Give a contact point an impulse, N s, and its tool the opposite one; with a step of 0 the tool alone."""
+    """Apply an impulse, N s, to a contact point, and its opposite to the tool; with a step of 0 to the tool alone."""
     for c in range(3 if step > 0.0 else 0):
         node, move = scratch.near_node[near, c], scratch.near_move[near, c]
         state.velocity[node, 0] += move * px
@@ -367,7 +409,8 @@ def count_impulse(state: Any, scratch: Any, near: int) -> None:
             state.contact_impulse[node, 0] += weight * px
             state.contact_impulse[node, 1] += weight * py
             state.contact_impulse[node, 2] += weight * pz
-    # The arm of where the normal was taken: a ball without friction feels no moment about its middle.
+    # The lever arm is that of the place of the normal, so that a ball without friction feels no moment about its
+    # centre.
     ax, ay, az = plane[8], plane[9], plane[10]
     impulse = scratch.impulse[state.contacts.body[entry]]
     impulse[0] += px
@@ -380,7 +423,7 @@ def count_impulse(state: Any, scratch: Any, near: int) -> None:
 
 @kernel
 def push_bodies(tools: Any, body: int, scratch: Any, px: float, py: float, pz: float) -> None:
-    """Let every body of a body's tool give way to an impulse on the tissue, N s."""
+    """Move every body of a body's tool by an impulse on the tissue, N s."""
     give = scratch.give[body]
     for other in range(len(tools)):
         if tools[other] == tools[body]:

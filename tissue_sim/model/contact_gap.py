@@ -1,4 +1,4 @@
-"""Where contact points lie: in the organ's frame, in their tool's, and how far from it."""
+"""Places of contact points: in the organ's frame, in their tool's, and their distance from it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,25 @@ INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a 
 def point_in_body(
     state: Any, entry: int, origin: Any, rotation: Any
 ) -> tuple[float, float, float, float, float, float]:
-    """Contact point of an entry, in the organ's frame and in its tool's frame (m).
+    """Return a contact point in the organ's frame and in its tool's frame.
 
     origin (T, 3), rotation (T, 9) of the tools.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    entry : int
+        Index of the contact point in the contact set.
+    origin : Any, shape (T, 3), m
+        Origins of the tools.
+    rotation : Any, shape (T, 9)
+        Rotations of the tools.
+
+    Returns
+    -------
+    tuple[float, float, float, float, float, float], m
+        Three coordinates in the organ's frame, then three in the tool's.
     """
     body = state.contacts.body[entry]
     x = y = z = 0.0
@@ -40,9 +56,9 @@ def point_in_body(
 
 @kernel
 def gap_from_outside(state: Any, shapes: Any, entry: int, origin: Any, rotation: Any) -> float:
-    """Signed distance, m, of a contact point to its tool; infinite where the tool is on its inner side.
+    """Return the signed distance, m, of a contact point to its tool; infinite where the tool is on its inner side.
 
-    Tissue is pushed from outside only: a tool that came to lie inside leaves without hooking it.
+    Tissue is pushed from outside only: a tool that came to lie inside leaves without catching it.
     """
     body = state.contacts.body[entry]
     _, _, _, lx, ly, lz = point_in_body(state, entry, origin, rotation)
@@ -56,7 +72,24 @@ def gap_from_outside(state: Any, shapes: Any, entry: int, origin: Any, rotation:
 
 @kernel
 def is_touched(state: Any, shapes: Any, origin: Any, rotation: Any) -> bool:
-    """True when any contact point lies inside its tool."""
+    """Return whether any contact point lies inside its tool.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    origin : Any, shape (T, 3), m
+        Origins of the tools.
+    rotation : Any, shape (T, 9)
+        Rotations of the tools.
+
+    Returns
+    -------
+    bool
+        True where one does.
+    """
     for entry in range(state.contacts.header.points):
         body = state.contacts.body[entry]
         if state.bodies[body].engaged:
@@ -69,9 +102,29 @@ def is_touched(state: Any, shapes: Any, origin: Any, rotation: Any) -> bool:
 def gap_and_normal(
     shapes: Any, body: int, r: Any, lx: float, ly: float, lz: float
 ) -> tuple[float, float, float, float]:
-    """Signed distance, m, of a point in a tool's frame to it, and the tool's outward normal in the organ's frame.
+    """Return the signed distance of a point from a tool, and the tool's outward normal there.
 
     r (9,): the tool's rotation.
+
+    Parameters
+    ----------
+    shapes : Any
+        Shapes of the bodies.
+    body : int
+        Index of the body.
+    r : Any, shape (9,)
+        Rotation of the tool.
+    lx : float, m
+        Coordinate of the point in the tool's frame.
+    ly : float, m
+        Coordinate of the point in the tool's frame.
+    lz : float, m
+        Coordinate of the point in the tool's frame.
+
+    Returns
+    -------
+    tuple[float, float, float, float]
+        Distance, m, and normal in the organ's frame.
     """
     gap, mx, my, mz = signed_distance(shapes, body, lx, ly, lz)
     return (

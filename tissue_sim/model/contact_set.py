@@ -1,4 +1,4 @@
-"""A contact set: the surface points that tools may touch, in one piece from the finder to the bag."""
+"""Contact set: the surface points that tools may touch, in one piece from the finder to the bag."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ MOST_POINTS = 2048
 
 
 class Engaged(IntEnum):
-    """What a contact set says of a body."""
+    """State of a body in a contact set."""
 
-    NO, YES, HELD_OFF, SLIPPED = range(4)  # not looked at; it may touch; it appeared inside; it has slipped inside
+    NO, YES, HELD_OFF, SLIPPED = range(4)  # not searched; it may touch; it appeared inside; it has slipped inside
 
 
 class ContactSetHeader(Record):
-    """What a contact set says about itself."""
+    """Header of a contact set."""
 
     sequence: int  # its number
-    points: int  # how many it has
-    dropped: int  # how many it had no room for, the farthest ones
+    points: int  # number of points
+    dropped: int  # number of points without room, the farthest ones
 
 
 class ContactSet(NamedTuple):
-    """Points on the surface that bodies may touch, and those under the bodies' tips. B bodies, C points at the most.
+    """Points on the surface that bodies may touch, and those under the bodies' tips; B bodies, C points at most.
 
-    All fields view `words`, of which the first `used_words` make the set.
+    All fields are views of `words`, of which the first `used_words` are the set.
     """
 
     words: Longs
     header: ContactSetHeader
     engaged: Longs  # (B,) Engaged
-    place: Floats  # (B, 7) where each body was when its points were found; for one that has slipped, where it goes
-    reach: Floats  # (B,) m that any of its points may move by from there, and touches none but points of the set
-    n_points: Longs  # (B,) how many points are for it
-    releases: Longs  # (B,) how often it had been released by then
+    place: Floats  # (B, 7) pose of each body when its points were found; for one that has slipped, its goal
+    reach: Floats  # (B,) m that its points may move from there without touching anything outside the set
+    n_points: Longs  # (B,) number of its points
+    releases: Longs  # (B,) number of its releases by then
     tip_node: Longs  # (B, 3) nodes of the triangle under the tip, -1 where none is near
     tip_weight: Floats  # (B, 3) barycentric weights there
     body: Longs  # (C,)
@@ -49,7 +49,7 @@ class ContactSet(NamedTuple):
     weight: Floats  # (C, 3) barycentric weights
     normal: Floats  # (C, 3) outward unit normals of the tissue
     compliance: Floats  # (C, 2) m/N of the tissue between nodes, along a tool's normal and across it
-    most_give: Floats  # (C,) m that it gives way at the most
+    most_give: Floats  # (C,) m by which it yields at most
 
 
 PER_POINT = ("body", "node", "weight", "normal", "compliance", "most_give")
@@ -80,12 +80,40 @@ def _fields(n_bodies: int) -> dict[str, Any]:
 
 
 def contact_set_words(n_bodies: int, points: int = MOST_POINTS) -> int:
-    """Words that a contact set of so many points takes."""
+    """Return the number of words of a contact set.
+
+    Parameters
+    ----------
+    n_bodies : int
+        Number of bodies.
+    points : int, optional
+        Number of points.
+
+    Returns
+    -------
+    int
+        The number.
+    """
     return size_of(_fields(n_bodies)) + _POINT_WORDS * points
 
 
 def contact_set(n_bodies: int, points: int = MOST_POINTS, words: Longs | None = None) -> ContactSet:
-    """An empty contact set with room for so many points; on words (contact_set_words(),), else on words of its own."""
+    """Return an empty contact set.
+
+    Parameters
+    ----------
+    n_bodies : int
+        Number of bodies.
+    points : int, optional
+        Number of points that it has room for.
+    words : Longs | None, shape (contact_set_words(),), optional
+        Memory; None for memory of its own.
+
+    Returns
+    -------
+    ContactSet
+        The contact set.
+    """
     if words is None:
         words = np.zeros(contact_set_words(n_bodies, points), dtype=np.int64)
     head: dict[str, Any] = carve(words, _fields(n_bodies))
@@ -96,5 +124,16 @@ def contact_set(n_bodies: int, points: int = MOST_POINTS, words: Longs | None = 
 
 @kernel
 def used_words(contacts: Any) -> int:
-    """How many of a set's words make it up."""
+    """Return how many words of a contact set are in use.
+
+    Parameters
+    ----------
+    contacts : Any
+        The contact set.
+
+    Returns
+    -------
+    int
+        The number.
+    """
     return len(contacts.words) - _POINT_WORDS * (len(contacts.body) - contacts.header.points)

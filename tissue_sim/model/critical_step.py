@@ -1,4 +1,4 @@
-"""How long a substep may be: the critical step of the assembled model."""
+"""Critical step of the assembled model: how long a substep may be."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import math
 from tissue_sim.model.model import Model
 
 SAFETY = 0.9
-MOST_SUBSTEPS = 10_000  # in a tick; where the critical step is shorter, the guard has to hold
+MOST_SUBSTEPS = 10_000  # in a tick; where the critical step is shorter, only the guard is left
 
 
 def critical_step(frequency: float, damping_ratio: float, integrator: str = "symplectic") -> float:
-    """Longest stable step, s, for angular frequency w (rad/s) and damping ratio z.
+    """Return the longest stable step, s, for angular frequency w (rad/s) and damping ratio z.
 
-    symplectic: symplectic Euler with implicit nodal damping, h = (2/w)(sqrt(1 + z^2) + z); explicit: forward Euler,
-    h = 2 z/w, none without damping, and 1/(w z) of an overdamped oscillator at most; implicit: any.
+    symplectic: symplectic Euler with implicit nodal damping, h = (2/w)(sqrt(1 + z^2) + z); explicit: forward Euler, h =
+    2 z/w, none without damping, and at most 1/(w z) of an overdamped oscillator; implicit: any.
     """
     if integrator == "implicit" or frequency == 0.0:
         return math.inf
@@ -26,9 +26,21 @@ def critical_step(frequency: float, damping_ratio: float, integrator: str = "sym
 
 
 def stable_frequency(step: float, damping_rate: float) -> float:
-    """Angular frequency, rad/s, of which a step s is the critical one of symplectic Euler; damping over mass, 1/s.
+    """Return the angular frequency for which a step is the critical one of symplectic Euler.
 
-    The other way around than critical_step: w^2 = 4/h^2 + 2c/h.
+    This is the inverse of critical_step: w^2 = 4/h^2 + 2c/h.
+
+    Parameters
+    ----------
+    step : float, s
+        The step.
+    damping_rate : float, 1/s
+        Damping over mass.
+
+    Returns
+    -------
+    float, rad/s
+        The frequency.
     """
     return math.sqrt(4.0 / step**2 + 2.0 * damping_rate / step)
 
@@ -40,7 +52,26 @@ def model_step(
     damping_scale: float = 1.0,
     integrator: str = "symplectic",
 ) -> float:
-    """Critical step, s, of a model with a largest frequency of rad/s and scaled stiffness and damping."""
+    """Return the critical step of a model.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    frequency : float, rad/s
+        Largest frequency, unscaled.
+    stiffness_scale : float, optional
+        Factor of the stiffness.
+    damping_scale : float, optional
+        Factor of the damping.
+    integrator : str, optional
+        One of INTEGRATORS.
+
+    Returns
+    -------
+    float, s
+        The critical step.
+    """
     scaled = frequency * math.sqrt(stiffness_scale)
     moving = model.moving
     if scaled == 0.0 or not len(moving):
@@ -50,7 +81,20 @@ def model_step(
 
 
 def substeps_for(tick_time: float, longest_step: float) -> int:
-    """Substeps in a tick of tick_time s so that each is under 0.9 of the critical step, s; 10,000 at the most."""
+    """Return the number of substeps of a tick so that each is below 0.9 of the critical step.
+
+    Parameters
+    ----------
+    tick_time : float, s
+        Duration of a tick.
+    longest_step : float, s
+        Critical step.
+
+    Returns
+    -------
+    int
+        The number, at most 10,000.
+    """
     if longest_step <= SAFETY * tick_time / MOST_SUBSTEPS:
         return MOST_SUBSTEPS
     return max(1, math.ceil(tick_time / (SAFETY * longest_step)))

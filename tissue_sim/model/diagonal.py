@@ -1,4 +1,4 @@
-"""Diagonal matrices; SciPy before 1.12, which Ubuntu 24.04 has, makes no sparse arrays of them by itself."""
+"""Diagonal matrices; SciPy before 1.12, which Ubuntu 24.04 has, can't make sparse arrays of them."""
 
 from __future__ import annotations
 
@@ -8,5 +8,16 @@ from tissue_sim.array_types import Floats
 
 
 def diagonal(values: Floats) -> dia_array:
-    """The matrix (n, n) with the values (n,) on its diagonal, sparse."""
+    """Return a sparse diagonal matrix.
+
+    Parameters
+    ----------
+    values : Floats, shape (n,)
+        The diagonal.
+
+    Returns
+    -------
+    dia_array, shape (n, n)
+        The matrix.
+    """
     return dia_array((values[None], [0]), shape=(len(values), len(values)))

@@ -1,4 +1,4 @@
-"""How much the rest of the organ bends where a modal region ends: when the whole model has to take over."""
+"""Displacement gradient at the edge of a modal region, which determines when the whole model takes over."""
 
 from __future__ import annotations
 
@@ -7,15 +7,29 @@ from typing import Any
 
 from tissue_sim.jit import kernel
 
-FLAT = 1e-3  # of an edge's extent, squared, that it has every way: one that lies in a plane tells nothing across
+FLAT = 1e-3  # of an edge's extent, squared, that it must have in each direction: a plane one is undetermined across
 
 
 @kernel
 def edge_gradient(model: Any, state: Any, scratch: Any) -> float:
-    """By how much the rest of the organ turns and strains the region's edge: the displacement's gradient there.
+    """Return the Frobenius norm of the displacement gradient at a modal region's edge.
 
-    Frobenius norm, of the best fit to what move_edge found. What is linear goes on straight where it ought to go
-    around, and is off by about as large a share.
+    It is that of the best fit to what move_edge found. Linear displacements continue straight where they should turn,
+    and are wrong by about the same fraction.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+
+    Returns
+    -------
+    float
+        The norm.
     """
     count, nodes, moved, rest = state.status.region_boundary, scratch.boundary_node, scratch.edge_move, model.rest
     mean_x = mean_y = mean_z = 0.0

@@ -1,4 +1,4 @@
-"""Mechanical energy of a state: what tests and benchmarks watch."""
+"""Mechanical energy of a state, for tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -15,19 +15,34 @@ from tissue_sim.model.model import Model
 
 
 class Energy(NamedTuple):
-    """J."""
+    """Kinetic and elastic energy, J."""
 
     kinetic: float
-    elastic: float  # of springs, angular springs and return springs, or of cells; 0 where no load bends them
+    elastic: float  # of springs, angular springs and return springs, or of cells; 0 without load
 
     @property
     def total(self) -> float:
-        """J, of both."""
+        """Sum of both, J."""
         return self.kinetic + self.elastic
 
 
 def energy_of(model: Model, position: Floats, velocity: Floats) -> Energy:
-    """Energy of nodes at position (n, 3) m moving at velocity (n, 3) m/s, with the stiffness as assembled."""
+    """Return the energy of a state, with the stiffness as assembled.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    position : Floats, shape (n, 3), m
+        Positions of the nodes, surface first.
+    velocity : Floats, shape (n, 3), m/s
+        Velocities of the nodes.
+
+    Returns
+    -------
+    Energy
+        The energy.
+    """
     moving = model.moving
     kinetic = 0.5 * float(np.sum(velocity[moving] ** 2 / model.inverse_mass[moving, None]))
     if model.tissue is not None:
@@ -52,7 +67,7 @@ def _axial_energy(position: Any, first: Any, second: Any, rest: Any, stiffness: 
 
 
 def angular_energy(model: Model, position: Floats) -> float:
-    """k/2 (s - s0)^2 of every angular spring, J; forces.edge_forces has the law."""
+    """Return the energy k/2 (s - s0)^2 of every angular spring, J; see forces.edge_forces."""
     i, j, k, m = (position[model.angular_nodes[:, c]] for c in range(4))
     normal = np.cross(j - i, k - m)
     square = np.maximum(np.einsum("hx,hx->h", normal, normal), model.angular_least_area)

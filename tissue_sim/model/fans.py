@@ -1,7 +1,7 @@
-"""The cells of the whole organ in fans: three around an edge, of which each shares a face with the next.
+"""Cell groups of the whole organ, called fans: three cells around an edge, each sharing a face with the next.
 
-Three cells by themselves read and push twelve nodes, a fan of them six; what their energies have in common is one
-quadratic form. Nodes of a fan: two at the ends of the edge, then four around it.
+Three separate cells read and push twelve nodes, a group of them six; the common parts of their energies are one
+quadratic form. Nodes of a group: two at the ends of the edge, then four around it.
 """
 
 from __future__ import annotations
@@ -19,20 +19,39 @@ from tissue_sim.model.model import Fans
 from tissue_sim.model.vectors import WIDTH, fused, gather_fan, put_node, scatter_fan
 from tissue_sim.model.volumes import triple_product
 
-CELLS = 3  # in a fan
+CELLS = 3  # in a group
 ARMS = 5  # from its first node to the others
-# Arms of each cell, and pairs of arms that share one: rows of the quadratic form, as the kernel reads them.
+# Arms of each cell, and pairs of arms in one cell: rows of the quadratic form, as the kernel reads them.
 CORNERS = ((0, 1, 2), (0, 2, 3), (0, 3, 4))
 PAIRS = ((0, 0), (1, 1), (2, 2), (3, 3), (4, 4), (0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4))
 # Rows of the first cell: 1 / (6 V), lambda / 12, mu / 6 and the penalty by six; the others' follow.
 OWN, OWN_ROWS = len(PAIRS), 4
 CONSTANTS = OWN + CELLS * OWN_ROWS
-ROOM = 3 * ARMS + CELLS  # rows to work in: arms, then volumes over those at rest
-CHUNK = 16  # blocks in whose order fans that share nodes are kept apart, without leaving the cache
+ROOM = 3 * ARMS + CELLS  # rows of the buffer: arms, then volumes over those at rest
+CHUNK = 16  # blocks within which groups that share nodes are separated, without leaving the cache
 
 
 def fans_of(rest: Floats, cells: Ints | Longs, slope: Floats, mu: Floats, lam: Floats) -> Fans:
-    """Fans of cells (c, 4) with slopes of their shape functions (c, 4, 3) 1/m at rest (n, 3) m; mu, lambda (c,) Pa."""
+    """Return the groups of cells.
+
+    Parameters
+    ----------
+    rest : Floats, shape (n, 3), m
+        Positions of the nodes at rest.
+    cells : Ints | Longs, shape (c, 4)
+        Node indices of the cells.
+    slope : Floats, shape (c, 4, 3), 1/m
+        Gradients of their shape functions.
+    mu : Floats, shape (c,), Pa
+        Shear modulus of each cell.
+    lam : Floats, shape (c,), Pa
+        Lame's first constant of each cell.
+
+    Returns
+    -------
+    Fans
+        The groups.
+    """
     quads = cells.astype(np.int64)
     members = paths(rest, quads)
     members = members[_order(rest[quads[members[:, 1]]].mean(axis=1))]
@@ -64,16 +83,24 @@ def fans_of(rest: Floats, cells: Ints | Longs, slope: Floats, mu: Floats, lam: F
 
 
 def set_penalty(fans: Fans, penalty: Floats) -> None:
-    """Give every cell (c,) its penalty, J/m^3."""
+    """Set the penalty of every cell.
+
+    Parameters
+    ----------
+    fans : Fans
+        The groups; updated.
+    penalty : Floats, shape (c,), J/m^3
+        Penalty.
+    """
     given = np.where(fans.cells >= 0, penalty[fans.cells.clip(0)], 0.0).reshape(-1, BLOCK, CELLS) / 6.0
     rows = fans.constants.reshape(-1, CONSTANTS, BLOCK)
     rows[:, OWN + 3 :: OWN_ROWS] = given.transpose(0, 2, 1)
 
 
 def paths(rest: Floats, cells: Longs) -> Longs:
-    """Cells (f, CELLS) of fans: each in one, the middle one always there, -1 for one that is missing.
+    """Return the cells (f, CELLS) of groups: each in one, the middle one always present, -1 for a missing one.
 
-    Greedy, from cells with the fewest free neighbours: hardly any is left alone.
+    The search is greedy, from cells with the fewest free neighbours, so that hardly any is left alone.
     """
     neighbours = _neighbours(rest, cells)
     count = len(cells)
@@ -84,7 +111,7 @@ def paths(rest: Floats, cells: Longs) -> Longs:
 
 
 def _neighbours(rest: Floats, cells: Longs) -> Longs:
-    """Cells (c, 4) across the face opposite to each node; -1 without one, or where both lie on one side of it."""
+    """Return cells (c, 4) across the face opposite to each node; -1 without one, or where both are on one side."""
     faces = np.sort(np.stack([np.delete(cells, corner, axis=1) for corner in range(4)], axis=1), axis=2).reshape(-1, 3)
     key = (faces[:, 0] * len(rest) + faces[:, 1]) * len(rest) + faces[:, 2]
     _, face, shared = np.unique(key, return_inverse=True, return_counts=True)
@@ -101,7 +128,10 @@ def _neighbours(rest: Floats, cells: Longs) -> Longs:
 
 @kernel
 def _follow(neighbours: Any, free: Any, waiting: Any, waits: Any, found: Any) -> int:
-    """Fill the rows of found (c, CELLS); free (c,): how many neighbours are, -1 in the end. waiting, waits: stacks."""
+    """Fill the rows of found (c, CELLS); free (c,): number of free neighbours, -1 in the end.
+
+    waiting and waits are stacks.
+    """
     for cell in range(len(free) - 1, -1, -1):
         waiting[free[cell], waits[free[cell]]] = cell
         waits[free[cell]] += 1
@@ -148,7 +178,7 @@ def _take(neighbours: Any, free: Any, waiting: Any, waits: Any, cell: int) -> No
 
 @kernel
 def _freest(neighbours: Any, free: Any, cell: int) -> int:
-    """The free neighbour of a cell that has the fewest free ones itself; -1 when none is free."""
+    """Return the free neighbour of a cell that has the fewest free ones itself; -1 when none is free."""
     best, least = -1, 5
     for side in range(4):
         other = neighbours[cell, side]
@@ -158,7 +188,7 @@ def _freest(neighbours: Any, free: Any, cell: int) -> int:
 
 
 def _nodes_of(rest: Floats, cells: Longs, members: Longs) -> Longs:
-    """Nodes (f, 6) of fans (f, CELLS). A missing cell gets the nodes of the middle one, turned."""
+    """Return nodes (f, 6) of groups (f, CELLS). A missing cell gets the nodes of the middle one, turned."""
     middle = cells[members[:, 1]]
     apex, opposite = [], []
     for other in (members[:, 0], members[:, 2]):
@@ -167,7 +197,7 @@ def _nodes_of(rest: Floats, cells: Longs, members: Longs) -> Longs:
         apex.append(np.take_along_axis(quad, np.argmin(same.any(axis=2), axis=1)[:, None], axis=1)[:, 0])
         opposite.append(np.where(other >= 0, np.argmin(same.any(axis=1), axis=1), -1))
     before, after = opposite
-    # Without a neighbour there, any face that is left.
+    # Without a neighbour there, any remaining face is used.
     before = np.where(before >= 0, before, np.where(after == 0, 1, 0))
     after = np.where(after >= 0, after, np.where(before == 0, 1, 0))
     rest_of = np.ones(middle.shape, dtype=bool)
@@ -184,12 +214,12 @@ def _nodes_of(rest: Floats, cells: Longs, members: Longs) -> Longs:
 
 
 def _order(points: Floats) -> Longs:
-    """An order of points (f, 3) in which those that follow each other are near."""
+    """Return an order of points (f, 3) in which neighbours are near each other."""
     return cKDTree(points, leafsize=BLOCK).indices.astype(np.int64)
 
 
 def _apart(count: int) -> Longs:
-    """An order in which fans that follow each other share no nodes: a processor waits for a sum to go on with it."""
+    """Return an order in which consecutive groups share no nodes, as a processor would wait for the earlier sum."""
     size = CHUNK * BLOCK
     chunks = [np.arange(first, min(first + size, count)) for first in range(0, count, size)]
     return np.concatenate([chunk.reshape(BLOCK, -1).T.ravel() for chunk in chunks])
@@ -197,7 +227,17 @@ def _apart(count: int) -> Longs:
 
 @kernel
 def cell_forces(position: Any, tissue: Any, force: Any) -> None:
-    """Add the forces of all cells at position (n, 3) m to force (n, 3) N, and list those that are stiff."""
+    """Add the forces of all cells, and list those that are squeezed.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    tissue : Any
+        Cells of the model.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
+    """
     rows, work, fans = tissue.rows, tissue.work, tissue.fans
     stiff = 0
     for node in range(len(position)):
@@ -215,9 +255,10 @@ def cell_forces(position: Any, tissue: Any, force: Any) -> None:
 
 @kernel
 def _resist(work: Any, constant: Any) -> int:
-    """Turn the arms of a block of fans into the pulls of its last five nodes on the first; returns how many are stiff.
+    """Turn the arms of a block of groups into the forces of its last five nodes on the first.
 
-    e goes along the edge, a to d around it. What is left of the cells' volumes stays in work's last rows.
+    The number of stiff cells is returned. e is along the edge, a to d around it. The cells' volume ratios stay in the
+    last rows of work.
     """
     stiff = 0
     for c in range(BLOCK):
@@ -269,9 +310,9 @@ def _resist(work: Any, constant: Any) -> int:
 
 @kernel
 def _list_squeezed(work: Any, constant: Any, block: int, listed: Any, count: int) -> int:
-    """Add the squeezed cells of a block with a stiff one to those listed; returns how many there are now.
+    """Add the squeezed cells of a block with a stiff one to those listed; return how many there are now.
 
-    None that only fills up.
+    Filling is left out.
     """
     for c in range(BLOCK):
         for which in range(CELLS):
@@ -284,5 +325,5 @@ def _list_squeezed(work: Any, constant: Any, block: int, listed: Any, count: int
 
 @kernel
 def _along(f: float, x: float, g: float, y: float, h: float, z: float, k: float, w: float, more: float) -> float:
-    """f x + g y + h z + k w + more."""
+    """Return f x + g y + h z + k w + more."""
     return fused(f, x, fused(g, y, fused(h, z, fused(k, w, more))))

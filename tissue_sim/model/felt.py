@@ -1,4 +1,4 @@
-"""What the hands feel: minus the force on the tissue, within clamp and slew limit, faded when stale."""
+"""Haptic output: minus the force on the tissue, within clamp and slew limit, faded when stale."""
 
 from __future__ import annotations
 
@@ -11,7 +11,19 @@ from tissue_sim.model.tool_motion import freshness
 
 @kernel
 def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
-    """Set the wrench of every body; clamp and slew limit hold for the sum over a tool's bodies."""
+    """Set the wrench of every body; clamp and slew limit hold for the sum over a tool's bodies.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     cut = held_back = False
     for tool in range(len(state.wrench)):
         clamped = clamp_share(scratch.impulse, shapes.tool, tool, settings.force_clamp * settings.tick_time)
@@ -26,12 +38,12 @@ def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> Non
                     felt[c] = (
                         wanted * impulse[c] if change == 1.0 else felt[c] + change * (wanted * impulse[c] - felt[c])
                     )
-        # Where the clamp itself was lowered meanwhile.
+        # The clamp itself may have been lowered meanwhile.
         clamped = clamp_share(state.felt, shapes.tool, tool, settings.force_clamp)
         for body in range(len(state.wrench)):
             if shapes.tool[body] == tool:
                 fresh = freshness(state.bodies[body].age, settings)
-                # A tool that was let go begins anew when it comes back, however slowly a force may change.
+                # A released tool starts from zero when it comes back, whatever the limit on the force's rate.
                 kept = clamped if fresh > 0.0 else 0.0
                 for c in range(6):
                     state.felt[body, c] *= kept
@@ -42,7 +54,15 @@ def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> Non
 
 @kernel
 def sum_felt(worlds: Any, wrench: Any) -> None:
-    """Write what every body feels of all organs, (b, 6) N and N m; the clamp holds for the sum over a tool's bodies."""
+    """Sum the wrenches of every body over all organs; the clamp holds for the sum over a tool's bodies.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    wrench : Any, shape (b, 6), N and N m
+        Receives the sums.
+    """
     first = worlds[0]
     for body in range(len(wrench)):
         for axis in range(6):
@@ -60,7 +80,7 @@ def sum_felt(worlds: Any, wrench: Any) -> None:
 
 @kernel
 def clamp_share(values: Any, tools: Any, tool: int, most: float) -> float:
-    """Factor that brings the sum of a tool's forces, the first three of values (T, 6), to `most`."""
+    """Return the factor that limits the sum of a tool's forces, the first three of values (T, 6), to `most`."""
     x = y = z = 0.0
     for body in range(len(values)):
         if tools[body] == tool:
@@ -73,7 +93,7 @@ def clamp_share(values: Any, tools: Any, tool: int, most: float) -> float:
 
 @kernel
 def slew_share(felt: Any, impulse: Any, wanted: float, tools: Any, tool: int, settings: Any) -> float:
-    """Share of the way from felt (T, 6) to wanted * impulse (T, 6) that a tool's force may go in a tick."""
+    """Return the fraction of the change from felt (T, 6) to wanted * impulse (T, 6) allowed to a tool in a tick."""
     x = y = z = 0.0
     for body in range(len(felt)):
         if tools[body] == tool:

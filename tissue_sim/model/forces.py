@@ -1,7 +1,7 @@
 """Forces of the hybrid elastic model, added to `force` (n, 3) N at `position` (n, 3) m.
 
-Springs come in blocks of equal length, constants in rows (see blocks): what a block needs is gathered, worked out
-and scattered in three short loops, of which the compiler does the middle one four springs at a time.
+Springs come in blocks of equal length, constants in rows (see blocks): what a block needs is gathered, computed and
+scattered in three short loops, the middle one of which the compiler vectorises to four springs at a time.
 """
 
 from __future__ import annotations
@@ -14,14 +14,25 @@ from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.fans import cell_forces
 
-# Of its rest length, below which a spring's push fades to nothing where its ends meet. Equation (1) alone turns around
-# there by twice its largest force: no step is short enough for that, and energy comes from nothing.
+# Of its rest length, below which a spring's push decreases to zero where its ends meet. Equation (1) alone reverses
+# there by twice its largest force: no step is short enough for that, and energy is created.
 SHORTEST = 0.2
 
 
 @kernel
 def stored(stretch: float) -> float:
-    """Energy of a spring of some stretch l / l0, over k l0^2: the integral of what spring_forces pulls."""
+    """Return the energy of a spring, the integral of spring_forces.
+
+    Parameters
+    ----------
+    stretch : float
+        Length over rest length.
+
+    Returns
+    -------
+    float
+        Energy over k l0^2.
+    """
     strain = max(stretch, SHORTEST) - 1.0
     total = 0.5 * strain * strain
     if stretch < SHORTEST:  # there the push is proportional to the length
@@ -31,9 +42,22 @@ def stored(stretch: float) -> float:
 
 @kernel
 def spring_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any) -> None:
-    """Axial springs, equation (1): f = k (l - l0) along the spring, geometrically nonlinear; l not under SHORTEST l0.
+    """Add axial springs, equation (1): f = k (l - l0) along the spring, geometrically nonlinear.
 
-    nodes (b, BLOCK, 2); constants (b, 2 BLOCK): inverse rest lengths, 1/m, then stiffnesses, N/m; work (9 BLOCK,).
+    The length counts at least as SHORTEST l0.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    nodes : Any, shape (b, BLOCK, 2)
+        Node indices.
+    constants : Any, shape (b, 2 BLOCK)
+        Inverse rest lengths, 1/m, then stiffnesses, N/m.
+    work : Any, shape (9 BLOCK,)
+        Buffer.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
     """
     for block in range(len(nodes)):
         ends, constant = nodes[block], constants[block]
@@ -49,7 +73,7 @@ def spring_forces(position: Any, nodes: Any, constants: Any, work: Any, force: A
 
 @kernel
 def _gather_ends(position: Any, ends: Any, work: Any) -> None:
-    """From the first to the second node of each spring."""
+    """Gather the vectors from the first to the second node of each spring."""
     for s in range(BLOCK):
         i, j = ends[s, 0], ends[s, 1]
         work[s] = position[j, 0] - position[i, 0]
@@ -73,16 +97,31 @@ def _scatter_ends(work: Any, ends: Any, force: Any) -> None:
 
 @kernel
 def edge_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any) -> None:
-    """Edges between two triangles: the axial spring along the edge, and the angular spring across it.
+    """Add edges between two triangles: the axial spring along the edge, and the angular spring across it.
 
     Angular springs have the energy k/2 (s - s0)^2. s = n.(w_i x_i + w_j x_j + w_k x_k + w_l x_l), n the unit normal of
-    the pair, is the edge's length times the angle between the triangles to first order, signed: positive where
-    convex (the mean curvature normal of Bergou et al. 2006). Its stiffness stays what it is at rest when
-    triangles are squeezed; an angle's grows without bound and makes any step too long. A spring
-    on the cosine between two arms (Nedel & Thalmann 1998) has hardly a slope where the surface is flat.
-    nodes (b, BLOCK, 4): edge i, j and the opposite corners k, l; constants (b, 8 BLOCK): weights of j, k, l (that of i
-    makes their sum zero), s0, m, stiffness, N/m, the least squared length of the unnormalised normal, m^4, and
-    inverse rest length, 1/m, and stiffness, N/m, of the axial spring; work (9 BLOCK,).
+    the pair, is the edge's length times the angle between the triangles to first order, signed: positive where convex.
+    Its stiffness stays what it is at rest when triangles are squeezed; that of an angle grows without bound and makes
+    any step too long. A spring on the cosine between two arms (Nedel & Thalmann 1998) has hardly a gradient where the
+    surface is flat.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    nodes : Any, shape (b, BLOCK, 4)
+        Edge i, j and the opposite corners k, l.
+    constants : Any, shape (b, 8 BLOCK)
+        Weights of j, k, l (that of i makes their sum zero), s0, m, stiffness, N/m, the least squared length of the
+        unnormalised normal, m^4, and inverse rest length, 1/m, and stiffness, N/m, of the axial spring.
+    work : Any, shape (9 BLOCK,)
+        Buffer.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
+
+    References
+    ----------
+    Bergou et al. 2006: A quadratic bending model for inextensible surfaces.
     """
     for block in range(len(nodes)):
         ends = nodes[block]
@@ -93,7 +132,7 @@ def edge_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any
 
 @kernel
 def _gather_arms(position: Any, ends: Any, work: Any) -> None:
-    """From node i of each edge to its nodes j, k and l."""
+    """Gather the vectors from node i of each edge to its nodes j, k and l."""
     for e in range(BLOCK):
         i, j, k, m = ends[e, 0], ends[e, 1], ends[e, 2], ends[e, 3]
         x, y, z = position[i, 0], position[i, 1], position[i, 2]
@@ -149,7 +188,7 @@ def _bend_and_stretch(work: Any, constant: Any) -> None:
 
 @kernel
 def _scatter_arms(work: Any, ends: Any, force: Any) -> None:
-    """Add the forces of a block; node i has what the others lack, so that their sum is zero."""
+    """Add the forces of a block; node i gets the opposite of the others' sum."""
     for e in range(BLOCK):
         i, j, k, m = ends[e, 0], ends[e, 1], ends[e, 2], ends[e, 3]
         jx, jy, jz = work[e], work[BLOCK + e], work[2 * BLOCK + e]
@@ -171,10 +210,23 @@ def _scatter_arms(work: Any, ends: Any, force: Any) -> None:
 
 @kernel
 def subtract_linear_springs(position: Any, nodes: Any, slopes: Any, work: Any, force: Any) -> None:
-    """Subtract what axial springs would push if they were linear about rest.
+    """Subtract the forces of axial springs if they were linear about rest.
 
     nodes (b, BLOCK, 2); slopes (b, 6 BLOCK): from the first to the second node at rest, m, and the unit vector that way
     times the root of the stiffness.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    nodes : Any, shape (b, BLOCK, 2)
+        Node indices.
+    slopes : Any, shape (b, 6 BLOCK)
+        Vector from the first to the second node at rest, m, and its unit vector times the root of the stiffness.
+    work : Any, shape (9 BLOCK,)
+        Buffer.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
     """
     for block in range(len(nodes)):
         ends, slope = nodes[block], slopes[block]
@@ -190,10 +242,24 @@ def subtract_linear_springs(position: Any, nodes: Any, slopes: Any, work: Any, f
 
 @kernel
 def subtract_linear_edges(position: Any, nodes: Any, slopes: Any, work: Any, force: Any) -> None:
-    """Subtract what edges between two triangles would push if their springs were linear about rest.
+    """Subtract the forces of edges between two triangles if their springs were linear about rest.
 
     nodes (b, BLOCK, 4); slopes (b, 21 BLOCK): arms from node i to j, k, l at rest, m, the gradient of the curvature for
     j, k, l and the unit vector from i to j, these times the root of their stiffness.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    nodes : Any, shape (b, BLOCK, 4)
+        Edge i, j and the opposite corners k, l.
+    slopes : Any, shape (b, 21 BLOCK)
+        Arms from node i to j, k, l at rest, m, the gradient of the curvature for j, k, l and the unit vector from i to
+        j, these times the root of their stiffness.
+    work : Any, shape (9 BLOCK,)
+        Buffer.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
     """
     for block in range(len(nodes)):
         ends = nodes[block]
@@ -228,9 +294,22 @@ def _bend_and_stretch_linearly(work: Any, slope: Any) -> None:
 
 @kernel
 def return_forces(position: Any, rest: Any, nodes: Any, stiffness: Any, force: Any) -> None:
-    """Return springs of zero rest length towards the rest position: f = k (x0 - x).
+    """Add return springs of zero rest length towards the rest position: f = k (x0 - x).
 
     nodes (r,) the nodes that have one; rest (n, 3) m; stiffness (n,) N/m.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    rest : Any, shape (n, 3), m
+        Positions of the nodes at rest.
+    nodes : Any, shape (r,)
+        Nodes that have one.
+    stiffness : Any, shape (n,), N/m
+        Stiffness at every node.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
     """
     for index in range(len(nodes)):
         i = nodes[index]
@@ -253,4 +332,14 @@ def _by_springs(model: Any, position: Any, force: Any) -> None:
 
 @chosen(lambda model, *_: _by_cells if has(model, "tissue") else _by_springs)
 def elastic_forces(model: Any, position: Any, force: Any) -> None:
-    """Add the forces of the model's springs, or of its cells, to force (n, 3) N."""
+    """Add the forces of the model's springs, or of its cells.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
+    """

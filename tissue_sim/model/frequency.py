@@ -14,10 +14,24 @@ from tissue_sim.model.model import Model
 
 
 def largest_frequency(model: Model, iterations: int = 200, tolerance: float = 1e-4) -> float:
-    """Largest angular frequency of the model about its rest shape, rad/s.
+    """Return the largest angular frequency of the model about its rest shape.
 
-    Power iteration on M^-1 K; K v is the central difference of the force kernels, so every kind
-    of spring counts without being assembled a second time.
+    Power iteration on M^-1 K; K v is the central difference of the force kernels, so every kind of spring counts
+    without being assembled a second time.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    iterations : int, optional
+        Largest number of iterations.
+    tolerance : float, optional
+        Relative change at which it has converged.
+
+    Returns
+    -------
+    float, rad/s
+        The frequency.
     """
     n, held = len(model.rest), handle(model)
     root = np.sqrt(model.inverse_mass)[:, None]
@@ -40,7 +54,7 @@ def largest_frequency(model: Model, iterations: int = 200, tolerance: float = 1e
 
 
 def _dot(one: Floats, other: Floats) -> float:
-    """Sum of products, without BLAS, whose rounding depends on the processor: replays repeat to the last bit."""
+    """Return the sum of products, without BLAS, whose rounding depends on the processor, which a replay must not."""
     return float((one * other).sum())
 
 

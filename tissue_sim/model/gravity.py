@@ -1,8 +1,8 @@
-"""Gravity: the weight of every node, and what the organ's own shape bears already.
+"""Gravity: the weight of every node, and the part of it that the organ's own shape bears already.
 
-An organ is scanned, or measured, under gravity. The shape that it has then is in equilibrium: `Model.borne` is the
-force on every node that balances what tissue of the unloaded shape (`unloaded`) pushes there. What changes it is the
-difference between gravity and that of the shape alone.
+An organ is scanned, or measured, under gravity, so its shape is in equilibrium with it: `Model.borne` is the force on
+every node that balances the forces of the tissue of the unloaded shape (`unloaded`). The shape changes by the
+difference between gravity and that of the shape.
 """
 
 from __future__ import annotations
@@ -14,27 +14,63 @@ from tissue_sim.jit import kernel
 
 @kernel
 def excess(model: Any, settings: Any) -> tuple[float, float, float]:
-    """Gravity less that which the organ's shape bears, m/s^2."""
+    """Return gravity minus that which the organ's shape bears, m/s^2."""
     borne = model.shape_gravity
     return settings.gravity_x - borne[0], settings.gravity_y - borne[1], settings.gravity_z - borne[2]
 
 
 @kernel
 def is_heavy(model: Any, settings: Any) -> bool:
-    """True when nodes have a weight to add, or an organ in equilibrium with it is not about its unloaded shape."""
+    """Return whether nodes have a weight to add, or the organ's equilibrium differs from its unloaded shape.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    settings : Any
+        Settings of the simulation.
+
+    Returns
+    -------
+    bool
+        True where forces have to be added.
+    """
     return len(model.borne) > 0 or is_out_of_balance(model, settings)
 
 
 @kernel
 def is_out_of_balance(model: Any, settings: Any) -> bool:
-    """True when gravity, or the tissue's stiffness, is another than that which holds the organ in its rest shape."""
+    """Return whether gravity, or the tissue's stiffness, differs from that of the rest shape's equilibrium.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    settings : Any
+        Settings of the simulation.
+
+    Returns
+    -------
+    bool
+        True where it differs.
+    """
     gx, gy, gz = excess(model, settings)
     return gx != 0.0 or gy != 0.0 or gz != 0.0 or (len(model.borne) > 0 and settings.stiffness_scale != 1.0)
 
 
 @kernel
 def add_weight(model: Any, settings: Any, force: Any) -> None:
-    """Add the nodes' weight to force (n, 3) N; what holds still at rest sums to nothing there, to the last bit."""
+    """Add the nodes' weight; at rest in equilibrium the sum of forces is zero to the last bit.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    settings : Any
+        Settings of the simulation.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
+    """
     if not is_heavy(model, settings):
         return
     gx, gy, gz = excess(model, settings)

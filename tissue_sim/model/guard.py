@@ -1,4 +1,4 @@
-"""Keeps the last good shape, goes back to it when a tick went wrong, and knows the inside from the outside."""
+"""Guard: keeps the last good shape, returns to it after a faulty tick, and detects inversion."""
 
 from __future__ import annotations
 
@@ -12,22 +12,33 @@ from tissue_sim.model.regions import are_placed, modes_are_finite, restore_shape
 from tissue_sim.model.state import Fault, Region
 from tissue_sim.model.tool_motion import restore_bodies
 
-RUNAWAY_RATE = 100.0  # 1/s, speed over the organ's size that the nodes together never have
-WAY_BACK = 20.0  # 1/s on the way to rest
+RUNAWAY_RATE = 100.0  # 1/s, largest speed over the organ's size of all nodes together
+WAY_BACK = 20.0  # 1/s, rate of the recovery to rest
 CELLS_A_TICK = 32  # a rolling check: all 1984 of the kidney's every 62 ticks
-PER_AXIS = 1.0 / math.sqrt(3.0)  # a vector with smaller coordinates than this is shorter than 1
-KEEP_EVERY = 4  # ticks between two shapes that are kept to go back to
-MOST_TURNED = 0.5  # share of the cells; an organ turned that far knows no way back
+PER_AXIS = 1.0 / math.sqrt(3.0)  # a vector with smaller coordinates is shorter than 1
+KEEP_EVERY = 4  # ticks between two shapes that are kept
+MOST_TURNED = 0.5  # fraction of the cells; an organ with more inverted cells doesn't recover by itself
 
 
 @kernel
 def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Keep this shape if it is finite and bounded, else go back to the last good one, at rest.
+    """Keep this shape if it is finite and bounded, else return to the last good one, at rest.
 
-    Bounded: no node farther from rest than the organ's own size, none faster than that in a tick, and not all of
-    them together faster than a hundred times that in a second. After a fault the substeps double, up to 8 times and
-    then from 1 again, until the organ has slept or was led back; where these are no remedy, the good shape is led back
-    a little. So is, in each tick, an organ of which more than half is inside out.
+    Bounded: no node farther from rest than the organ's own size, none faster than that per tick, and not all of them
+    together faster than a hundred times that per second. After a fault the substeps double, up to 8 times and then from
+    1 again, until the organ has slept or recovered; where these are no remedy, the good shape is moved towards rest a
+    little. So is, in each tick, an organ of which more than half is inverted.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
     """
     status, count = state.status, state.count
     span = settings.runaway_span
@@ -37,7 +48,7 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         size = state.position.size
         x, v, x0 = state.position.reshape(size), state.velocity.reshape(size), model.rest.reshape(size)
         fault = 0
-        # Seldom anything is wrong, and then the nodes are looked at one by one.
+        # Faults are rare, and only then the nodes are checked one by one.
         if not is_bounded(x, v, x0, span * PER_AXIS, min(speed, RUNAWAY_RATE * span) * PER_AXIS):
             fault = check(model, state, model.moving, span * span, speed * speed, energy)
     else:
@@ -77,9 +88,23 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 @kernel
 def lead_back(model: Any, state: Any, settings: Any) -> float:
-    """Bring every node nearer to rest, without speed; returns how far one still is at the most, m.
+    """Move every node nearer to rest, without speed.
 
-    The way back from a shape that the springs hold, so without their forces.
+    This is the recovery from a shape that the springs hold, so it is done without their forces.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+
+    Returns
+    -------
+    float, m
+        Largest remaining displacement.
     """
     displacement, left = 0.0, math.exp(-WAY_BACK * settings.tick_time)
     for index in range(len(model.moving)):
@@ -94,10 +119,10 @@ def lead_back(model: Any, state: Any, settings: Any) -> float:
 
 @kernel
 def is_bounded(position: Any, velocity: Any, rest: Any, span: float, speed: float) -> bool:
-    """True when no coordinate is span, m, from rest or beyond, nor changes at speed, m/s, or faster; flat arrays.
+    """Return whether all coordinates are within `span`, m, of rest and slower than `speed`, m/s; flat arrays.
 
-    They are counted, since whole numbers may be added up in any order, so that the vector units do it. Comparisons
-    with NaN are false, so this catches it too.
+    The good ones are counted, since whole numbers may be added in any order, so that the vector units do it.
+    Comparisons with NaN are false, so this catches it, too.
     """
     good = 0
     for index in range(len(position)):
@@ -109,9 +134,9 @@ def is_bounded(position: Any, velocity: Any, rest: Any, span: float, speed: floa
 
 @kernel
 def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy: float) -> int:
-    """What is wrong with the nodes, Fault.NOT_FINITE or Fault.RUNAWAY; 0 for nothing.
+    """Return what is wrong with the nodes, Fault.NOT_FINITE or Fault.RUNAWAY; 0 for nothing.
 
-    span: m^2 from rest, speed: m^2/s^2, energy: m^2/s^2 on the average, that are too much.
+    span: m^2 from rest, speed: m^2/s^2, energy: m^2/s^2 on average, from which it is a fault.
     """
     good = True
     moved_sum = sped_sum = 0.0
@@ -136,7 +161,7 @@ def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy:
 
 @kernel
 def keep(model: Any, state: Any, scratch: Any) -> None:
-    """Take this shape as the last good one; of the whole organ every few ticks only, since copying it takes a while."""
+    """Keep this shape as the last good one; that of the whole organ only every few ticks, as copying it takes time."""
     if state.status.region != Region.WHOLE:
         copy_nodes(state.position, state.good_position, watched_nodes(model, state, scratch))
         state.status.good_age = KEEP_EVERY
@@ -149,7 +174,17 @@ def keep(model: Any, state: Any, scratch: Any) -> None:
 
 @kernel
 def check_cells(model: Any, state: Any, scratch: Any) -> None:
-    """Note which of the next few cells are inside out; state.status.turned tells how many are."""
+    """Note which of the next few cells are inverted; state.status.turned holds their number.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     status, cells, x, is_turned = state.status, model.cells, state.position, state.is_turned
     if len(cells) == 0:
         return

@@ -12,13 +12,25 @@ from tissue_sim.model.model import Model
 
 LARGEST_TABLE = 4096  # surface nodes: 16 MiB; above it the region is searched on demand
 _ROWS = 256
-_FAR = np.iinfo(np.uint8).max  # that many hops or more
+_FAR = np.iinfo(np.uint8).max  # this many hops or more
 
 
 def hop_table(model: Model, largest: int = LARGEST_TABLE) -> NDArray[np.uint8]:
-    """Hops between every two surface nodes over triangle edges, (n_surface, n_surface); every edge counts as one.
+    """Return the hops between every two surface nodes over triangle edges; every edge counts as one.
 
-    Dijkstra's algorithm, as in the paper. (0, 0) when the organ has more than `largest` surface nodes.
+    Dijkstra's algorithm, as in the paper.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    largest : int, optional
+        Number of surface nodes beyond which there is no table.
+
+    Returns
+    -------
+    NDArray[np.uint8], shape (n_surface, n_surface)
+        Hops; shape (0, 0) without a table.
     """
     n = model.n_surface
     if n > largest:

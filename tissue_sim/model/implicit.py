@@ -1,4 +1,4 @@
-"""The matrix of the implicit step, factored ahead of time."""
+"""Matrix of the implicit step, factored ahead of time."""
 
 from __future__ import annotations
 
@@ -26,11 +26,21 @@ class _Decomposition(NamedTuple):
 
 
 def bounding_stiffness(model: Model) -> csc_array:
-    """S (n, n) N/m: at least the stiffness of every spring and cell at rest in any direction, the same for x, y and z.
+    """Return a matrix that bounds the stiffness at rest in any direction, the same for x, y and z.
 
-    An axial spring is no stiffer in any direction than k along it, an angular spring no stiffer than k w w', w its
-    weights; return springs are on the diagonal. Of a cell at rest no displacement's gradient costs more than its trace,
-    (2 mu + 3 lambda) V: in one direction alone, 2 mu + lambda, that holds until it is squeezed to less than half.
+    An axial spring is not stiffer in any direction than k along it, an angular spring not stiffer than k w w', w its
+    weights; return springs are on the diagonal. For a cell at rest no displacement gradient exceeds its trace, (2 mu +
+    3 lambda) V: in one direction alone, 2 mu + lambda, this holds until it is squeezed to less than half.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+
+    Returns
+    -------
+    csc_array, shape (n, n), N/m
+        The matrix S.
     """
     n = len(model.rest)
     rows: list[NDArray] = [np.arange(n)]
@@ -57,7 +67,24 @@ def bounding_stiffness(model: Model) -> csc_array:
 
 
 def make_factor(model: Model, step: float, stiffness_scale: float, damping_scale: float) -> Factor:
-    """Both slots of the factor, for a step of s; L D L' of M + h D + h^2 S over the moving nodes."""
+    """Return both slots of the factor: L D L' of M + h D + h^2 S over the moving nodes.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    step : float, s
+        Step h.
+    stiffness_scale : float
+        Factor of the stiffness.
+    damping_scale : float
+        Factor of the damping.
+
+    Returns
+    -------
+    Factor
+        The factor.
+    """
     made = _decompose(model, step, stiffness_scale, damping_scale)
     return Factor(
         order=made.order,
@@ -70,7 +97,21 @@ def make_factor(model: Model, step: float, stiffness_scale: float, damping_scale
 
 
 def write_factor(model: Model, slot: int, step: float, stiffness_scale: float, damping_scale: float) -> None:
-    """Write the factor for other settings into a slot that is not in use."""
+    """Write the factor for other settings into a slot that is not in use.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    slot : int
+        The slot.
+    step : float, s
+        Step h.
+    stiffness_scale : float
+        Factor of the stiffness.
+    damping_scale : float
+        Factor of the damping.
+    """
     made = _decompose(model, step, stiffness_scale, damping_scale)
     if model.factor is not None:
         model.factor.value[slot] = made.value
@@ -110,10 +151,10 @@ def _decompose(model: Model, step: float, stiffness_scale: float, damping_scale:
 def inverse_diagonal(
     start: Any, row: Any, value: Any, pivot: Any, diagonal: Any, below: Any, column: Any, share: Any, total: Any
 ) -> None:
-    """Diagonal of the inverse of L D L', into diagonal (a,), without the inverse (Takahashi, Fagan and Chin 1973).
+    """Compute the diagonal of the inverse of L D L' into diagonal (a,) (Takahashi, Fagan and Chin 1973).
 
-    Z = D^-1 L^-1 + (I - L') Z gives the inverse's entries where L has some from those right of them: below (l,) takes
-    them. column (a,) filled with -1, share (a,) and total (a,) are room.
+    Z = D^-1 L^-1 + (I - L') Z gives the inverse's entries where L has some from those right of them: below (l,)
+    receives them. column (a,) filled with -1, share (a,) and total (a,) are buffers.
     """
     for j in range(len(pivot) - 1, -1, -1):
         for entry in range(start[j], start[j + 1]):

@@ -1,7 +1,7 @@
-"""Where the skeleton, as it stands, implies the boundary: a target for the return springs.
+"""Boundary that the present skeleton implies: a target for the return springs.
 
-The compiled twin of `tissue_sim.organ.medial.recalculated_boundary`, without a singular value decomposition
-and without allocations: rotations are found by their twist in closed form and a few Newton steps.
+The compiled counterpart of `tissue_sim.organ.medial.recalculated_boundary`, without a singular value decomposition and
+without allocations: rotations are found by their twist in closed form and a few Newton steps.
 """
 
 from __future__ import annotations
@@ -27,9 +27,22 @@ _SHORTEST = 1e-12  # m
 
 
 def spokes_of(organ: Organ) -> Spokes:
-    """Spokes of every surface node, from its nearest medial atom, and of every interior atom, from its own.
+    """Return the spokes of every surface node, from its nearest medial atom, and of every interior atom.
 
-    Raises UserError when the organ has fewer than two medial atoms.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    Spokes
+        The spokes.
+
+    Raises
+    ------
+    UserError
+        Where the organ has fewer than two medial atoms.
     """
     x = organ.atom_positions
     rep = represent(organ.surface_positions, x, organ.atom_parent)
@@ -72,7 +85,17 @@ def lead_return_springs(model: Any, state: Any) -> None:
 
 @kernel
 def imply_boundary(spokes: Any, position: Any, target: Any) -> None:
-    """Write where the atoms at position (n, 3) m imply the spokes' ends to target (n, 3) m."""
+    """Compute where the atoms imply the spokes' ends.
+
+    Parameters
+    ----------
+    spokes : Any
+        The M-rep; its frames are updated.
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    target : Any, shape (n, 3), m
+        Receives the positions.
+    """
     transport_frames(spokes, position)
     for s in range(len(spokes.node)):
         turn, spoke = spokes.frame[spokes.atom[s]], spokes.spoke[s]
@@ -84,7 +107,7 @@ def imply_boundary(spokes: Any, position: Any, target: Any) -> None:
 
 @kernel
 def transport_frames(spokes: Any, position: Any) -> None:
-    """Rotations of the atoms' frames, twist-free from the root outwards, into spokes.frame."""
+    """Compute the rotations of the atoms' frames, twist-free from the root outwards, into spokes.frame."""
     whole, small, carried, vectors = spokes.work[0], spokes.work[1], spokes.work[2], spokes.work[3]
     whole_rotation(spokes, position)
     old, new = vectors[0], vectors[1]
@@ -114,7 +137,7 @@ def transport_frames(spokes: Any, position: Any) -> None:
 
 @kernel
 def whole_rotation(spokes: Any, position: Any) -> None:
-    """Rotation of the skeleton as a whole, into work[0]; organ.medial.nearest_rotation tells what and why."""
+    """Compute the rotation of the skeleton as a whole into work[0]; see organ.medial.nearest_rotation."""
     whole, straight, spread, vectors = spokes.work[0], spokes.work[1], spokes.work[2], spokes.work[3]
     middle, axis, image = vectors[0], vectors[1], vectors[2]
     count, first = len(spokes.offset), spokes.first_atom
@@ -157,7 +180,7 @@ def whole_rotation(spokes: Any, position: Any) -> None:
 
 @kernel
 def apply(matrix: Any, vector: Any, out: Any, transposed: bool) -> float:
-    """Unit vector of matrix (3, 3) times vector (3,), or of its transpose, into out; returns the length it had."""
+    """Write matrix (3, 3), or its transpose, times vector (3,) to out as a unit vector; return its length."""
     total = 0.0
     for i in range(3):
         out[i] = 0.0
@@ -173,9 +196,9 @@ def apply(matrix: Any, vector: Any, out: Any, transposed: bool) -> float:
 
 @kernel
 def turn_best(start: Any, spread: Any, axis: Any, best: Any, product: Any) -> None:
-    """The rotation R that makes tr(R' spread) largest, from start turned about axis, into best (3, 3).
+    """Compute the rotation R with the largest tr(R' spread), from start turned about axis, into best (3, 3).
 
-    The turn about the axis is known in closed form; Newton steps do the rest.
+    The turn about the axis has a closed form; Newton steps do the rest.
     """
     copy(start, best)
     for step in range(_NEWTON_STEPS + 1):
@@ -225,7 +248,7 @@ def turn_by(matrix: Any, x: float, y: float, z: float) -> None:
 
 @kernel
 def smallest(source: Any, target: Any, out: Any) -> None:
-    """The rotation by the smallest angle from one unit vector (3,) to another into out (3, 3)."""
+    """Compute the rotation by the smallest angle from one unit vector (3,) to another into out (3, 3)."""
     square = 0.0
     for i in range(3):
         square += (source[i] + target[i]) ** 2
@@ -235,7 +258,7 @@ def smallest(source: Any, target: Any, out: Any) -> None:
                 both = (source[i] + target[i]) * (source[j] + target[j])
                 out[i, j] = (1.0 if i == j else 0.0) - 2.0 / square * both + 2.0 * target[i] * source[j]
         return
-    # Half a turn, about an axis at right angles: the one nearest to the direction of the smallest component.
+    # Half a turn about a perpendicular axis: the one nearest to the direction of the smallest component.
     least = 0
     for i in range(1, 3):
         if abs(source[i]) < abs(source[least]):

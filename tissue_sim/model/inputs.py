@@ -1,4 +1,4 @@
-"""What comes in from outside, taken up before a tick: by the node's loop, by a test, by a replay."""
+"""Inputs from outside, applied before a tick: by the node's loop, by a test, by a replay."""
 
 from __future__ import annotations
 
@@ -11,19 +11,32 @@ from tissue_sim.model.prescribed import forget_prescribed
 from tissue_sim.model.regions import drop_region
 from tissue_sim.model.tool_motion import distance, quaternion_distance, way_between
 
-CATCH_UP = 0.03  # s in which a tool makes good most of what it is behind its poses, where they told such a speed
-RESUMED = 1.0  # s without poses after which a hand that comes back is a new one
+CATCH_UP = 0.03  # s in which a tool catches up most of its lag behind its poses, where these were that fast
+RESUMED = 1.0  # s without poses after which a returning hand counts as new
 MAX_BACKOFF = 8  # highest factor on the substeps
-AFTER_SLIP = 2  # factor, where a tool has slipped inside; more would not keep it out of a pinch, and last long
-CREEP = 1e-3, 1e-2  # m/s and 1/s at the least, so that it gets there
+AFTER_SLIP = 2  # factor after a tool has slipped inside; more would not keep it out of a pinch, and last long
+CREEP = 1e-3, 1e-2  # m/s and 1/s at least, so that it arrives
 
 
 @kernel
 def take_pose(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> None:
-    """Take up the newest pose (7,) of a tool: m and a unit quaternion xyzw; stamp in ns, 0 where it has none.
+    """Apply the newest pose of a body.
 
-    The first one puts the tool there, and so does any while nothing resists it; it is led to others. Where poses go on
-    that had stopped while the tool was resisted, no longer than RESUMED ago, it is resisted from where it was.
+    The first pose puts the tool there, and so does any pose while nothing resists it; it is moved to others. Where
+    poses resume after a pause of at most RESUMED while the tool was resisted, it is resisted from where it was.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    body : int
+        Index of the body.
+    pose : Any, shape (7,)
+        Position, m, and unit quaternion xyzw.
+    stamp : int, ns
+        Time of the pose, 0 where unknown.
+    sequence : int
+        Number of the pose.
     """
     state = world.state
     status = state.bodies[body]
@@ -46,11 +59,11 @@ def take_pose(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> No
 
 @kernel
 def lead_to(world: Any, body: int, pose: Any, stamp: int) -> None:
-    """Set how long a tool is led to a pose (7,): no faster than its poses tell, by their stamps, or else as they came.
+    """Set how fast a tool moves to a pose (7,): at most as fast as its poses, by their stamps or arrival times.
 
-    Where poses were skipped or came late, the tool still has a part of their way before it. It makes that good softly,
-    and no faster than they told: a hand must not feel that a machine is busy. It is never behind for longer than
-    stale_time. Of all that time a tool takes its `smoothing`, and a tick at least.
+    Where poses were skipped or came late, the tool still has a part of their way before it. It catches up softly, and
+    no faster than they were: a hand must not feel that a machine is busy. It is never behind for longer than
+    stale_time. Of all that time a tool takes its `smoothing`, and at least a tick.
     """
     state, settings = world.state, world.settings
     status, held, goal = state.bodies[body], state.held_pose[body], state.body_goal[body]
@@ -70,7 +83,7 @@ def lead_to(world: Any, body: int, pose: Any, stamp: int) -> None:
 
 @kernel
 def way_time(way: float, new: float, told: float, most: float, creep: float) -> float:
-    """Time, s, for a way of which the last pose added `new`, in `told` s; most: speed that is not exceeded."""
+    """Return the time, s, for a way to which the last pose added `new`, in `told` s; most: largest speed."""
     if way == 0.0:
         return 0.0
     return way / min(most, new / told + max(0.0, way - new) / CATCH_UP + creep) if most > 0.0 else told
@@ -78,7 +91,19 @@ def way_time(way: float, new: float, told: float, most: float, creep: float) -> 
 
 @kernel
 def take_force(state: Any, body: int, force: Any, sequence: int) -> None:
-    """Take up the newest external force (3,) N on the tissue at a tool's tip."""
+    """Apply the newest external force on the tissue at a tool's tip.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    body : int
+        Index of the body.
+    force : Any, shape (3,), N
+        The force.
+    sequence : int
+        Number of the force.
+    """
     copy(force, state.body_force[body])
     state.bodies[body].force_age = 0
     state.bodies[body].force_sequence = sequence
@@ -86,10 +111,21 @@ def take_force(state: Any, body: int, force: Any, sequence: int) -> None:
 
 @kernel
 def take_contacts(state: Any, shapes: Any, found: Any, sequence: int) -> None:
-    """Take up a ContactSet, unless it lacks the surface around a tool that is resisted; sequence: its number.
+    """Apply a contact set, unless it lacks the surface around a tool that is resisted.
 
-    A tool may have gone on since the set was found. Then it goes by the set that it has, no farther than that reaches,
-    and the next one has it.
+    A tool may have moved on since the set was found. Then it keeps the present set, moves no farther than that reaches,
+    and the next set covers it.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    found : Any
+        The contact set.
+    sequence : int
+        Its number.
     """
     contacts = state.contacts
     for body in range(len(state.bodies)):
@@ -101,7 +137,7 @@ def take_contacts(state: Any, shapes: Any, found: Any, sequence: int) -> None:
     contacts.header.sequence = sequence
     for body in range(len(state.bodies)):
         status = state.bodies[body]
-        # What was found of an earlier life of a body says nothing of where it is now.
+        # What was found before a body's last release says nothing about where it is now.
         if status.age >= 0 and not status.released and found.releases[body] == status.releases:
             if found.engaged[body] == Engaged.SLIPPED and covers(state, shapes, found, body):
                 put_back(state, body)
@@ -126,7 +162,7 @@ def covers(state: Any, shapes: Any, found: Any, body: int) -> bool:
 
 @kernel
 def put_back(state: Any, body: int) -> None:
-    """Put a body that is inside on the surface, from where it presses anew: in shorter substeps, if it had slipped."""
+    """Put a body that is inside on the surface, from where it presses again; after a slip in shorter substeps."""
     copy(state.contacts.place[body], state.body_pose[body])
     if state.bodies[body].engaged:
         state.status.backoff = max(AFTER_SLIP, state.status.backoff)
@@ -135,14 +171,38 @@ def put_back(state: Any, body: int) -> None:
 
 @kernel
 def load_nodes(state: Any, nodes: Any, forces: Any) -> None:
-    """Add forces (k, 3) N to nodes (k,) for the coming tick."""
+    """Add forces to nodes for the coming tick.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    nodes : Any, shape (k,)
+        Nodes.
+    forces : Any, shape (k, 3), N
+        Forces.
+    """
     for index in range(len(nodes)):
         load_node(state, nodes[index], forces[index, 0], forces[index, 1], forces[index, 2])
 
 
 @kernel
 def load_node(state: Any, node: int, x: float, y: float, z: float) -> None:
-    """Add a force, N, to a node for the coming tick."""
+    """Add a force to a node for the coming tick.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    node : int
+        The node.
+    x : float, N
+        Component of the force.
+    y : float, N
+        Component of the force.
+    z : float, N
+        Component of the force.
+    """
     if state.is_loaded[node] == 0:
         state.is_loaded[node] = 1
         state.loaded_node[state.status.loaded] = node
@@ -155,7 +215,13 @@ def load_node(state: Any, node: int, x: float, y: float, z: float) -> None:
 
 @kernel
 def unload_nodes(state: Any) -> None:
-    """Forget the forces of load_nodes."""
+    """Remove the forces of load_nodes.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    """
     for index in range(state.status.loaded):
         node = state.loaded_node[index]
         state.is_loaded[node] = 0
@@ -166,7 +232,7 @@ def unload_nodes(state: Any) -> None:
 
 @kernel
 def carry_impulses(state: Any, found: Any) -> None:
-    """Give the points of a new contact set that were pressed in the old one their impulses of the last substep."""
+    """Give points of a new contact set that were pressed in the old one their impulses of the last substep."""
     pressed, held, old_set, points = state.contact_pressed, state.contact_held, state.contacts, found.header.points
     pressed[1, :points] = 0.0
     held[1, :points] = 0.0
@@ -188,7 +254,15 @@ def carry_impulses(state: Any, found: Any) -> None:
 
 @kernel
 def reset_state(model: Any, state: Any) -> None:
-    """Back to the rest shape, asleep, without tools; the counters go on."""
+    """Return to the rest shape, asleep, without tools; the counters continue.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    """
     status = state.status
     status.snapped = status.collapsing = status.faulted = False
     status.fault_kind = status.substeps = status.quiet = status.alone = status.calm = 0

@@ -19,11 +19,30 @@ def symplectic_euler(
     step: float,
     inertia: float = 1.0,
 ) -> None:
-    """Symplectic Euler with implicit nodal damping: v+ = (v + h f/m) / (1 + h d/m), x+ = x + h v+.
+    """Step by symplectic Euler with implicit nodal damping: v+ = (v + h f/m) / (1 + h d/m), x+ = x + h v+.
 
-    position, velocity, force (n, 3); nodes (a,) the nodes to move; inverse_mass (n,) 1/kg, 0 where
-    held; damping (n,) kg/s, times damping_scale; inertia: a factor on all mass;
-    step s. Stable for h < (2/w)(sqrt(1 + z^2) + z), z the damping ratio.
+    Stable for h < (2/w)(sqrt(1 + z^2) + z), z the damping ratio.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions, updated.
+    velocity : Any, shape (n, 3), m/s
+        Velocities, updated.
+    force : Any, shape (n, 3), N
+        Forces.
+    nodes : Any, shape (a,)
+        Nodes to move.
+    inverse_mass : Any, shape (n,), 1/kg
+        Inverse masses, 0 where held.
+    damping : Any, shape (n,), kg/s
+        Nodal damping.
+    damping_scale : float
+        Factor of the damping.
+    step : float, s
+        Step h.
+    inertia : float, optional
+        Factor of all masses.
     """
     for index in range(len(nodes)):
         i = nodes[index]
@@ -37,9 +56,24 @@ def symplectic_euler(
 
 @kernel
 def symplectic_euler_whole(position: Any, velocity: Any, force: Any, push: Any, shrink: Any, step: float) -> None:
-    """The same for every coordinate at once, to the last bit; flat arrays (3n,).
+    """Step all coordinates by symplectic Euler, with the same result to the last bit; flat arrays.
 
     push: h / m, s/kg; shrink: 1 / (1 + h d/m), worked out before since they seldom change.
+
+    Parameters
+    ----------
+    position : Any, shape (3n,), m
+        Positions, updated.
+    velocity : Any, shape (3n,), m/s
+        Velocities, updated.
+    force : Any, shape (3n,), N
+        Forces.
+    push : Any, shape (3n,), s/kg
+        h / m.
+    shrink : Any, shape (3n,)
+        1 / (1 + h d/m); computed beforehand, since it rarely changes.
+    step : float, s
+        Step h.
     """
     for index in range(len(position)):
         speed = (velocity[index] + push[index] * force[index]) * shrink[index]
@@ -58,9 +92,32 @@ def explicit_euler(
     damping_scale: float,
     step: float,
 ) -> None:
-    """Forward Euler as in the paper (section 3.1): x+ = x + h v, v+ = v + h (f - d v)/m.
+    """Step by forward Euler as in the paper (section 3.1): x+ = x + h v, v+ = v + h (f - d v)/m.
 
-    Arguments as for symplectic_euler. Stable for h < 2 z/w only: without damping at no step at all.
+    Stable for h < 2 z/w only: without damping at no step at all.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions, updated.
+    velocity : Any, shape (n, 3), m/s
+        Velocities, updated.
+    force : Any, shape (n, 3), N
+        Forces.
+    nodes : Any, shape (a,)
+        Nodes to move.
+    inverse_mass : Any, shape (n,), 1/kg
+        Inverse masses, 0 where held.
+    damping : Any, shape (n,), kg/s
+        Nodal damping.
+    damping_scale : float
+        Factor of the damping.
+    step : float, s
+        Step h.
+
+    References
+    ----------
+    Zhang, Gu et al. 2006, section 3.1.
     """
     for index in range(len(nodes)):
         i = nodes[index]
@@ -74,7 +131,21 @@ def explicit_euler(
 
 @kernel
 def predict(position: Any, velocity: Any, nodes: Any, step: float, predicted: Any) -> None:
-    """Where the nodes (a,) would be after a step s without forces, into predicted (n, 3) m."""
+    """Compute where nodes would be after a step without forces.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions.
+    velocity : Any, shape (n, 3), m/s
+        Velocities.
+    nodes : Any, shape (a,)
+        Nodes to move.
+    step : float, s
+        The step.
+    predicted : Any, shape (n, 3), m
+        Receives the positions.
+    """
     for index in range(len(nodes)):
         i = nodes[index]
         for axis in range(3):
@@ -93,12 +164,36 @@ def implicit_euler(
     step: float,
     change: Any,
 ) -> None:
-    """One quasi-Newton step of implicit Euler from the predicted positions, with a constant prefactored matrix.
+    """Do one quasi-Newton step of implicit Euler from the predicted positions, with a prefactored matrix.
 
     (M + h D + h^2 S) dv = h (f - D v), v+ = v + dv, x+ = x + h v+, with the forces f at x + h v. S bounds the stiffness
     of every spring from above, whatever its direction, so that it never changes and is the same for x, y and z: the
-    global step of projective dynamics (Bouaziz et al. 2014) and of Liu et al. 2013. Where forces balance nothing
-    moves, so rest shapes are exact. factor: L D L' of the matrix; slot: which of its two is in use; change (a, 3) room.
+    global step of projective dynamics. Where forces balance nothing moves, so equilibria are exact.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions, updated.
+    velocity : Any, shape (n, 3), m/s
+        Velocities, updated.
+    force : Any, shape (n, 3), N
+        Forces at the predicted positions.
+    factor : Any
+        Factor L D L' of the matrix.
+    slot : int
+        Which of its two slots is used.
+    damping : Any, shape (n,), kg/s
+        Nodal damping.
+    damping_scale : float
+        Factor of the damping.
+    step : float, s
+        Step h.
+    change : Any, shape (a, 3), m/s
+        Buffer.
+
+    References
+    ----------
+    Bouaziz et al. 2014: Projective dynamics; Liu et al. 2013: Fast simulation of mass-spring systems.
     """
     order, start, row = factor.order, factor.start, factor.row
     value, pivot = factor.value[slot], factor.pivot[slot]

@@ -16,7 +16,7 @@ from tissue_sim.model.records import Record
 
 
 class JoinedRow(Record):
-    """What a tick took up that concerns several organs; a sequence number."""
+    """Sequence numbers of inputs to several organs that a tick applied."""
 
     tick: int
     pairs: int
@@ -24,7 +24,7 @@ class JoinedRow(Record):
 
 
 class Kept(NamedTuple):
-    """What joins organs after a tick, as far as it changes."""
+    """State of what joins organs after a tick, as far as it changes."""
 
     breath: Longs  # the words of a Breath
     pairs: PairSet
@@ -50,7 +50,18 @@ class JoinedBox(NamedTuple):
 
 
 def make_joined_box(n_bodies: int) -> JoinedBox:
-    """An empty one."""
+    """Return empty mailboxes of joined organs.
+
+    Parameters
+    ----------
+    n_bodies : int
+        Number of bodies.
+
+    Returns
+    -------
+    JoinedBox
+        The mailboxes.
+    """
     taken, words = pair_set(), np.zeros(1 + 6 * n_bodies, dtype=np.int64)
     return JoinedBox(
         pairs=mailbox(len(taken.words)),
@@ -71,7 +82,17 @@ def make_joined_box(n_bodies: int) -> JoinedBox:
 
 @kernel
 def take_joined(joined: Any, box: Any, tick: int) -> None:
-    """Take up new pairs and where the breath is to be, and note the tick that did."""
+    """Apply new pairs and the breath's external input, and note the tick that did.
+
+    Parameters
+    ----------
+    joined : Any
+        What joins the organs; updated.
+    box : Any
+        Mailboxes of the joined organs; updated.
+    tick : int
+        Number of the tick.
+    """
     row, changed = box.row, False
     sequence = take(box.respiration, 0, row.respiration, box.taken_share.view(np.int64))
     if sequence != row.respiration:
@@ -87,7 +108,7 @@ def take_joined(joined: Any, box: Any, tick: int) -> None:
 
 @kernel
 def note_joined(box: Any, tick: int) -> None:
-    """Note what has been taken up by this tick."""
+    """Note what was applied by this tick."""
     box.row.tick = tick
     box.journal[box.journal_written[0] % JOURNAL_ROWS] = box.row
     fence()
@@ -110,7 +131,17 @@ def post_felt(worlds: Any, joined: Any, box: Any) -> None:
 
 @kernel
 def keep_joined(joined: Any, box: Any, tick: int) -> None:
-    """Copy what joins organs; the journal tells what it has taken up."""
+    """Copy what joins organs; the journal shows what it has applied.
+
+    Parameters
+    ----------
+    joined : Any
+        What joins the organs; updated.
+    box : Any
+        Mailboxes of the joined organs; updated.
+    tick : int
+        Number of the tick.
+    """
     note_joined(box, tick)
     pairs, kept, words = joined.pairs, box.kept, joined.carried.breath_words
     for index in range(len(words)):

@@ -1,4 +1,4 @@
-"""Named arrays and records laid one after the other in one array of words."""
+"""Layout of named arrays and records one after the other in one array of words."""
 
 from __future__ import annotations
 
@@ -9,17 +9,41 @@ from typing import Any
 from tissue_sim.array_types import Longs
 from tissue_sim.model.records import Record
 
-# A field is a record, so many records of a kind, or a type of one word and a shape.
+# A field is a record, a number of records of a kind, or a type of one word and a shape.
 Field = type[Record] | tuple[type[Record], int] | tuple[Any, tuple[int, ...]]
 
 
 def size_of(fields: Mapping[str, Field]) -> int:
-    """Words that the fields take."""
+    """Return the number of words that the fields take.
+
+    Parameters
+    ----------
+    fields : Mapping[str, Field]
+        Fields by name.
+
+    Returns
+    -------
+    int
+        The number.
+    """
     return sum(map(_words, fields.values()))
 
 
 def carve(words: Longs, fields: Mapping[str, Field]) -> dict[str, Any]:
-    """Views of the words (at least size_of(fields),) by the fields' names."""
+    """Return views of words by the fields' names.
+
+    Parameters
+    ----------
+    words : Longs, shape (size_of(fields),) or longer
+        Memory.
+    fields : Mapping[str, Field]
+        Fields by name.
+
+    Returns
+    -------
+    dict[str, Any]
+        Arrays and records by name.
+    """
     made: dict[str, Any] = {}
     start = 0
     for name, field in fields.items():

@@ -1,8 +1,8 @@
-"""Links: springs that pull and never push, between two organs, or an organ and a point; of many a ligament is made.
+"""Links: springs that pull and never push, between two organs, or an organ and a point; they form ligaments.
 
-Organs that links join take their substeps together, and each link pulls anew in every one, as springs in an organ do.
-What it does to one end it does to the other, reversed, but for what an organ doesn't feel (`unfelt`): that its clamp
-bears. `least_substeps` says what they ask of the step.
+Organs that links join take their substeps together, and the force of each link is updated in every one, as for springs
+in an organ. The force on one end is the opposite of that on the other, except for what an organ doesn't feel
+(`unfelt`), which its clamp bears. `least_substeps` gives the number of substeps that they need.
 """
 
 from __future__ import annotations
@@ -19,26 +19,40 @@ from tissue_sim.model.critical_step import substeps_for
 from tissue_sim.model.inputs import load_node
 
 POINT = -1  # in place of an organ
-SLIGHT = 1e-12  # m of a link's stretch that are rounding: organs at rest would keep each other awake for them
+SLIGHT = 1e-12  # m of a link's stretch that are rounding, which would keep organs at rest awake
 
 
 class Links(NamedTuple):
-    """l links; an end is a node of an organ, or, where the organ is POINT, a point that may move with the breath."""
+    """A number l of links, each of which joins two ends.
+
+    An end is a node of an organ, or, where the organ is POINT, a point that may move with the breath.
+    """
 
     organ: Longs  # (l, 2)
     node: Longs  # (l, 2)
     point: Floats  # (l, 2, 3) m, breathed out
-    moves: Floats  # (l, 2) how far points go with the breath
-    slack: Floats  # (l,) m, up to which they don't pull
+    moves: Floats  # (l, 2) motion of points with the breath, as a factor
+    slack: Floats  # (l,) m, length up to which they don't pull
     stiffness: Floats  # (l,) N/m
     damping: Floats  # (l,) N s/m
     lightness: Floats  # (l,) 1/kg of both ends, each times the links that share its node
-    added: Floats  # (1,) (rad/s)^2 that they add at most to the square of a largest frequency
-    force: Floats  # (l, 3) N on the first end, in this substep, of which its organ may feel a share
+    added: Floats  # (1,) (rad/s)^2, bound of what they add to the square of the largest frequency
+    force: Floats  # (l, 3) N on the first end in this substep; its organ may feel only a fraction
 
 
 def make_links(count: int) -> Links:
-    """So many links that do nothing yet."""
+    """Return links without effect.
+
+    Parameters
+    ----------
+    count : int
+        Number of links.
+
+    Returns
+    -------
+    Links
+        The links.
+    """
     return Links(
         organ=np.full((count, 2), POINT, dtype=np.int64),
         node=np.zeros((count, 2), dtype=np.int64),
@@ -54,10 +68,17 @@ def make_links(count: int) -> Links:
 
 
 def weigh_ends(links: Links, lightness: Sequence[Floats]) -> None:
-    """Work out what links ask of the step, once it is known what they join.
+    """Compute what links require of the step, from what they join.
 
-    lightness: 1/kg of every organ's nodes (n,), 0 where they are held. The square of the largest frequency of organs
-    and links together is no larger than the sum of both (Weyl); what links add is taken from Gershgorin's circles.
+    The square of the largest frequency of organs and links together is at most the sum of both (Weyl); the part of the
+    links is bounded by Gershgorin's circles.
+
+    Parameters
+    ----------
+    links : Links
+        The links; updated.
+    lightness : Sequence[Floats], shape (n,) each, 1/kg
+        Inverse masses of every organ's nodes, 0 where they are held.
     """
     light, load = np.zeros(links.organ.shape), np.zeros(links.organ.shape)
     for organ, inverse in enumerate(lightness):
@@ -75,7 +96,22 @@ def weigh_ends(links: Links, lightness: Sequence[Floats]) -> None:
 
 
 def least_substeps(links: Links, frequency: float, tick_time: float) -> int:
-    """Substeps in a tick of so many s that links ask for; frequency: the organs' largest, rad/s. 0 without links."""
+    """Return the number of substeps of a tick that links require.
+
+    Parameters
+    ----------
+    links : Links
+        The links.
+    frequency : float, rad/s
+        Largest frequency of the organs.
+    tick_time : float, s
+        Duration of a tick.
+
+    Returns
+    -------
+    int
+        The number; 0 without links.
+    """
     if not len(links.slack):
         return 0
     return substeps_for(tick_time, 2.0 / math.sqrt(frequency**2 + links.added[0]))
@@ -83,10 +119,25 @@ def least_substeps(links: Links, frequency: float, tick_time: float) -> int:
 
 @kernel
 def measure_links(worlds: Any, carried: Any, links: Any, unfelt: Any, awake: Any, step: float) -> None:
-    """Find with what links pull at the beginning of a tick of `step` s, and how much that is for every organ.
+    """Compute the forces of links at the beginning of a tick, and their size for every organ.
 
-    Into links.force, unfelt.pulled and unfelt.bent; nothing is loaded. Organs that sleep count, those that are let go
-    don't.
+    The results go to links.force, unfelt.pulled and unfelt.bent; nothing is loaded. Sleeping organs count, released
+    ones don't.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    carried : Any
+        How organs follow the breath; updated.
+    links : Any
+        The links; updated.
+    unfelt : Any
+        Sizes of the loads; updated.
+    awake : Any, shape (k,)
+        1 for organs that this tick advances.
+    step : float, s
+        Duration of the tick.
     """
     for organ in range(len(worlds)):
         unfelt.pulled[organ] = unfelt.bent[organ] = 0.0
@@ -105,7 +156,17 @@ def measure_links(worlds: Any, carried: Any, links: Any, unfelt: Any, awake: Any
 
 @kernel
 def load_links(worlds: Any, links: Any, unfelt: Any) -> None:
-    """Load the nodes of links with what their organs feel of it, so that the coming tick advances these."""
+    """Load the nodes of links with what their organs feel, so that the coming tick advances these.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    links : Any
+        The links.
+    unfelt : Any
+        Fractions that organs feel.
+    """
     for link in range(len(links.slack)):
         force = links.force[link]
         if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0:
@@ -115,10 +176,25 @@ def load_links(worlds: Any, links: Any, unfelt: Any) -> None:
 
 @kernel
 def pull_links(worlds: Any, carried: Any, links: Any, unfelt: Any, awake: Any, step: float) -> None:
-    """Let links of organs that this tick advances pull as they do in a substep of `step` s.
+    """Update the forces of links of organs that this tick advances in a substep.
 
-    An organ that sleeps holds the other end where it is, and is not pulled; what wasn't taut when this tick began waits
-    for the next one, which may wake it.
+    A sleeping organ holds the other end where it is, and is not pulled; a link that wasn't taut at the beginning of
+    this tick waits for the next one, which may wake it.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    carried : Any
+        How organs follow the breath; updated.
+    links : Any
+        The links; updated.
+    unfelt : Any
+        Fractions that organs feel.
+    awake : Any, shape (k,)
+        1 for organs that this tick advances.
+    step : float, s
+        Duration of the substep.
     """
     for link in range(len(links.slack)):
         first, second, force = is_awake(links, link, 0, awake), is_awake(links, link, 1, awake), links.force[link]
@@ -141,7 +217,7 @@ def pull_links(worlds: Any, carried: Any, links: Any, unfelt: Any, awake: Any, s
 
 @kernel
 def tension_of(worlds: Any, carried: Any, links: Any, link: int, step: float) -> tuple[float, float, float]:
-    """With what a link pulls its first end in a substep of `step` s, N."""
+    """Return the force of a link on its first end in a substep of `step` s, N."""
     x0, y0, z0 = end_position(worlds, carried, links, link, 0)
     x1, y1, z1 = end_position(worlds, carried, links, link, 1)
     x, y, z = x1 - x0, y1 - y0, z1 - z0
@@ -154,7 +230,7 @@ def tension_of(worlds: Any, carried: Any, links: Any, link: int, step: float) ->
     vx1, vy1, vz1 = end_speed(worlds, carried, links, link, 1)
     rate = x * (vx1 - vx0) + y * (vy1 - vy0) + z * (vz1 - vz0)
     damping = links.damping[link]
-    # Implicitly, as far as it slows its own nodes down: it must not turn them around.
+    # Damping is implicit for its own nodes, whose motion it must not reverse.
     damping /= 1.0 + step * damping * links.lightness[link]
     tension = max(0.0, links.stiffness[link] * stretch + damping * rate)
     return tension * x, tension * y, tension * z
@@ -162,21 +238,21 @@ def tension_of(worlds: Any, carried: Any, links: Any, link: int, step: float) ->
 
 @kernel
 def is_awake(links: Any, link: int, end: int, awake: Any) -> bool:
-    """True for an end at an organ that this tick advances."""
+    """Return whether an end is at an organ that this tick advances."""
     organ = links.organ[link, end]
     return organ >= 0 and awake[organ] == 1
 
 
 @kernel
 def is_there(worlds: Any, links: Any, link: int, end: int, awake: Any) -> bool:
-    """True for a point, and for an organ that isn't let go: one that this tick advances, or that sleeps."""
+    """Return whether an end is a point, or at an organ that isn't released: one that ticks or sleeps."""
     organ = links.organ[link, end]
     return organ < 0 or awake[organ] == 1 or worlds[organ].state.status.asleep
 
 
 @kernel
 def end_position(worlds: Any, carried: Any, links: Any, link: int, end: int) -> tuple[float, float, float]:
-    """Where an end is, m."""
+    """Return the position of an end, m."""
     organ, node = links.organ[link, end], links.node[link, end]
     if organ >= 0:
         state = worlds[organ].state
@@ -189,7 +265,7 @@ def end_position(worlds: Any, carried: Any, links: Any, link: int, end: int) -> 
 
 @kernel
 def end_speed(worlds: Any, carried: Any, links: Any, link: int, end: int) -> tuple[float, float, float]:
-    """How fast an end is, m/s."""
+    """Return the velocity of an end, m/s."""
     organ, node = links.organ[link, end], links.node[link, end]
     if organ >= 0:
         velocity, speed = worlds[organ].state.velocity, carried.speed[organ]
@@ -200,7 +276,7 @@ def end_speed(worlds: Any, carried: Any, links: Any, link: int, end: int) -> tup
 
 @kernel
 def load_end(worlds: Any, links: Any, link: int, end: int, share: Any, x: float, y: float, z: float) -> None:
-    """Add the share (k,) of a force, N, that its organ feels to an end's node for the coming tick."""
+    """Add the fraction (k,) of a force, N, that its organ feels to an end's node for the coming tick."""
     organ = links.organ[link, end]
     if organ >= 0 and share[organ] > 0.0:
         part = share[organ]

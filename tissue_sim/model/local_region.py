@@ -1,7 +1,7 @@
-"""The local region (section 4 of the paper): nodes within some layers of the load move by their springs or cells.
+"""Local region (section 4 of the paper): nodes within some layers of the load move by their springs or cells.
 
-In the paper's own kind the rest stays as it is; in modal_region it gives way as the whole organ would. Everything here
-costs what the region has, not what the organ has.
+In the paper's own kind the rest stays as it is; in modal_region it yields as the whole organ would. The cost of
+everything here depends on the size of the region, not of the organ.
 """
 
 from __future__ import annotations
@@ -16,15 +16,26 @@ from tissue_sim.model.cells import cell_forces_among
 from tissue_sim.model.forces import edge_forces, return_forces, spring_forces
 
 FROZEN_HOPS = 2  # the "second layer"; every spring counts as one hop
-MODAL_HOPS = 1  # enough where a table tells how the rest gives way: a second layer changes settled shapes by 0.2 %
-UNTABLED_HOPS = (
-    2  # where modes alone tell it: with one layer a patch of 4000 points' organ is off by up to 20 %, with two 7
-)
+MODAL_HOPS = 1  # enough with a table of the rest's compliance: a second layer changes equilibria by 0.2 %
+UNTABLED_HOPS = 2  # with modes alone: one layer on an organ of 4000 points gives errors of up to 20 %, two 7 %
 
 
 @kernel
 def mark_loaded(state: Any, scratch: Any) -> int:
-    """Give hop 0 to the nodes of contact points, tool tips and nodal forces; how many are new, in scratch.fresh."""
+    """Give hop 0 to the nodes of contact points, tool tips and nodal forces.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+
+    Returns
+    -------
+    int
+        Number of new nodes, which are in scratch.fresh.
+    """
     fresh = 0
     for entry in range(state.contacts.header.points):
         if state.bodies[state.contacts.body[entry]].engaged:
@@ -41,7 +52,7 @@ def mark_loaded(state: Any, scratch: Any) -> int:
 
 @kernel
 def _mark(state: Any, scratch: Any, node: int, fresh: int) -> int:
-    """Give a node hop 0; returns how many are new now."""
+    """Give a node hop 0; return how many are new now."""
     hop = state.region_hop
     if hop[node] == 0:
         return fresh
@@ -53,7 +64,21 @@ def _mark(state: Any, scratch: Any, node: int, fresh: int) -> int:
 
 @kernel
 def spread(model: Any, state: Any, scratch: Any, fresh: int, hops: int) -> None:
-    """Take the fresh nodes and those within `hops` of them into the region; from the table, or breadth first."""
+    """Add the new nodes and those within some hops of them to the region; from the table, or breadth first.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    fresh : int
+        Number of new nodes.
+    hops : int
+        Number of hops.
+    """
     for index in range(fresh):
         if scratch.was[index] < 0:
             _join(state, scratch, scratch.fresh[index])
@@ -79,7 +104,7 @@ def spread(model: Any, state: Any, scratch: Any, fresh: int, hops: int) -> None:
 
 @kernel
 def _reach(state: Any, scratch: Any, node: int, hops: int) -> bool:
-    """Note that a node is so many hops away; True if it was thought farther."""
+    """Note that a node is so many hops away; return whether it counted as farther."""
     there = state.region_hop[node]
     if there < 0:
         _join(state, scratch, node)
@@ -91,14 +116,22 @@ def _reach(state: Any, scratch: Any, node: int, hops: int) -> bool:
 
 @kernel
 def _join(state: Any, scratch: Any, node: int) -> None:
-    """Put a node behind the region's nodes; collect sorts them."""
+    """Append a node to the region's nodes; collect sorts them."""
     scratch.region_node[state.status.region_nodes] = node
     state.status.region_nodes += 1
 
 
 @kernel
 def list_drive(state: Any, scratch: Any) -> None:
-    """List the nodes of the region and those at its edge, in scratch.drive_node."""
+    """List the nodes of the region and those at its edge, in scratch.drive_node.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     nodes, drive = state.status.region_nodes, driving(state, scratch)
     copy(scratch.region_node[:nodes], drive[:nodes])
     copy(scratch.boundary_node[: state.status.region_boundary], drive[nodes:])
@@ -106,13 +139,34 @@ def list_drive(state: Any, scratch: Any) -> None:
 
 @part
 def driving(state: Any, scratch: Any) -> Any:
-    """Nodes of the region and at its edge, as list_drive has them."""
+    """Return the nodes of the region and at its edge, as listed by list_drive.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+
+    Returns
+    -------
+    Any, shape (k,)
+        Nodes.
+    """
     return scratch.drive_node[: state.status.region_nodes + state.status.region_boundary]
 
 
 @kernel
 def list_nodes(state: Any, scratch: Any) -> None:
-    """List the region's nodes anew, from the hops alone."""
+    """List the region's nodes again, from the hops alone.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     state.status.region_nodes = 0
     for node in range(len(state.region_hop)):
         if state.region_hop[node] >= 0:
@@ -121,9 +175,18 @@ def list_nodes(state: Any, scratch: Any) -> None:
 
 @kernel
 def collect(model: Any, state: Any, scratch: Any) -> None:
-    """List the springs or cells that the region's nodes have, and the nodes at its edge that these look at.
+    """List the springs or cells of the region's nodes, and the nodes at its edge that these use.
 
-    In the order of the nodes' numbers, so that lists made anew are the same.
+    The order is that of the nodes' numbers, so that lists made again are the same.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
     """
     nodes = state.status.region_nodes
     region = scratch.region_node
@@ -179,7 +242,7 @@ def _collect_cells(model: Any, state: Any, scratch: Any) -> None:
         slots = adjacency.cells[adjacency.cell_start[node] : adjacency.cell_start[node + 1]]
         cells = _take(slots, model.tissue, slopes, scratch.cells, scratch.cell_slopes, scratch.cell_mark, stamp, cells)
     state.status.region_boundary = _list_boundary(scratch, scratch.cells.nodes, cells, stamp, 0)
-    # What fills up has the volume of the first cell, so that it isn't taken for a squeezed one.
+    # The filling has the volume of the first cell, so that it isn't taken for a squeezed one.
     _fill_up(scratch.cells, cells, 7, 8)
     for row in range(cells % BLOCK, BLOCK if cells % BLOCK > 0 else 0):
         for k in (0, 1, 2, 3, 4, 5, 9):
@@ -197,7 +260,7 @@ def collect_elements(model: Any, state: Any, scratch: Any) -> None:
 def _take(
     slots: Any, source: Any, slopes: Any, target: Any, target_slopes: Any, mark: Any, stamp: int, count: int
 ) -> int:
-    """Copy what these slots hold and is not marked yet behind the first `count`; returns how many there are."""
+    """Append the unmarked content of these slots after the first `count`; return how many there are."""
     for entry in range(len(slots)):
         slot = slots[entry]
         if mark[slot] != stamp:
@@ -231,7 +294,7 @@ def _copy_rows(source: Any, slot: int, target: Any, place: int) -> None:
 
 @kernel
 def _fill_up(blocks: Any, count: int, axial: int, angular: int) -> None:
-    """Fill the last block up with copies of its first spring that have no stiffness, in rows axial and angular."""
+    """Fill the last block with copies of its first spring that have no stiffness, in rows axial and angular."""
     if count % BLOCK == 0:
         return
     block = count // BLOCK
@@ -246,7 +309,7 @@ def _fill_up(blocks: Any, count: int, axial: int, angular: int) -> None:
 
 @kernel
 def _blank_rows(rows: Any, count: int) -> None:
-    """Zero the constants of the springs that fill the last block up."""
+    """Zero the constants of the springs that fill the last block."""
     if len(rows) > 0 and count % BLOCK > 0:
         for row in range(count % BLOCK, BLOCK):
             for k in range(rows.shape[1] // BLOCK):
@@ -255,7 +318,7 @@ def _blank_rows(rows: Any, count: int) -> None:
 
 @kernel
 def _list_boundary(scratch: Any, nodes: Any, count: int, stamp: int, boundary: int) -> int:
-    """Add the nodes of `count` springs that are not marked yet to scratch.boundary_node; returns how many there are."""
+    """Append unmarked nodes of `count` springs to scratch.boundary_node; return how many there are."""
     for s in range(count):
         for c in range(nodes.shape[2]):
             node = nodes[s // BLOCK, s % BLOCK, c]
@@ -268,14 +331,32 @@ def _list_boundary(scratch: Any, nodes: Any, count: int, stamp: int, boundary: i
 
 @kernel
 def clear_force(state: Any, scratch: Any) -> None:
-    """Zero scratch.force where the region's springs add to it."""
+    """Set scratch.force to zero where the region's springs add to it.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     scale_nodes(scratch.force, scratch.region_node[: state.status.region_nodes], 0.0)
     scale_nodes(scratch.force, scratch.boundary_node[: state.status.region_boundary], 0.0)
 
 
 @kernel
 def scale_force(state: Any, scratch: Any, scale: float) -> None:
-    """Multiply what clear_force zeroes."""
+    """Multiply the forces that clear_force sets to zero.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    scale : float
+        The factor.
+    """
     if scale != 1.0:
         scale_nodes(scratch.force, scratch.region_node[: state.status.region_nodes], scale)
         scale_nodes(scratch.force, scratch.boundary_node[: state.status.region_boundary], scale)
@@ -283,7 +364,17 @@ def scale_force(state: Any, scratch: Any, scale: float) -> None:
 
 @kernel
 def scale_nodes(values: Any, nodes: Any, scale: float) -> None:
-    """Multiply values (n, 3) of nodes (k,); with 0 they are zero, whatever they were."""
+    """Multiply values of some nodes; with 0 they become zero, whatever they were.
+
+    Parameters
+    ----------
+    values : Any, shape (n, 3)
+        Values, updated.
+    nodes : Any, shape (k,)
+        Nodes.
+    scale : float
+        The factor.
+    """
     for index in range(len(nodes)):
         node = nodes[index]
         for c in range(3):
@@ -309,7 +400,17 @@ def _cell_forces(model: Any, state: Any, scratch: Any) -> None:
 
 @chosen(lambda model, *_: _cell_forces if has(model, "tissue") else _spring_forces)
 def region_forces(model: Any, state: Any, scratch: Any) -> None:
-    """Add the forces of the region's springs, without return springs, or cells to scratch.force (n, 3) N."""
+    """Add the forces of the region's springs, without return springs, or cells to scratch.force (n, 3) N.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
 
 
 @kernel
@@ -320,9 +421,19 @@ def _return_forces(model: Any, state: Any, scratch: Any) -> None:
 
 @kernel
 def _no_return_forces(model: Any, state: Any, scratch: Any) -> None:
-    """Cells have no return springs."""
+    """Do nothing: cells have no return springs."""
 
 
 @chosen(lambda model, *_: _no_return_forces if has(model, "tissue") else _return_forces)
 def region_return_forces(model: Any, state: Any, scratch: Any) -> None:
-    """Add the forces of the return springs of the region's nodes to scratch.force (n, 3) N."""
+    """Add the forces of the return springs of the region's nodes to scratch.force (n, 3) N.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """

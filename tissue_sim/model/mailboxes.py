@@ -1,8 +1,8 @@
 """Mailboxes between the compiled loop and Python, in shared arrays.
 
 A mailbox has a sequence number and a few slots: the writer fills slot `(sequence + 1) % slots` and then raises the
-number; the reader copies slot `sequence % slots` and accepts it if the writer can't have come round to it meanwhile.
-Nobody waits for anybody. Messages are words: what is put in is what its writer and reader lay over them.
+number; the reader copies slot `sequence % slots` and accepts it if the writer can't have reached it again meanwhile. No
+side waits for the other. Messages are words, whose meaning is up to writer and reader.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ SLOTS = 4
 JOURNAL_ROWS = 8192
 TIMING_ROWS = 8192
 POSE_WORDS = 8
-CARRIED_ON = 5e-5  # m that the breath carries a sleeping organ by before it is handed out anew
+CARRIED_ON = 5e-5  # m that the breath moves a sleeping organ before its shape is posted again
 
 
 class Mailbox(NamedTuple):
-    """The newest of some messages, for each of m addressees."""
+    """Newest messages for each of m addressees."""
 
     sequence: Longs  # (m,) of the newest one; 0 before the first
     length: Longs  # (m, SLOTS) words of each
@@ -38,7 +38,20 @@ class Mailbox(NamedTuple):
 
 
 def mailbox(most: int, addressees: int = 1) -> Mailbox:
-    """An empty mailbox for messages of so many words at the most."""
+    """Return an empty mailbox.
+
+    Parameters
+    ----------
+    most : int
+        Largest number of words of a message.
+    addressees : int, optional
+        Number of addressees.
+
+    Returns
+    -------
+    Mailbox
+        The mailbox.
+    """
     counts = np.zeros(addressees, dtype=np.int64), np.zeros((addressees, SLOTS), dtype=np.int64)
     return Mailbox(*counts, np.zeros((addressees, SLOTS, most), dtype=np.int64))
 
@@ -47,12 +60,12 @@ class Control(Record):
     """Words between the loop and Python, each written by one of them."""
 
     stop: bool
-    started: bool  # the loop runs and has handed out the rest shape
+    started: bool  # the loop runs and has posted the rest shape
     napping: bool  # the loop sleeps over several ticks
     waiting: bool  # the loop sleeps until its next tick, which a pose brings forward
-    asked: int  # raised by whoever has posted something that is not to wait: all of a tool's bodies, to all organs
+    asked: int  # raised after posting something urgent: all of a tool's bodies, to all organs
     sim_time: bool  # ticks follow posted_time, not the monotonic clock
-    standing: bool  # /clock gives no time, or has stood still for a while
+    standing: bool  # /clock gives no time, or hasn't advanced for a while
     resets: int
     snapshot_asked: int
     snapshot_done: int
@@ -61,32 +74,32 @@ class Control(Record):
     dropped: int
     simulated: int  # ns of simulated time
     due: int  # ns of the clock in use: when the last tick was due
-    looked_up: int  # ns of the monotonic clock: when the loop was last about to wait; an old time: it hangs, or starves
+    looked_up: int  # ns of the monotonic clock when the loop last began to wait; an old time: it hangs, or starves
     posted_time: int  # ns, newest time of /clock; 0 before the first one
 
 
 class Demand(Record):
     """Words about an organ's positions between the loop and Python, each written by one of them."""
 
-    on_demand: bool  # they are handed out only when asked for, because most of them are not worked out
-    moved: bool  # since they were handed out
+    on_demand: bool  # they are posted only on request, because most of them are not computed
+    moved: bool  # since they were posted
     asked: int
     done: int
-    x: float  # m that the breath had carried the organ by when they were handed out
+    x: float  # m that the breath had moved the organ when they were posted
     y: float
     z: float
 
 
 class Pace(Record):
-    """What the loop notes about posted times."""
+    """Notes of the loop about posted times."""
 
     seen: int  # ns, the newest that it has seen
     seen_at: int  # ns of the monotonic clock, when it did
-    behind: int  # ns, how far it still was from the one before
+    behind: int  # ns, remaining lag behind the previous one
 
 
 class JournalRow(Record):
-    """What a tick took up, where anything was new; each a sequence number."""
+    """Sequence numbers of the inputs that a tick applied, where any was new."""
 
     tick: int
     contact_set: int
@@ -95,21 +108,21 @@ class JournalRow(Record):
 
 
 class BodyInputs(Record):
-    """What a tick took up of a rigid body's inputs."""
+    """Sequence numbers of a rigid body's inputs that a tick applied."""
 
     pose: int
     force: int
 
 
 class Timing(Record):
-    """How a tick kept time."""
+    """Timing of a tick."""
 
     late: int  # ns
     duration: int  # ns
 
 
 class LoopWords(NamedTuple):
-    """What goes in and out of a loop, whatever organs it advances."""
+    """Inputs and outputs of a loop, whatever organs it advances."""
 
     control: Control
     timing: Any  # (TIMING_ROWS,) of Timing
@@ -117,24 +130,24 @@ class LoopWords(NamedTuple):
     now: Longs  # (2,) a timespec
     wake: Longs  # (2,) another
     bell: Longs  # (4,) a sem_t, posted to wake the loop
-    answered: Longs  # (4,) another, posted by the loop after a tick that was asked for
+    answered: Longs  # (4,) another, posted by the loop after a requested tick
 
 
 class Mailboxes(NamedTuple):
-    """All that goes in and out of an organ. T rigid bodies, n nodes."""
+    """All inputs and outputs of an organ; T rigid bodies, n nodes."""
 
     pose: Mailbox  # to each body, (7,) floats and the stamp, ns
     force: Mailbox  # to each body, (3,) floats
     contacts: Mailbox  # ContactSet.words
     settings: Mailbox  # words of Settings
     results: Mailbox  # State.results, after every tick
-    shape: Mailbox  # State.shape, after every tick that moved, or that was asked
-    snapshot: Longs  # State.words, when asked
+    shape: Mailbox  # State.shape, after every tick with motion, or on request
+    snapshot: Longs  # State.words, on request
     demand: Demand
     journal_written: Longs  # (1,)
     journal: Any  # (JOURNAL_ROWS,) of JournalRow
     journal_inputs: Any  # (JOURNAL_ROWS, T) of BodyInputs
-    row: JournalRow  # as the last tick took it up
+    row: JournalRow  # as applied by the last tick
     inputs: Any  # (T,) of BodyInputs, likewise
     # The loop's copies.
     taken_pose: Longs  # (8,) the words of 7 floats, and the stamp
@@ -147,7 +160,7 @@ def _longs(*shape: int) -> Longs:
 
 
 def make_loop_words() -> LoopWords:
-    """Those of a loop that has not begun."""
+    """Return the words of a loop that has not begun."""
     return LoopWords(
         control=Control.new(),
         timing=Timing.rows(_longs(TIMING_ROWS * Timing.words())),
@@ -160,7 +173,18 @@ def make_loop_words() -> LoopWords:
 
 
 def make_mailboxes(state: State) -> Mailboxes:
-    """Empty mailboxes for a simulation's state."""
+    """Return empty mailboxes for a simulation's state.
+
+    Parameters
+    ----------
+    state : State
+        The state.
+
+    Returns
+    -------
+    Mailboxes
+        The mailboxes.
+    """
     n_bodies = len(state.body_pose)
     body_words = BodyInputs.words()
     return Mailboxes(
@@ -196,7 +220,22 @@ def fence(typing_context):  # type: ignore[no-untyped-def]
 
 @kernel
 def put(box: Any, addressee: int, message: Any) -> int:
-    """Hand out a message of words (l,); returns its sequence number."""
+    """Post a message.
+
+    Parameters
+    ----------
+    box : Any
+        The mailbox; updated.
+    addressee : int
+        Index of the addressee.
+    message : Any, shape (l,)
+        Words.
+
+    Returns
+    -------
+    int
+        Its sequence number.
+    """
     sequence = box.sequence[addressee] + 1
     slot = sequence % SLOTS
     target = box.slots[addressee, slot]
@@ -211,7 +250,24 @@ def put(box: Any, addressee: int, message: Any) -> int:
 
 @kernel
 def take(box: Any, addressee: int, last: int, message: Any) -> int:
-    """Copy the newest message to words with room for it; returns its sequence number, `last` when none is newer."""
+    """Copy the newest message.
+
+    Parameters
+    ----------
+    box : Any
+        The mailbox.
+    addressee : int
+        Index of the addressee.
+    last : int
+        Sequence number of the last one that was taken.
+    message : Any
+        Receives the words.
+
+    Returns
+    -------
+    int
+        Its sequence number; `last` when none is newer.
+    """
     while box.sequence[addressee] != last:
         sequence = box.sequence[addressee]
         fence()
@@ -227,9 +283,18 @@ def take(box: Any, addressee: int, last: int, message: Any) -> int:
 
 @kernel
 def take_inputs(world: Any, box: Any, resets: int) -> None:
-    """Take up what is new in the mailboxes, and a reset that was asked for; `resets`: so often it was so far.
+    """Apply what is new in the mailboxes, and a requested reset.
 
     box.row and box.inputs become this tick's in the journal, which has a row when anything was new.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    box : Any
+        Mailboxes of the organ; updated.
+    resets : int
+        Number of resets requested so far.
     """
     state, row, changed = world.state, box.row, False
     if resets != row.resets:
@@ -262,7 +327,7 @@ def take_inputs(world: Any, box: Any, resets: int) -> None:
 
 @kernel
 def write_journal(box: Any, tick: int) -> None:
-    """Note what has been taken up by this tick."""
+    """Note what was applied by this tick."""
     box.row.tick = tick
     place = box.journal_written[0] % JOURNAL_ROWS
     box.journal[place] = box.row
@@ -275,7 +340,15 @@ def write_journal(box: Any, tick: int) -> None:
 
 @kernel
 def post_results(world: Any, box: Any) -> None:
-    """Hand out wrenches and counters, and the positions when they moved: with a modal region, when asked."""
+    """Post wrenches and counters, and the positions when they moved: with a modal region, on request.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    box : Any
+        Mailboxes of the organ; updated.
+    """
     state, demand = world.state, box.demand
     put(box.results, 0, state.results)
     if not state.status.asleep or is_carried_on(state.carried, demand):
@@ -297,14 +370,22 @@ def post_results(world: Any, box: Any) -> None:
 
 @kernel
 def is_carried_on(carried: Any, demand: Any) -> bool:
-    """Whether the breath has carried an organ by more than CARRIED_ON since its positions were handed out."""
+    """Return whether the breath has moved an organ by more than CARRIED_ON since its positions were posted."""
     x, y, z = carried[0] - demand.x, carried[1] - demand.y, carried[2] - demand.z
     return x * x + y * y + z * z > CARRIED_ON * CARRIED_ON
 
 
 @kernel
 def keep_states(worlds: Any, boxes: Any) -> None:
-    """Copy the whole states; the journals tell what they have taken up."""
+    """Copy the whole states; the journals show what they have applied.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    boxes : Any
+        Mailboxes of every organ; updated.
+    """
     for organ in range(len(worlds)):
         state, box = worlds[organ].state, boxes[organ]
         write_journal(box, state.status.tick)
@@ -314,7 +395,21 @@ def keep_states(worlds: Any, boxes: Any) -> None:
 
 @kernel
 def note_tick(loop: Any, due: int, period: int, late: int, duration: int) -> None:
-    """Note when a tick was due, its length, lateness and duration, ns."""
+    """Note when a tick was due, and its timing.
+
+    Parameters
+    ----------
+    loop : Any
+        Words of the loop; updated.
+    due : int, ns
+        When it was due.
+    period : int, ns
+        Its length.
+    late : int, ns
+        Its lateness.
+    duration : int, ns
+        Its duration.
+    """
     control = loop.control
     timing = loop.timing[control.loop_ticks % TIMING_ROWS]
     timing.late, timing.duration = late, duration

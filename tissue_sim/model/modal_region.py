@@ -1,14 +1,14 @@
-"""The modal local region: nonlinear springs or cells around the load, the rest of the organ as a linear body.
+"""Modal local region: nonlinear springs or cells around the load, the rest of the organ as a linear body.
 
-Freezing the rest of the organ is wrong for a body that is loaded for longer than a few
-milliseconds. Here the nodes around the load move by their own springs, as in the paper's region, and the nodes
-at its edge go where the rest of the organ would have them: u = C p + F (q - q_s). C p is its static displacement
-under the load p, with C the compliance about rest; the lowest modes F carry what moves, q their coordinates under p
-and q_s where these would come to rest. p holds the loads, and by how much the region's springs push
-differently from linear ones: with these, a region of one layer settles within 2 % of the whole nonlinear model under
-dents of 3 mm, which the loads alone miss by 7 %.
-Without a table C (large organs) more modes stand for it. Only rows that somebody looks at are evaluated: the edge in
-each tick, the whole organ on demand.
+Freezing the rest of the organ is wrong for a body that is loaded for longer than a few milliseconds. Here the nodes
+around the load move by their own springs, as in the paper's region, and the nodes at its edge move as the rest of the
+organ does: u = C p + F (q - q_s). C p is its static displacement under the load p, with C the compliance about rest;
+the lowest modes F carry the motion, q their coordinates under p and q_s where these would come to rest. p holds the
+loads, and the difference of the region's spring forces from linear ones: with these, a region of one layer settles
+within 2 % of the whole nonlinear model under dents of 3 mm, while the loads alone give 7 %.
+
+Without a table C (large organs) more modes replace it. Only rows that are needed are evaluated: the edge in each tick,
+the whole organ on demand.
 """
 
 from __future__ import annotations
@@ -26,16 +26,22 @@ from tissue_sim.model.forces import subtract_linear_edges, subtract_linear_sprin
 from tissue_sim.model.local_region import driving
 from tissue_sim.model.tool_motion import add_tip_forces
 
-MOST_BOUNDARY = 256  # nodes at the edge of a region; one that has more is no local region
+MOST_BOUNDARY = 256  # nodes at the edge of a region; one with more isn't local
 MOST_DRIVE = 640  # nodes in the region and at its edge
-LOAD_TIME = 0.005  # s in which the far field takes up a changed load; shorter, a held tool and it would swing
+LOAD_TIME = 0.005  # s in which the far field follows a changed load; if shorter, it would oscillate with a held tool
 OFFSET_TIME = 0.25  # s in which an offset fades
-FASTEST = 1.0  # rad in a tick; modes above it would kick the region's edge, and follow the load without inertia instead
+FASTEST = 1.0  # rad per tick; faster modes would kick the region's edge, and follow the load without inertia instead
 
 
 @kernel
 def forget_region(state: Any) -> None:
-    """No region, and nothing that one has left behind."""
+    """Remove the region and everything that it has left behind.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    """
     state.region_hop[:] = -1
     state.status.region_nodes = state.status.region_boundary = 0
     state.status.region_springs = state.status.region_hinges = state.status.region_cells = 0
@@ -49,20 +55,52 @@ def forget_region(state: Any) -> None:
 
 @kernel
 def hops_of(model: Any) -> int:
-    """Layers around the load that move by themselves."""
+    """Return the number of layers around the load that move by themselves.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+
+    Returns
+    -------
+    int
+        The number.
+    """
     return local_region.MODAL_HOPS if len(model.reduction.compliance) > 0 else local_region.UNTABLED_HOPS
 
 
 @kernel
 def fits(state: Any) -> bool:
-    """True while the region is small enough to be a local one."""
+    """Return whether the region is small enough to be a local one.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+
+    Returns
+    -------
+    bool
+        True where it is.
+    """
     boundary = state.status.region_boundary
     return boundary <= MOST_BOUNDARY and state.status.region_nodes + boundary <= MOST_DRIVE
 
 
 @kernel
 def gather_rows(model: Any, state: Any, scratch: Any) -> None:
-    """Copy what the edge of the region looks at: rows of C for each load and of F for each mode, and F at the loads."""
+    """Copy what the edge of the region needs: rows of C for each load and of F for each mode, and F at the loads.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     boundary, drive = scratch.boundary_node[: state.status.region_boundary], driving(state, scratch)
     first = 0
     if len(model.reduction.compliance) > 0:
@@ -99,7 +137,7 @@ def _copy_compliance(table: Any, drive: Any, boundary: Any, rows: Any) -> None:
 
 @kernel
 def combine(rows: Any, shares: Any, count: int, total: Any) -> None:
-    """total (r,) = the sum of the first `count` rows (.., r), each times its share; in single precision."""
+    """Compute total (r,) as the sum of the first `count` rows (.., r), each times its factor; in single precision."""
     total[:] = 0.0
     for i in range(0, count - 3, 4):
         w, x, y, z = shares[i], shares[i + 1], shares[i + 2], shares[i + 3]
@@ -114,7 +152,17 @@ def combine(rows: Any, shares: Any, count: int, total: Any) -> None:
 
 @kernel
 def set_propagator(model: Any, settings: Any, scratch: Any) -> None:
-    """Work out how every mode moves in a tick, when settings have changed: q'' + c q' + w^2 q = p, exactly."""
+    """Compute the exact motion of every mode in a tick when settings have changed: q'' + c q' + w^2 q = p.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     key = scratch.propagator_key
     tick_time, scale, damping = settings.tick_time, settings.stiffness_scale, settings.damping_scale
     if key[0] == tick_time and key[1] == scale and key[2] == damping:
@@ -146,7 +194,15 @@ def set_propagator(model: Any, settings: Any, scratch: Any) -> None:
 
 @kernel
 def project_load(state: Any, scratch: Any) -> None:
-    """Static displacement of the modes under the static load, into scratch.mode_rest; the loads into edge_share."""
+    """Compute the static displacement of the modes into scratch.mode_rest, and the loads into edge_share.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     nodes = driving(state, scratch)
     load, share, rest = state.static_load, scratch.edge_share, scratch.mode_rest
     for index in range(len(nodes)):
@@ -160,7 +216,19 @@ def project_load(state: Any, scratch: Any) -> None:
 
 @kernel
 def advance_modes(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Step every mode exactly through a tick under the static load, and say where they move, scratch.mode_move."""
+    """Step every mode exactly through a tick under the static load, and set scratch.mode_move.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     set_propagator(model, settings, scratch)
     project_load(state, scratch)
     table = scratch.propagator
@@ -175,7 +243,17 @@ def advance_modes(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 @kernel
 def set_mode_move(model: Any, state: Any, scratch: Any) -> None:
-    """What the modes add to the static displacement; all of it where there is no table of compliance."""
+    """Compute what the modes add to the static displacement; without a compliance table that is all of it.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     share = 1.0 if len(model.reduction.compliance) > 0 else 0.0
     position, rest, move = state.mode_position, scratch.mode_rest, scratch.mode_move
     for k in range(len(move)):
@@ -184,7 +262,7 @@ def set_mode_move(model: Any, state: Any, scratch: Any) -> None:
 
 @kernel
 def add_rows(total: Any, first: Any, second: Any, third: Any, load: Any, scale: float) -> None:
-    """Add what a load (3,) N on a node does, from the three rows of its compliance, to total (r,) m."""
+    """Add the effect of a load (3,) N on a node, from the three rows of its compliance, to total (r,) m."""
     x, y, z = scale * load[0], scale * load[1], scale * load[2]
     for r in range(len(total)):
         total[r] += x * first[r] + y * second[r] + z * third[r]
@@ -192,7 +270,19 @@ def add_rows(total: Any, first: Any, second: Any, third: Any, load: Any, scale: 
 
 @kernel
 def move_edge(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Where the rest of the organ moves the nodes at the region's edge, into scratch.edge_move (3b,) m."""
+    """Compute the displacements of the region's edge by the rest of the organ into scratch.edge_move (3b,) m.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     boundary = state.status.region_boundary
     share, move, columns = scratch.edge_share, scratch.mode_move, 0
     if len(model.reduction.compliance) > 0:
@@ -206,7 +296,19 @@ def move_edge(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 @kernel
 def place_boundary(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Put the nodes at the region's edge where the rest of the organ has them."""
+    """Put the nodes at the region's edge where the rest of the organ moves them.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     move_edge(model, state, settings, scratch)
     nodes, position, rest, offset = scratch.boundary_node, state.position, model.rest, state.offset
     moved, blend = scratch.edge_move, state.blend[0]
@@ -219,7 +321,21 @@ def place_boundary(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 @kernel
 def place_joined(model: Any, state: Any, settings: Any, scratch: Any, first: int) -> None:
-    """Put nodes that just joined the region, from region_node[first] on, where the old region's load has them."""
+    """Put nodes that just joined the region where the old region's load moves them.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    first : int
+        Index in region_node of the first of them.
+    """
     reduction = model.reduction
     drive = state.status.region_boundary + first
     for index in range(first, state.status.region_nodes):
@@ -243,7 +359,19 @@ def place_joined(model: Any, state: Any, settings: Any, scratch: Any, first: int
 
 @kernel
 def place_outside(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Put every node outside the region where it belongs, moving as the modes do; fills scratch.field (3n,) m."""
+    """Put every node outside the region where it belongs, moving as the modes do; fill scratch.field (3n,) m.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     field, table = scratch.field, model.reduction.compliance
     field[:] = 0.0
     if len(table) > 0:
@@ -303,9 +431,20 @@ def _move_outside(
 
 @kernel
 def measure_drive(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """By how much the region's springs push differently from springs linear about rest, into scratch.drive (n, 3) N.
+    """Compute the difference of the region's forces from linear ones into scratch.drive (n, 3) N.
 
-    scratch.force holds what they push now.
+    scratch.force holds the present forces.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
     """
     drive, nodes = scratch.drive, driving(state, scratch)
     copy_nodes(scratch.force, drive, nodes)
@@ -331,12 +470,24 @@ def _subtract_cells(model: Any, state: Any, scratch: Any, force: Any) -> None:
 
 @chosen(lambda model, *_: _subtract_cells if has(model, "tissue") else _subtract_springs)
 def subtract_linear(model: Any, state: Any, scratch: Any, force: Any) -> None:
-    """Subtract what the region would push if it were linear about rest from force (n, 3) N."""
+    """Subtract the region's forces if it were linear about rest from force (n, 3) N."""
 
 
 @kernel
 def absorb_load(state: Any, settings: Any, scratch: Any, share: float) -> None:
-    """Lead the static load by a share of the way to this tick's loads and scratch.drive."""
+    """Move the static load towards this tick's loads and scratch.drive.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    share : float
+        Fraction of the way.
+    """
     drive, nodal, loaded = scratch.drive, state.nodal_force, state.loaded_node
     for index in range(state.status.loaded):
         node = loaded[index]
@@ -359,10 +510,22 @@ def _absorb(load: Any, drive: Any, impulse: Any, nodes: Any, rate: float, share:
 
 @kernel
 def load_share(model: Any, settings: Any) -> float:
-    """Share of the way that the static load goes in a tick.
+    """Return the fraction of the way that the static load moves in a tick.
 
-    What the modes don't carry follows no faster than the fastest mode creeps, if damping makes that slow: a soft
-    organ's surroundings would spring ahead of the region otherwise, and pull energy into it.
+    What the modes don't carry follows no faster than the slow rate of the fastest mode, if damping makes that slow: a
+    soft organ's surroundings would otherwise move ahead of the region, and pull energy into it.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    settings : Any
+        Settings of the simulation.
+
+    Returns
+    -------
+    float
+        The fraction.
     """
     frequency, seconds = model.reduction.frequency, LOAD_TIME
     if len(frequency) > 0:
@@ -373,7 +536,19 @@ def load_share(model: Any, settings: Any) -> float:
 
 @kernel
 def keep_offset(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """After the static load was set for a new region: start the modes at rest, and keep by how much this is off."""
+    """Start the modes at rest for a new region with its static load, and keep the remaining difference.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     set_propagator(model, settings, scratch)
     project_load(state, scratch)
     for k in range(len(model.reduction.frequency)):

@@ -12,7 +12,7 @@ from tissue_sim.model.blocks import Blocks
 
 
 class Fans(NamedTuple):
-    """Fans in blocks; what only fills up, fans and cells in them, has no stiffness."""
+    """Cell groups in blocks; filling, groups and cells in them, has no stiffness."""
 
     nodes: Ints  # (f, BLOCK, 6)
     constants: Floats  # (f, fans.CONSTANTS BLOCK)
@@ -20,7 +20,7 @@ class Fans(NamedTuple):
 
 
 class Tissue(NamedTuple):
-    """Cells as the kernels read them, in blocks, and room to work in."""
+    """Cells as the kernels read them, in blocks, and working memory."""
 
     nodes: Ints  # (b, BLOCK, 4)
     constants: Floats  # (b, cells.CONSTANTS BLOCK)
@@ -50,7 +50,7 @@ class Spokes(NamedTuple):
 
 
 class Adjacency(NamedTuple):
-    """Which springs or cells each node has, as compressed rows."""
+    """Springs or cells of each node, as compressed rows."""
 
     edge_start: Ints  # (n + 1,)
     edges: Ints  # slots in Model.edges, block after block
@@ -61,7 +61,7 @@ class Adjacency(NamedTuple):
 
 
 class Reduction(NamedTuple):
-    """What a modal region knows of the rest of the organ. Empty without one."""
+    """Data of a modal region about the rest of the organ; empty without one."""
 
     frequency: Floats  # (m,) rad/s of the lowest modes
     shape: Floats  # (n, 3, m) 1/sqrt(kg)
@@ -73,7 +73,7 @@ class Reduction(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """L D L' of the matrix of the implicit step, twice: one in use, one to be written."""
+    """Factor L D L' of the matrix of the implicit step, twice: one in use, one to be written."""
 
     order: Ints  # (a,) moving nodes in the order of elimination
     start: Ints  # (a + 1,) columns of L below its diagonal

@@ -15,30 +15,52 @@ from tissue_sim.model.cells import cells_of, strain_rows
 from tissue_sim.model.diagonal import diagonal
 from tissue_sim.model.model import Model
 
-N_MODES = 144  # a third of that triples the error of the region's surroundings
-_RIGID = 1e-9  # square of a frequency, over the largest diagonal, that is taken for 0
+N_MODES = 144  # a third as many triples the error of the region's surroundings
+_RIGID = 1e-9  # square of a frequency over the largest diagonal, below which it counts as 0
 
 
 class Modes(NamedTuple):
-    """The lowest modes: K p = w^2 M p with p'Mp = 1."""
+    """Lowest modes: K p = w^2 M p with p'Mp = 1."""
 
     frequency: Floats  # (m,) w, rad/s
     shape: Floats  # (n, 3, m) p, 1/sqrt(kg); 0 where a node is held
 
 
 def free_axes(model: Model) -> NDArray[np.int64]:
-    """Which of the 3n coordinates of the nodes may move."""
+    """Return which of the 3n coordinates of the nodes may move.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+
+    Returns
+    -------
+    NDArray[np.int64], shape (a,)
+        Indices, 3 node + axis.
+    """
     return (3 * model.moving.astype(np.int64)[:, None] + np.arange(3)).ravel()
 
 
 def stiffness_matrix(model: Model) -> csc_array:
-    """Tangent stiffness (3n, 3n) N/m at rest, where nothing carries a force."""
+    """Return the tangent stiffness at rest, where nothing carries a force.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+
+    Returns
+    -------
+    csc_array, shape (3n, 3n), N/m
+        The matrix.
+    """
     rows, owner, stiffness = strains_of(model)
     return (rows.T @ diagonal(stiffness[owner]) @ rows).tocsc()
 
 
 class Strains(NamedTuple):
-    """What springs or cells are strained by about rest: the energy is the sum of stiffness[owner] strain^2 / 2."""
+    """Strains of springs or cells about rest: the energy is the sum of stiffness[owner] strain^2 / 2."""
 
     rows: csc_array  # (s, 3n) of the nodes' coordinates
     owner: Longs  # (s,) which stiffness weighs each
@@ -46,7 +68,18 @@ class Strains(NamedTuple):
 
 
 def strains_of(model: Model) -> Strains:
-    """Lengths and curvatures of springs, and displacements of nodes with return springs; or the strains of cells."""
+    """Return lengths and curvatures of springs, and displacements of return springs; or the strains of cells.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+
+    Returns
+    -------
+    Strains
+        The strains.
+    """
     if model.tissue is not None:
         cells, moduli, _ = cells_of(model.tissue)
         return Strains(*strain_rows(model.rest, cells), moduli.ravel())
@@ -67,9 +100,24 @@ def strains_of(model: Model) -> Strains:
 
 
 def lowest_modes(model: Model, count: int = N_MODES) -> Modes:
-    """The lowest `count` modes of the nodes that may move (fewer when the model has fewer).
+    """Return the lowest modes of the nodes that may move.
 
-    Raises UserError when the organ can move as a whole without any force.
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    count : int, optional
+        Number of modes; fewer when the model has fewer.
+
+    Returns
+    -------
+    Modes
+        The modes.
+
+    Raises
+    ------
+    UserError
+        Where the organ can move as a whole without any force.
     """
     n, moving, free = len(model.rest), model.moving, free_axes(model)
     count = min(count, len(free) - 2)
@@ -80,7 +128,7 @@ def lowest_modes(model: Model, count: int = N_MODES) -> Modes:
     scaled = (root @ stiffness_matrix(model)[free][:, free] @ root).tocsc()
     start = np.random.default_rng(0).standard_normal(len(free))
     try:
-        # An ordering that knows the symmetry fills half as much as SciPy's own: a third of the time at 16,000 points.
+        # An ordering that uses the symmetry fills half as much as SciPy's own: a third of the time at 16,000 points.
         factor = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         solve = LinearOperator(scaled.shape, factor.solve, dtype=np.float64)
         square, vectors = eigsh(scaled, k=count, sigma=0.0, v0=start, OPinv=solve)
@@ -98,7 +146,18 @@ def lowest_modes(model: Model, count: int = N_MODES) -> Modes:
 
 
 def angular_slope(model: Model) -> Floats:
-    """Gradient (h, 4, 3) of the curvature s of each hinge at rest; the derivation of forces.angular_forces."""
+    """Return the gradient of the curvature s of each hinge at rest; see forces.edge_forces.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+
+    Returns
+    -------
+    Floats, shape (h, 4, 3)
+        Gradients.
+    """
     i, j, k, m = (model.rest[model.angular_nodes[:, c]] for c in range(4))
     edge, across = j - i, k - m
     normal = np.cross(edge, across)

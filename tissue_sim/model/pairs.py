@@ -1,7 +1,7 @@
-"""Organs that touch each other: surface nodes of one on triangles of another, with friction.
+"""Contact between organs: surface nodes of one on triangles of another, with friction.
 
 As between tissue and tools: no penetration, and no sliding within the friction cone, by projected Gauss-Seidel on
-forces that are kept from one substep to the next. What acts on a node acts on the triangle's three, reversed.
+forces that are kept from one substep to the next. The force on a node acts on the triangle's three nodes, reversed.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from tissue_sim.model.inputs import load_node
 
 MOST_PAIRS = 4096
 SWEEPS = 8  # over all pairs in a substep
-RECOVERY_SPEED = 0.2  # m/s at which what lay inside comes out at the most
-TOLERANCE = 1e-3  # of the sum of all forces, which a sweep may still change
+RECOVERY_SPEED = 0.2  # m/s, largest speed at which what lay inside comes out
+TOLERANCE = 1e-3  # of the sum of all forces: change in a sweep at which it has converged
 MOST_ORGANS = 16
-CAUGHT = 1e-3  # m inside, far beyond what contact leaves, that tell organs which are caught in each other
+CAUGHT = 1e-3  # m inside, far beyond contact, at which organs count as caught in each other
 
 
 class PairSet(NamedTuple):
     """Room for MOST_PAIRS pairs, a node of organ[0] and a triangle of organ[1], in the order of organs and nodes."""
 
-    words: Longs  # what the others view
-    found: Longs  # (1,) how many
+    words: Longs  # memory of the others
+    found: Longs  # (1,) number of pairs
     organ: Longs  # (p, 2)
     node: Longs  # (p, 4) the node, and the triangle's three
     weight: Floats  # (p, 3) barycentric, of the place on the triangle that is nearest to the node
@@ -38,7 +38,18 @@ _PAIR = np.dtype([("organ", "i8", 2), ("node", "i8", 4), ("weight", "f8", 3)])
 
 
 def pair_set(words: Longs | None = None) -> PairSet:
-    """No pairs; or those in the words of another set."""
+    """Return an empty set of pairs, or a view of another set's words.
+
+    Parameters
+    ----------
+    words : Longs | None, optional
+        Words of another set; None for memory of its own.
+
+    Returns
+    -------
+    PairSet
+        The set.
+    """
     if words is None:
         words = np.zeros(1 + MOST_PAIRS * _PAIR.itemsize // 8, dtype=np.int64)
     rows = words[1:].view(_PAIR)
@@ -46,12 +57,23 @@ def pair_set(words: Longs | None = None) -> PairSet:
 
 
 def used_words(found: PairSet) -> Longs:
-    """Those of a set's words that make it up."""
+    """Return the words of a set that are in use.
+
+    Parameters
+    ----------
+    found : PairSet
+        The set.
+
+    Returns
+    -------
+    Longs
+        The words.
+    """
     return found.words[: 1 + int(found.found[0]) * _PAIR.itemsize // 8]
 
 
 class Pairs(NamedTuple):
-    """The pairs of a PairSet, and what they press with."""
+    """Pairs of a PairSet, with their forces."""
 
     found: Longs  # (1,)
     organ: Longs  # (p, 2)
@@ -61,15 +83,26 @@ class Pairs(NamedTuple):
     held: Floats  # (p, 3) N across it
     loaded: Floats  # (p, 3) N that the node bears in this tick's loads
     friction: Floats  # (1,) Coulomb coefficient
-    before: Longs  # (p,) room: which pair of the set before it was, or -1
+    before: Longs  # (p,) buffer: index in the previous set, or -1
     pressed_before: Floats  # (p,) room
     held_before: Floats  # (p, 3) room
-    plane: Floats  # (4,) room: a normal, and how far the node is outside, m
-    caught: Longs  # (MOST_ORGANS,) room: 1 for an organ that is let go in this tick
+    plane: Floats  # (4,) buffer: a normal, and the node's distance outside, m
+    caught: Longs  # (MOST_ORGANS,) buffer: 1 for an organ released in this tick
 
 
 def make_pairs(friction: float = 0.0) -> Pairs:
-    """No pairs."""
+    """Return an empty set of pairs with forces.
+
+    Parameters
+    ----------
+    friction : float, optional
+        Coulomb coefficient.
+
+    Returns
+    -------
+    Pairs
+        The pairs.
+    """
     return Pairs(
         found=np.zeros(1, dtype=np.int64),
         organ=np.zeros((MOST_PAIRS, 2), dtype=np.int64),
@@ -89,7 +122,15 @@ def make_pairs(friction: float = 0.0) -> Pairs:
 
 @kernel
 def take_pairs(pairs: Any, found: Any) -> None:
-    """Take up a PairSet; pairs that were there before keep their forces."""
+    """Apply a PairSet; pairs that existed before keep their forces.
+
+    Parameters
+    ----------
+    pairs : Any
+        The pairs; updated.
+    found : Any
+        The new set.
+    """
     count, old_count, old = found.found[0], pairs.found[0], 0
     copy(pairs.pressed[:old_count], pairs.pressed_before[:old_count])
     copy(pairs.held[:old_count], pairs.held_before[:old_count])
@@ -113,7 +154,7 @@ def take_pairs(pairs: Any, found: Any) -> None:
 
 @kernel
 def comes_before(first: Any, pair: int, second: Any, other: int) -> bool:
-    """Whether a pair of one set belongs before one of another, by organs and node."""
+    """Return whether a pair of one set is ordered before one of another, by organs and node."""
     a, b = first.organ[pair], second.organ[other]
     if a[0] != b[0]:
         return a[0] < b[0]
@@ -124,7 +165,17 @@ def comes_before(first: Any, pair: int, second: Any, other: int) -> bool:
 
 @kernel
 def wake_touched(worlds: Any, pairs: Any, awake: Any) -> None:
-    """Load what pairs press with, so that the coming tick advances organs that others touch, if they may be awake."""
+    """Load the forces of pairs, so that the coming tick advances organs that others touch, if they may be awake.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    pairs : Any
+        The pairs; updated.
+    awake : Any, shape (k,)
+        1 for organs that may be awake.
+    """
     note_caught(worlds, pairs)
     for pair in range(pairs.found[0]):
         pairs.loaded[pair, 0] = pairs.loaded[pair, 1] = pairs.loaded[pair, 2] = 0.0
@@ -142,16 +193,16 @@ def wake_touched(worlds: Any, pairs: Any, awake: Any) -> None:
 
 @kernel
 def are_carried_alike(state: Any, other: Any) -> bool:
-    """True for organs that the breath has not moved against each other."""
+    """Return whether the breath has not moved two organs relative to each other."""
     a, b = state.carried, other.carried
     return a[0] == b[0] and a[1] == b[1] and a[2] == b[2]
 
 
 @kernel
 def note_caught(worlds: Any, pairs: Any) -> None:
-    """Find organs that have had a fault, and have not been as they are built since, and lie deep in each other.
+    """Find organs that lie deep in each other after a fault, and have not been at rest since.
 
-    They were driven through each other, and no force leads out of that: without any, each goes back to its own shape.
+    They were driven through each other, and no force leads out of that: without any, each returns to its own shape.
     """
     pairs.caught[:] = 0
     for pair in range(pairs.found[0]):
@@ -164,13 +215,23 @@ def note_caught(worlds: Any, pairs: Any) -> None:
 
 @kernel
 def is_let_go(pairs: Any, pair: int) -> bool:
-    """True when one of a pair's organs is caught: it presses on none until it is out."""
+    """Return whether one of a pair's organs is caught: it presses on none until it is out."""
     return pairs.caught[pairs.organ[pair, 0]] == 1 or pairs.caught[pairs.organ[pair, 1]] == 1
 
 
 @kernel
 def press_pairs(worlds: Any, pairs: Any, awake: Any) -> None:
-    """Let every pair press as it did at the end of the last substep."""
+    """Let every pair press as it did at the end of the last substep.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    pairs : Any
+        The pairs; updated.
+    awake : Any, shape (k,)
+        1 for organs that this tick advances.
+    """
     for pair in range(pairs.found[0]):
         loaded = pairs.loaded[pair]
         was = loaded[0] != 0.0 or loaded[1] != 0.0 or loaded[2] != 0.0
@@ -181,7 +242,7 @@ def press_pairs(worlds: Any, pairs: Any, awake: Any) -> None:
 
 @kernel
 def bear(worlds: Any, pairs: Any, pair: int) -> None:
-    """Make the loads of a pair's nodes what it presses with; pairs.plane has been measured."""
+    """Set the loads of a pair's nodes to its force; pairs.plane has been computed."""
     plane, held, loaded, pressed = pairs.plane, pairs.held[pair], pairs.loaded[pair], pairs.pressed[pair]
     x = pressed * plane[0] + held[0] - loaded[0]
     y = pressed * plane[1] + held[1] - loaded[1]
@@ -197,7 +258,21 @@ def bear(worlds: Any, pairs: Any, pair: int) -> None:
 
 @kernel
 def resolve_pairs(worlds: Any, carried: Any, pairs: Any, awake: Any, step: float) -> None:
-    """Keep every node outside its triangle at the end of a substep of `step` s."""
+    """Keep every node outside its triangle at the end of a substep.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    carried : Any
+        How organs follow the breath; updated.
+    pairs : Any
+        The pairs; updated.
+    awake : Any, shape (k,)
+        1 for organs that this tick advances.
+    step : float, s
+        Duration of the substep.
+    """
     for _ in range(SWEEPS):
         changed = total = 0.0
         for pair in range(pairs.found[0]):
@@ -210,14 +285,14 @@ def resolve_pairs(worlds: Any, carried: Any, pairs: Any, awake: Any, step: float
 
 @kernel
 def is_resolved(pairs: Any, pair: int, awake: Any) -> bool:
-    """True when this tick advances both organs of a pair, and neither is let go."""
+    """Return whether this tick advances both organs of a pair, and neither is released."""
     both = awake[pairs.organ[pair, 0]] == 1 and awake[pairs.organ[pair, 1]] == 1
     return both and not is_let_go(pairs, pair)
 
 
 @kernel
 def measure(worlds: Any, pairs: Any, pair: int) -> None:
-    """Write the triangle's outward normal and how far the node is outside, m, to pairs.plane."""
+    """Write the triangle's outward normal and the node's distance outside, m, to pairs.plane."""
     first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
     own, under, node = worlds[first].state, worlds[second].state, pairs.node[pair]
     position, plane = under.position, pairs.plane
@@ -237,7 +312,7 @@ def measure(worlds: Any, pairs: Any, pair: int) -> None:
 
 @kernel
 def resolve_pair(worlds: Any, carried: Any, pairs: Any, pair: int, step: float) -> float:
-    """One pair; returns by how much its force has changed, N."""
+    """Resolve one pair; return the change of its force, N."""
     first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
     node, weight, held, plane = pairs.node[pair], pairs.weight[pair], pairs.held[pair], pairs.plane
     measure(worlds, pairs, pair)
@@ -272,7 +347,7 @@ def resolve_pair(worlds: Any, carried: Any, pairs: Any, pair: int, step: float) 
 
 @kernel
 def sliding(worlds: Any, carried: Any, pairs: Any, pair: int, step: float) -> tuple[float, float, float]:
-    """How far the node moves along the triangle's place in a substep, m."""
+    """Return the motion of the node along the triangle's place in a substep, m."""
     first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
     node, weight = pairs.node[pair], pairs.weight[pair]
     moved, under = worlds[first].state.velocity, worlds[second].state.velocity
@@ -288,7 +363,7 @@ def sliding(worlds: Any, carried: Any, pairs: Any, pair: int, step: float) -> tu
 
 @kernel
 def move(world: Any, node: int, x: float, y: float, z: float, step: float) -> None:
-    """Give a node the force x, y, z, N, for the whole of a substep that is over."""
+    """Apply the force x, y, z, N, to a node for the whole of a substep that is over."""
     faster = step * world.scratch.mobility[node]
     position, velocity = world.state.position[node], world.state.velocity[node]
     velocity[0] += faster * x

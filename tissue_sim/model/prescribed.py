@@ -1,4 +1,4 @@
-"""Nodes that are led: where they are is prescribed, and what holds them there follows."""
+"""Prescribed nodes: their positions are given, and the forces that hold them there follow."""
 
 from __future__ import annotations
 
@@ -9,7 +9,19 @@ from tissue_sim.jit import kernel
 
 @kernel
 def prescribe_nodes(state: Any, nodes: Any, positions: Any, ticks: int) -> None:
-    """From the next tick on lead nodes (k,) evenly to positions (k, 3) m within so many ticks, and hold them there."""
+    """Move nodes evenly to given positions from the next tick on, and hold them there.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    nodes : Any, shape (k,)
+        Nodes.
+    positions : Any, shape (k, 3), m
+        Positions.
+    ticks : int
+        Number of ticks until they arrive.
+    """
     status = state.status
     for index in range(len(nodes)):
         node = nodes[index]
@@ -26,7 +38,15 @@ def prescribe_nodes(state: Any, nodes: Any, positions: Any, ticks: int) -> None:
 
 @kernel
 def free_nodes(model: Any, state: Any) -> None:
-    """Let prescribed nodes go, with the speed that they have; those that the organ is held at stay where they are."""
+    """Release prescribed nodes with their present speed; the organ's fixed nodes stay where they are.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    """
     status, left = state.status, 0
     for index in range(status.prescribed):
         node = state.prescribed_node[index]
@@ -41,7 +61,13 @@ def free_nodes(model: Any, state: Any) -> None:
 
 @kernel
 def forget_prescribed(state: Any) -> None:
-    """Nothing is prescribed from here on."""
+    """Prescribe nothing from here on.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    """
     state.is_prescribed[:] = 0
     state.status.prescribed = 0
     state.status.prescriptions += 1
@@ -49,7 +75,19 @@ def forget_prescribed(state: Any) -> None:
 
 @kernel
 def lead_prescribed(state: Any, substep: int, substeps: int, step: float) -> None:
-    """Put prescribed nodes where they are to be at the end of a substep, s, with the speed that leads them there."""
+    """Put prescribed nodes where they belong at the end of a substep, with the corresponding speed.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    substep : int
+        Index of the substep.
+    substeps : int
+        Number of substeps.
+    step : float, s
+        Duration of the substep.
+    """
     for index in range(state.status.prescribed):
         node = state.prescribed_node[index]
         share = 1.0 / (state.prescribed_ticks[node] * substeps - substep)
@@ -63,7 +101,13 @@ def lead_prescribed(state: Any, substep: int, substeps: int, step: float) -> Non
 
 @kernel
 def count_prescribed(state: Any) -> None:
-    """After a tick: one less is left for nodes on their way; those that are there are held."""
+    """Count down, after a tick, the ticks of moving nodes; those that have arrived are held.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    """
     for index in range(state.status.prescribed):
         node = state.prescribed_node[index]
         state.prescribed_ticks[node] = max(1, state.prescribed_ticks[node] - 1)

@@ -1,10 +1,11 @@
-"""The fixed-rate loop: one compiled function that never takes the GIL.
+"""Fixed-rate loop: one compiled function that never takes the GIL.
 
 Ticks are due by the monotonic clock, or by times that are posted (ROS's /clock). By the monotonic clock a pose or force
 brings the next tick forward, by a period at most: no tick begins before the one before it was due, so that their number
 stays that of the clock. While organs sleep and no tool is near, the loop naps over several ticks and does them
 afterwards; a bell (a semaphore) wakes it for a pose or force.
-What goes in and out lies in mailboxes (tissue_sim.model.mailboxes).
+
+Inputs and outputs are in mailboxes (tissue_sim.model.mailboxes).
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
 # ns; further behind than this, ticks are dropped instead of run in a burst. Posted times come in larger steps.
 LATEST_CATCH_UP, LATEST_CATCH_UP_POSTED = 50_000_000, 1_000_000_000
 NAP = 4_000_000  # ns that an idle loop sleeps at most, so that simulated time is never 5 ms behind
-LOOK_UP = 50_000_000  # ns after which a loop that waits for a posted time looks whether it has to end
-STANDS_AFTER = 500_000_000  # ns of wall time after which a clock that doesn't move is said to stand
+LOOK_UP = 50_000_000  # ns after which a loop that waits for a posted time checks whether it has to end
+STANDS_AFTER = 500_000_000  # ns of wall time after which a clock that doesn't advance counts as stopped
 
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
 _clock_nanosleep = types.ExternalFunction(
@@ -37,7 +38,18 @@ _sem_clockwait = types.ExternalFunction("sem_clockwait", types.int32(types.intp,
 
 @kernel
 def now(timespec: Any) -> int:
-    """Monotonic time, ns; timespec (2,) is room."""
+    """Return the monotonic time.
+
+    Parameters
+    ----------
+    timespec : Any, shape (2,)
+        Buffer.
+
+    Returns
+    -------
+    int, ns
+        The time.
+    """
     _clock_gettime(CLOCK_MONOTONIC, timespec.ctypes.data)
     return timespec[0] * 1_000_000_000 + timespec[1]
 
@@ -50,7 +62,15 @@ def set_time(time: int, timespec: Any) -> None:
 
 @kernel
 def sleep_until(deadline: int, timespec: Any) -> None:
-    """Sleep to an absolute monotonic time, ns; a signal doesn't end it early. timespec (2,) is room."""
+    """Sleep to an absolute monotonic time; a signal doesn't end it early.
+
+    Parameters
+    ----------
+    deadline : int, ns
+        The time.
+    timespec : Any, shape (2,)
+        Buffer.
+    """
     set_time(deadline, timespec)
     while _clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, timespec.ctypes.data, 0) == 4:
         pass
@@ -65,9 +85,9 @@ def sleep_until_bell(deadline: int, loop: Any) -> None:
 
 @kernel
 def wait_until(deadline: int, loop: Any) -> int:
-    """Sleep until a tick is due by a posted time, ns; returns the time that was posted.
+    """Sleep until a tick is due by a posted time, ns; return the time that was posted.
 
-    It may not have come that far yet: then it is earlier, and the caller asks again.
+    It may not have reached the deadline yet: then it is earlier, and the caller asks again.
     """
     control, pace = loop.control, loop.pace
     if control.posted_time < deadline:
@@ -84,14 +104,14 @@ def wait_until(deadline: int, loop: Any) -> int:
 
 @kernel
 def wait_for_tick(due: int, period: int, answered: int, loop: Any) -> int:
-    """Sleep until a tick is due by the monotonic clock, a period after `due`, ns, or is asked for.
+    """Sleep until a tick is due by the monotonic clock, a period after `due`, ns, or is requested.
 
-    answered: control.asked when the last tick began. Returns the time, which is `due` or later.
+    answered: control.asked when the last tick began. The time is returned, which is `due` or later.
     """
     control, time = loop.control, now(loop.now)
     while time < due + period:
         control.waiting = True
-        fence()  # from here on whoever posts rings
+        fence()  # from here on a post rings the bell
         is_asked = control.asked != answered
         if is_asked and time >= due:
             break
@@ -103,7 +123,7 @@ def wait_for_tick(due: int, period: int, answered: int, loop: Any) -> int:
 
 @kernel
 def is_idle(world: Any, box: Any, resets: int) -> bool:
-    """True while an organ sleeps, no pose or force is fresh, and none has come."""
+    """Return whether an organ sleeps, no pose or force is fresh, and none has come."""
     state, settings = world.state, world.settings
     idle = state.status.asleep and resets == box.row.resets
     for body in range(len(state.bodies)):
@@ -115,7 +135,7 @@ def is_idle(world: Any, box: Any, resets: int) -> bool:
 
 @kernel
 def all_idle(worlds: Any, boxes: Any, control: Any) -> bool:
-    """True while all organs are idle."""
+    """Return whether all organs are idle."""
     resets, idle = control.resets, True
     for organ in range(len(worlds)):
         idle = idle and is_idle(worlds[organ], boxes[organ], resets)
@@ -124,10 +144,10 @@ def all_idle(worlds: Any, boxes: Any, control: Any) -> bool:
 
 @kernel
 def nap(deadline: int, worlds: Any, boxes: Any, loop: Any) -> int:
-    """Sleep to an absolute monotonic time, ns, unless something is to be done sooner; returns until when it was."""
+    """Sleep to an absolute monotonic time, ns, unless something is due sooner; return until when."""
     control = loop.control
     control.napping = True
-    fence()  # from here on whoever posts rings
+    fence()  # from here on a post rings the bell
     if all_idle(worlds, boxes, control):
         sleep_until_bell(deadline, loop)
     control.napping = False
@@ -153,7 +173,7 @@ def take_all(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box: Any)
 
 @kernel
 def post_all(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
-    """Hand out the results of every organ, and what tools feel of all."""
+    """Post the results of every organ, and the haptic output of all."""
     for organ in range(len(worlds)):
         post_results(worlds[organ], boxes[organ])
     post_felt(worlds, joined, joined_box)
@@ -220,7 +240,7 @@ def run_loop(worlds: Any, boxes: Any, loop: Any, joined: Any, joined_box: Any) -
         if late > period:
             control.overruns += 1
         before, answered = answered, control.asked
-        fence()  # what was posted before it was asked for is taken up
+        fence()  # inputs posted before the request are applied
         take_all(worlds, boxes, control.resets, joined, joined_box)
         tick_together(worlds, joined)
         post_all(worlds, boxes, joined, joined_box)

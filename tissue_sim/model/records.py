@@ -14,7 +14,7 @@ _KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
 class Record:
-    """Base of records: what a class annotates as int, float or bool are the fields of its `dtype`, in whole words.
+    """Base of records: annotations int, float or bool of a class are the fields of its `dtype`, in whole words.
 
     An object is a NumPy record that views the words it was made on; writing to a field writes there.
     """
@@ -22,35 +22,63 @@ class Record:
     dtype: ClassVar[np.dtype[Any]]
 
     def __init_subclass__(cls) -> None:
-        """Work out the dtype."""
+        """Compute the dtype."""
         hints = get_type_hints(cls)
         fields = [(name, _KINDS[hints[name]]) for name in cls.__annotations__]
         cls.dtype = _padded(np.dtype(fields, align=True))
 
     @classmethod
     def words(cls) -> int:
-        """How many words a record takes."""
+        """Return the number of words of a record."""
         return cls.dtype.itemsize // WORD
 
     @classmethod
     def rows(cls, words: Longs) -> Any:
-        """The records (k,) in words (k * words(),)."""
+        """Return the records in words.
+
+        Parameters
+        ----------
+        words : Longs, shape (k * words(),)
+            Memory of the records.
+
+        Returns
+        -------
+        Any
+            shape (k,)
+        """
         return words.view(cls.dtype).view(np.recarray)
 
     @classmethod
     def at(cls, words: Longs) -> Self:
-        """The record in words (words(),)."""
+        """Return the record in words.
+
+        Parameters
+        ----------
+        words : Longs, shape (words(),)
+            Memory of the record.
+        """
         row: Self = cls.rows(words)[0]
         return row
 
     @classmethod
     def new(cls) -> Self:
-        """A record of zeros on words of its own."""
+        """Return a record of zeros in memory of its own."""
         return cls.at(np.zeros(cls.words(), dtype=np.int64))
 
 
 def array_of(value: Any) -> NDArray[Any]:
-    """An array as it is; a record as an array without dimensions that views it."""
+    """Return an array as it is, and a record as an array without dimensions that views it.
+
+    Parameters
+    ----------
+    value : Any
+        Array or record.
+
+    Returns
+    -------
+    NDArray[Any]
+        The array.
+    """
     if not isinstance(value, np.record):
         return np.asarray(value)
     around: Any = value.base
@@ -59,27 +87,59 @@ def array_of(value: Any) -> NDArray[Any]:
 
 
 def words_of(record: Any) -> Longs:
-    """The words that a record views."""
+    """Return the words that a record views.
+
+    Parameters
+    ----------
+    record : Any
+        The record.
+
+    Returns
+    -------
+    Longs
+        The words.
+    """
     return array_of(record).reshape(1).view(np.int64)
 
 
 def field_of(record: Any, name: str) -> memoryview:
-    """Return a view (1,) of a record's field, for what is read or written all the time.
+    """Return a view of a record's field, for frequent access: by attribute NumPy takes 50 times as long.
 
-    By attribute NumPy takes 50 times as long.
+    Parameters
+    ----------
+    record : Any
+        The record.
+    name : str
+        Name of the field.
+
+    Returns
+    -------
+    memoryview, shape (1,)
+        The view.
     """
     return memoryview(array_of(record)[name].reshape(1))
 
 
 def copy_of[R](record: R) -> R:
-    """A record with the same fields on words of its own."""
+    """Return a record with the same fields in memory of its own.
+
+    Parameters
+    ----------
+    record : R
+        The record.
+
+    Returns
+    -------
+    R
+        The copy.
+    """
     words = words_of(record).copy()
     made: R = words.view(record.dtype).view(np.recarray)[0]  # type: ignore[attr-defined]
     return made
 
 
 def _padded(dtype: np.dtype[Any]) -> np.dtype[Any]:
-    """The dtype, with room up to a whole number of words."""
+    """Return the dtype, padded to a whole number of words."""
     size = -(-dtype.itemsize // WORD) * WORD
     fields: dict[str, Any] = dict(dtype.fields or {})
     formats, offsets = zip(*(field[:2] for field in fields.values()), strict=True)

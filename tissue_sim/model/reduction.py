@@ -1,4 +1,4 @@
-"""What a modal region knows of the rest of the organ: its lowest modes, and its compliance where a table of it fits."""
+"""Data of a modal region about the rest of the organ: its lowest modes, and its compliance where a table fits."""
 
 from __future__ import annotations
 
@@ -18,14 +18,29 @@ from tissue_sim.model.modes import angular_slope, free_axes, lowest_modes, stiff
 from tissue_sim.store import remembered
 
 LARGEST_TABLE = 2048  # nodes: 144 MiB of compliance; above it modes stand for all
-MODES_BESIDE_TABLE = 48  # they carry the motion alone; three times as many change it by under 1 %
-VERSION = "2"  # of what is remembered
+MODES_BESIDE_TABLE = 48  # they only carry the motion; three times as many change it by under 1 %
+VERSION = "2"  # version of what is cached
 
 
 def reduce_model(model: Model, largest: int = LARGEST_TABLE) -> Reduction:
-    """The reduction of a model about its rest shape; found in the user's cache when it was made before.
+    """Return the reduction of a model about its rest shape, from the user's cache when it was made before.
 
-    Raises UserError when the organ can move as a whole without any force.
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    largest : int, optional
+        Number of nodes beyond which there is no table.
+
+    Returns
+    -------
+    Reduction
+        The reduction.
+
+    Raises
+    ------
+    UserError
+        Where the organ can move as a whole without any force.
     """
     tabled = len(model.rest) <= largest
     made = remembered("reduction", _key(model, tabled), lambda: _make(model, tabled))
@@ -66,7 +81,7 @@ def _key(model: Model, tabled: bool) -> str:
 
 
 def compliance(model: Model) -> NDArray[np.float32]:
-    """Displacement (3n, 3n) m/N of every node under a force on any, linear about rest; zero where held.
+    """Return the displacement (3n, 3n) m/N of every node under a force on any, linear about rest; zero where held.
 
     Raises UserError when nothing holds the organ.
     """
@@ -82,7 +97,7 @@ def compliance(model: Model) -> NDArray[np.float32]:
 
 
 def _edge_slopes(model: Model) -> Floats:
-    """Rows for forces.subtract_linear_edges, as blocks of their own."""
+    """Return the rows for forces.subtract_linear_edges, as blocks of their own."""
     ends = model.angular_nodes
     i = model.rest[ends[:, 0]]
     arms = np.concatenate([model.rest[ends[:, c]] - i for c in (1, 2, 3)], axis=1)
@@ -93,7 +108,7 @@ def _edge_slopes(model: Model) -> Floats:
 
 
 def _link_slopes(model: Model) -> Floats:
-    """Rows for forces.subtract_linear_springs."""
+    """Return the rows for forces.subtract_linear_springs."""
     stiffness = model.links.constants[:, BLOCK:].ravel()
     ends = model.links.nodes.reshape(-1, 2)
     arm = model.rest[ends[:, 1]] - model.rest[ends[:, 0]]

@@ -1,7 +1,7 @@
-"""Which nodes move: the whole organ, or a local region around a small load, and the change from one to the other.
+"""Moving nodes: the whole organ, or a local region around a small load, and the change between the two.
 
-All that the tick, the guard and the mailboxes know of local regions. A model that has none (`adjacency` is None) is
-compiled without them.
+The tick, the guard and the mailboxes access local regions only through this module. A model without any (`adjacency` is
+None) is compiled without them.
 """
 
 from __future__ import annotations
@@ -21,24 +21,25 @@ from tissue_sim.model.settings import LocalRegion
 from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import freshness
 
-# Of the region force and of the steepest edge: under both, an organ that moved as a whole takes a region again.
+# Fraction of the region force and of the steepest edge: below both, an organ that moved as a whole takes a region
+# again.
 RETURN_SHARE = 0.5
-CALM_TIME = 0.2  # s for which it has to be
-SLOWEST = 1.01  # of the time in which the far field takes up a load: the longest tick that a modal region bears
+CALM_TIME = 0.2  # s for which it has to be below
+SLOWEST = 1.01  # of the time in which the far field follows a load: longest tick of a modal region
 # Gradient of the displacement at a region's edge from which on the whole model moves: a modal region is then off by 5 %
-# at the most, wherever the load is (`bench region`).
+# at most, wherever the load is (`bench region`).
 STEEPEST_EDGE = 0.04
 CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
 
 
 def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
-    """A function that is one kernel for models with a local region, and another for those without."""
+    """Return a decorator: one kernel for models with a local region, and another for those without."""
     return chosen(lambda model, *_: kernel if has(model, "adjacency") else without)
 
 
 @kernel
 def _nothing(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """What there is to do where the whole organ always moves."""
+    """Do nothing where the whole organ always moves."""
 
 
 @kernel
@@ -47,21 +48,33 @@ def _choose(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         state.status.region = Region.WHOLE
         return
     modal_region.forget_region(state)
-    scratch.mode_move[:] = 0.0  # what joins the region is at rest
+    scratch.mode_move[:] = 0.0  # nodes that join the region are at rest
     state.status.calm = 0
     state.status.region = Region.FROZEN if settings.local_region == LocalRegion.FROZEN else Region.MODAL
 
 
 @_or(_choose, _nothing)
 def choose_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """On waking: a local region if ticks are short enough for it, else the whole model."""
+    """Choose on waking: a local region if ticks are short enough for it, else the whole model.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
 
 
 @kernel
 def takes_whole(model: Any, state: Any, settings: Any) -> bool:
-    """True where a local region can't be: what is around it is linear about an unloaded shape that nothing leads.
+    """Return whether a local region is impossible: its surroundings are linear about an unloaded, free shape.
 
-    And where a modal region is asked for, but its surroundings would take up a load within a tick: a jump.
+    Also where a modal region is wanted, but its surroundings would follow a load within a tick: a jump.
     """
     if state.status.prescribed > 0 or is_heavy(model, settings):
         return True
@@ -104,7 +117,19 @@ def _prepare(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 @_or(_prepare, _nothing)
 def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Before a tick: grow the local region to what is loaded, and move its edge; or hand over to the whole model."""
+    """Grow the local region to what is loaded before a tick, and move its edge; or switch to the whole model.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
 
 
 @kernel
@@ -119,12 +144,26 @@ def _forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> 
 
 @kernel
 def _no_forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> None:
-    """Never called."""
+    """Do nothing; never called."""
 
 
 @_or(_forces, _no_forces)
 def region_forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> None:
-    """Elastic forces of the region's springs into scratch.force (n, 3) N; last: in the tick's last substep."""
+    """Compute the elastic forces of the region's springs into scratch.force (n, 3) N.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    last : bool
+        Whether it is the tick's last substep.
+    """
 
 
 @kernel
@@ -135,7 +174,19 @@ def _absorb(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 @_or(_absorb, _nothing)
 def absorb_load(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """After the substeps: hand the tick's loads to what surrounds the region."""
+    """Hand the tick's loads to what surrounds the region, after the substeps.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
 
 
 @kernel
@@ -177,24 +228,38 @@ def _change(world: Any) -> None:
 
 @kernel
 def _no_change(world: Any) -> None:
-    """The whole organ always moves."""
+    """Do nothing: the whole organ always moves."""
 
 
 @chosen(lambda world: _change if has(world, "model", "adjacency") else _no_change)
 def change_region(world: Any) -> None:
-    """Under a load too large for a region, or that bends the organ, the whole model moves; later a region again."""
+    """Switch to the whole model under a load too large for a region, or that bends the organ; later back.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
 
 
 @kernel
 def is_bent(model: Any, state: Any, scratch: Any, share: float) -> bool:
-    """True when a load turns and strains what is around a modal region by more than a share of what it may."""
+    """Return whether the gradient at a modal region's edge exceeds a fraction of its limit."""
     modal = state.status.region == Region.MODAL
     return modal and edge_gradient(model, state, scratch) > share * STEEPEST_EDGE
 
 
 @kernel
 def is_calm(model: Any, state: Any) -> bool:
-    """True when no node moves faster than a new region could take up."""
+    """Return whether no node moves faster than a new region could follow."""
     for index in range(len(model.moving)):
         velocity = state.velocity[model.moving[index]]
         if velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2 > CALM_SPEED**2:
@@ -204,7 +269,19 @@ def is_calm(model: Any, state: Any) -> bool:
 
 @kernel
 def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """From here on the whole model moves, from where the region and the rest of the organ are."""
+    """Move the whole model from here on, from where the region and the rest of the organ are.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     if state.status.region == Region.MODAL:
         show_region(model, state, settings, scratch)
     state.status.region = Region.WHOLE
@@ -217,33 +294,87 @@ def _show(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 @_or(_show, _nothing)
 def show_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Put the nodes outside a modal region where they belong; they are worked out when somebody looks."""
+    """Put the nodes outside a modal region where they belong; this is done on request only.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
 
 
 @kernel
 def is_shown(state: Any) -> bool:
-    """True when all positions are up to date; else show_region makes them so."""
+    """Return whether all positions are up to date; else show_region updates them.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+
+    Returns
+    -------
+    bool
+        True where they are.
+    """
     return state.status.region != Region.MODAL or state.status.asleep
 
 
 @kernel
 def drop_region(state: Any) -> None:
-    """From here on the whole model moves, from where its nodes are."""
+    """Move the whole model from here on, from where its nodes are.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    """
     state.status.region = Region.WHOLE
     modal_region.forget_region(state)
 
 
 @kernel
 def inertia_of(state: Any, settings: Any) -> float:
-    """Factor on mass and damping of the nodes that move."""
+    """Return the factor of mass and damping of the moving nodes.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+
+    Returns
+    -------
+    float
+        The factor.
+    """
     return settings.region_inertia if state.status.region == Region.MODAL else 1.0
 
 
 @kernel
 def damping_of(state: Any, settings: Any) -> float:
-    """Factor on the damping; a modal region has at least the organ's own.
+    """Return the factor of the damping; a modal region has at least the organ's own.
 
-    Its surroundings follow the load a little late, which swings up what nothing damps.
+    Its surroundings follow the load slightly late, which excites undamped motion.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+
+    Returns
+    -------
+    float
+        The factor.
     """
     scale = settings.damping_scale
     return max(scale, 1.0) if state.status.region == Region.MODAL else scale
@@ -251,13 +382,43 @@ def damping_of(state: Any, settings: Any) -> float:
 
 @part
 def integrated_nodes(model: Any, state: Any, scratch: Any) -> Any:
-    """The nodes (k,) that a tick integrates."""
+    """Return the nodes that a tick integrates.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+
+    Returns
+    -------
+    Any, shape (k,)
+        Nodes.
+    """
     return model.moving if state.status.region == Region.WHOLE else scratch.moved_node[: scratch.moved[0]]
 
 
 @part
 def watched_nodes(model: Any, state: Any, scratch: Any) -> Any:
-    """The nodes (k,) that a tick moves or places."""
+    """Return the nodes that a tick moves or places.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+
+    Returns
+    -------
+    Any, shape (k,)
+        Nodes.
+    """
     if state.status.region == Region.WHOLE:
         return model.moving
     if state.status.region == Region.MODAL:
@@ -279,12 +440,46 @@ def _always(model: Any, state: Any, scratch: Any, a: int, b: int, c: int, d: int
 
 @_or(_are_moved, _always)
 def are_placed(model: Any, state: Any, scratch: Any, a: int, b: int, c: int, d: int) -> Any:
-    """True when positions of four nodes are those of this tick; outside a modal region they wait to be looked at."""
+    """Return whether positions of four nodes are those of this tick; outside a modal region they may be old.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    a : int
+        Node.
+    b : int
+        Node.
+    c : int
+        Node.
+    d : int
+        Node.
+
+    Returns
+    -------
+    Any
+        True where they are.
+    """
 
 
 @kernel
 def modes_are_finite(state: Any) -> bool:
-    """True when no mode of a modal region is infinite or none at all."""
+    """Return whether all modes of a modal region are finite.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+
+    Returns
+    -------
+    bool
+        True where they are.
+    """
     finite = True
     for k in range(len(state.mode_position)):
         finite = finite and abs(state.mode_position[k]) < math.inf and abs(state.mode_velocity[k]) < math.inf
@@ -293,7 +488,7 @@ def modes_are_finite(state: Any) -> bool:
 
 @kernel
 def _swing(model: Any, state: Any) -> tuple[float, float]:
-    """Largest speed, m/s, and displacement, m, that the modes may have anywhere."""
+    """Return the largest speed, m/s, and displacement, m, that the modes may have anywhere."""
     speed = away = 0.0
     if state.status.region == Region.MODAL:
         for k in range(len(model.reduction.peak)):
@@ -304,7 +499,22 @@ def _swing(model: Any, state: Any) -> tuple[float, float]:
 
 @kernel
 def largest_motion(model: Any, state: Any, scratch: Any) -> tuple[float, float]:
-    """Largest components of velocity, m/s, and of displacement from rest, m, of the nodes."""
+    """Return the largest components of velocity and of displacement from rest of the nodes.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+
+    Returns
+    -------
+    tuple[float, float]
+        Velocity, m/s, and displacement, m.
+    """
     speed_x = speed_y = speed_z = away_x = away_y = away_z = 0.0
     position, velocity, rest = state.position, state.velocity, model.rest
     nodes = scratch.region_node[: state.status.region_nodes] if state.status.region == Region.MODAL else model.moving
@@ -322,7 +532,17 @@ def largest_motion(model: Any, state: Any, scratch: Any) -> tuple[float, float]:
 
 @kernel
 def restore_shape(model: Any, state: Any, scratch: Any) -> None:
-    """Back to the last good shape, without speed; outside a modal region it is the one that was last looked at."""
+    """Return to the last good shape, without speed; outside a modal region it is the one last computed.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     if state.status.region == Region.MODAL:
         copy_nodes(state.good_position, state.position, watched_nodes(model, state, scratch))
         copy(state.position, state.good_position)
@@ -334,7 +554,7 @@ def restore_shape(model: Any, state: Any, scratch: Any) -> None:
 
 @part
 def enter_region(world: Any) -> None:
-    """From here on a modal region around the load moves, and the rest of the organ from where it is."""
+    """Move a modal region around the load from here on, and the rest of the organ from where it is."""
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     modal_region.forget_region(state)
     state.status.region = Region.MODAL
@@ -357,7 +577,7 @@ def enter_region(world: Any) -> None:
 
 @kernel
 def total_load(state: Any, settings: Any) -> float:
-    """Sum of the magnitudes of contact, nodal and external tool forces, N."""
+    """Return the sum of the magnitudes of contact, nodal and external tool forces, N."""
     load = 0.0
     for index in range(state.status.loaded):
         force = state.nodal_force[state.loaded_node[index]]

@@ -1,4 +1,4 @@
-"""How an organ that nobody touches comes to rest: asleep, or led back from a false rest shape."""
+"""Rest of an organ that nothing touches: it falls asleep, or recovers from a false rest shape."""
 
 from __future__ import annotations
 
@@ -14,23 +14,34 @@ from tissue_sim.model.squeezed import has_stiff_cells
 QUIET_SPEED = 2e-5  # m/s
 QUIET_DISPLACEMENT = 5e-6  # m
 QUIET_TICKS = 20
-TREMBLING = 1.0  # 1/s, speed over displacement of a false shape at the most
-CREEPING = 0.02  # of the organ's pace: a sound one goes back at half of that
+TREMBLING = 1.0  # 1/s, largest speed over displacement of a false rest shape
+CREEPING = 0.02  # of the organ's pace: a sound one returns at half of it
 SLOWEST = 0.2  # 1/s, of paces
-SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ that far from rest is moving
-TURNED_TIME = 0.15  # s that the inside may stay turned inside out with nothing acting
-LONGEST_WAY = 30.0  # times of the organ's pace after which a sound one is back from anywhere: exp(-15) is left
+SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ this far from rest is moving
+TURNED_TIME = 0.15  # s that cells may stay inverted without load
+LONGEST_WAY = 30.0  # time constants of the organ's pace after which a sound one is back from anywhere: exp(-15) is left
 
 
 @kernel
 def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Fall asleep after a number of ticks without touch, load, speed and displacement.
 
-    Springs pushed through each other can come to rest in a false shape, finite and still. An organ that
-    nobody touches and that stands still away from its rest shape, that is not back long after a sound one would be, as
-    squeezed cells can tremble at the same places for good, or whose inside stays turned inside out, is led back to it.
-    What hangs, bears weight or is pressed by its neighbours may well be away from rest: it is led back only after a
-    fault, or where it is still inside out or squeezed long after; and on its way these let go of it.
+    Springs pushed through each other can come to rest in a false shape, finite and still. An organ that nothing touches
+    and that is still away from its rest shape, that is not back long after a sound one would be, as squeezed cells can
+    tremble in place for good, or whose cells stay inverted, recovers to it. An organ with attachments, weight or
+    pressing neighbours may well be away from rest: it recovers only after a fault, or where it is still inverted or
+    squeezed long after; meanwhile it is released by these.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
     """
     status = state.status
     doubted = status.faulted or not scratch.plan.forced
@@ -38,7 +49,7 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         snap(model, state, settings, scratch)
         return
     rate = pace(model, settings)
-    lasted = min(1.0, settings.damping_scale) * rate * status.alone * settings.tick_time  # what isn't damped swings on
+    lasted = min(1.0, settings.damping_scale) * rate * status.alone * settings.tick_time  # undamped it oscillates on
     overdue = lasted > LONGEST_WAY
     if not doubted and not (overdue and (status.turned > 0 or has_stiff_cells(model))):
         return
@@ -62,7 +73,17 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 @kernel
 def sleep_if_quiet(model: Any, state: Any, scratch: Any) -> None:
-    """Fall asleep where an organ that nothing loads is as good as at rest, while a hand is on another one."""
+    """Fall asleep where an unloaded organ is nearly at rest, while a hand is on another one.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     status = state.status
     speed, away = largest_motion(model, state, scratch)
     status.quiet = status.quiet + 1 if speed <= QUIET_SPEED and away <= QUIET_DISPLACEMENT else 0
@@ -72,9 +93,22 @@ def sleep_if_quiet(model: Any, state: Any, scratch: Any) -> None:
 
 @kernel
 def pace(model: Any, settings: Any) -> float:
-    """How soon the organ is on its way after it is let go, 1/s: its damping rate, which is twice its lowest frequency.
+    """Return how fast the organ returns after its release: its damping rate, which is twice its lowest frequency.
 
-    So calibration has it, and the organs as built are near it; slower where parameters have made it softer or tougher.
+    This is so after a calibration, and nearly so for organs as built; it is slower where parameters have made it softer
+    or more damped.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    settings : Any
+        Settings of the simulation.
+
+    Returns
+    -------
+    float, 1/s
+        The rate.
     """
     softer, tougher = min(1.0, settings.stiffness_scale), max(1.0, settings.damping_scale)
     return max(SLOWEST, model.damping_rate * softer / tougher)
@@ -82,7 +116,7 @@ def pace(model: Any, settings: Any) -> float:
 
 @kernel
 def fall_asleep(model: Any, state: Any) -> None:
-    """At rest, to the last bit."""
+    """Put the organ at rest, to the last bit."""
     status = state.status
     status.asleep = True
     status.backoff = 1
@@ -95,7 +129,7 @@ def fall_asleep(model: Any, state: Any) -> None:
 
 @kernel
 def snap(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Start the way back from a false rest shape."""
+    """Start the recovery from a false rest shape."""
     leave_region(model, state, settings, scratch)
     state.status.snapped = True
     state.status.alone = 0
@@ -104,9 +138,19 @@ def snap(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 @kernel
 def find_back(model: Any, state: Any, settings: Any) -> None:
-    """A step of the way back from a false rest shape."""
+    """Do a step of the recovery from a false rest shape.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    """
     displacement = lead_back(model, state, settings)
-    # A fault on the way must not restore the false shape.
+    # A fault during the recovery must not restore the false shape.
     copy(state.position, state.good_position)
     if displacement <= QUIET_DISPLACEMENT:
         state.status.snapped = state.status.faulted = False

@@ -1,4 +1,4 @@
-"""Room to work in: what a tick would otherwise allocate."""
+"""Working memory: what a tick would otherwise allocate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tissue_sim.model.squeezed import MOST_SQUEEZED
 
 
 class Plan(Record):
-    """How a tick is to be made."""
+    """Plan of a tick."""
 
     substeps: int
     handled: bool  # a hand touches, pulls or leads nodes, not a link, another organ or the weight
@@ -25,7 +25,7 @@ class Plan(Record):
     whole: bool  # the whole organ moves
     implicit: bool  # implicitly
     regional: bool  # a region of cells moves
-    looking: bool  # its last substep is looked at for nodes that shiver
+    looking: bool  # its last substep is checked for oscillation
     eased: bool  # its substeps are longer than the last tick's
 
 
@@ -38,7 +38,7 @@ class Scratch(NamedTuple):
     mobility: Any  # (n,) 1/kg
     push: Any  # (3n,) s/kg, and
     shrink: Any  # (3n,), of integrators.symplectic_euler_whole
-    mobility_key: Any  # (6,) settings that they were worked out for
+    mobility_key: Any  # (6,) settings that they were computed for
     velocity_before: Any  # (n, 3) m/s, at the beginning of its last substep
     predicted: Any  # (n, 3) m, of the implicit step
     change: Any  # (a, 3) m/s, of the implicit step
@@ -47,14 +47,14 @@ class Scratch(NamedTuple):
     last_origin: Any  # (T, 3) at its beginning
     last_rotation: Any  # (T, 9)
     held: Any  # (T, 7) where it is held at the substep's end
-    goal: Any  # (T, 7) where it would be then, if it may go there, and
+    goal: Any  # (T, 7) where it would be then, if it may move there, and
     before: Any  # (T, 7) where it was
-    fraction: Any  # (T,) of that way which it may go
-    give: Any  # (T,) m, by how much a tool gives way to an impulse of 1 N s
+    fraction: Any  # (T,) of that way, which it may move
+    give: Any  # (T,) m, yielding of a tool to an impulse of 1 N s
     near_entry: Any  # (N,) contact points resolved in this substep
     near_normal: Any  # (N,) N s
     near_tangent: Any  # (N, 3) N s
-    near_began: Any  # (N, 3) m, what tissue had given way by across the normal when the substep began
+    near_began: Any  # (N, 3) m, yielding of tissue across the normal when the substep began
     near_plane: Any  # (N, 11) the tool there; see contact_constraint.gather_contacts
     near_soft: Any  # (N, 4) the tissue there; see contact_constraint.soften
     near_node: Any  # (N, 3) its nodes, their
@@ -66,10 +66,10 @@ class Scratch(NamedTuple):
     squeezed_slope: Any  # (S, 4, 3) 1/m, of their volume by each node
     squeezing: Any  # (1,) how many
     watched: Any  # (C,) contact points that may touch in this tick
-    watched_gap: Any  # (C,) m, from the tools at the least
-    watched_speed: Any  # (C,) m/s, at which that may shrink by the tool's motion
+    watched_gap: Any  # (C,) m, least distance from the tools
+    watched_speed: Any  # (C,) m/s, at which it may shrink by the tool's motion
     watching: Any  # (1,) how many
-    wall: Any  # (C,) contact points that are held for the most part
+    wall: Any  # (C,) contact points that are mostly held
     walls: Any  # (1,) how many
     # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
     fresh: Any
@@ -88,14 +88,14 @@ class Scratch(NamedTuple):
     link_mark: Any
     cell_mark: Any
     node_mark: Any
-    stamp: Any  # (1,) what marks hold for the lists that are valid
+    stamp: Any  # (1,) value of the marks of valid lists
     stale: Any  # (1,) 1 when the region's lists have to be made again
     # Of the modal region: m modes, r = 3 MOST_BOUNDARY rows, d = 3 MOST_DRIVE columns.
     drive_node: Any  # (n,) nodes of the region, then those at its edge
     drive: Any  # (n, 3) N
     drive_rows: Any  # (d, m) modes at the loads
-    edge_rows: Any  # (d + m, r) what each load and each mode does at the edge
-    edge_share: Any  # (d + m,) how much of it there is
+    edge_rows: Any  # (d + m, r) effect of each load and each mode at the edge
+    edge_share: Any  # (d + m,) amount of each
     edge_move: Any  # (r,) m
     mode_sum: Any  # (m,)
     mode_rest: Any  # (m,)
@@ -106,10 +106,23 @@ class Scratch(NamedTuple):
 
 
 def make_scratch(model: Model, n_bodies: int) -> Scratch:
-    """Room for a model, with its tables for a local region when it has one, and as many tools."""
+    """Return the working memory for a model, with its tables for a local region when it has one.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    n_bodies : int
+        Number of bodies.
+
+    Returns
+    -------
+    Scratch
+        The memory.
+    """
     n, hinges, links = len(model.rest), len(model.edges.nodes) * BLOCK, len(model.links.nodes) * BLOCK
     modes = len(model.reduction.frequency)
-    # Only a model that has a local region needs room for one.
+    # Only a model with a local region needs memory for one.
     local = 0 if model.adjacency is None else n
     region_hinges, region_links = (hinges, links) if local else (0, 0)
     region_cells = 0 if not local or model.tissue is None else len(model.tissue.nodes) * BLOCK

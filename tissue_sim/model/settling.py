@@ -1,4 +1,4 @@
-"""An organ's way to rest: steps until nothing moves any more."""
+"""Settling of an organ: steps until nothing moves any more."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tissue_sim.model.world import (
     weigh_world,
 )
 
-LEAST_COMING = 0.1  # s that an organ on its way to rest may take for what is left, at the least
+LEAST_COMING = 0.1  # s, least time that an organ on its way to rest may take for the remaining way
 
 
 class Steppable(Protocol):
@@ -47,12 +47,29 @@ class Steppable(Protocol):
 
 
 def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: float, ramp: float) -> tuple[Floats, bool]:
-    """Displacements at rest under constant surface forces, gravity, and what is prescribed.
+    """Return the displacements at equilibrium under constant surface forces, gravity, and prescribed nodes.
 
-    forces (n_surface, 3) N. Steps from the rest shape until the residual force is under tolerance times the load,
-    or what holds prescribed nodes (and the organ, by its own pace, is all but still), or for `longest` simulated
-    seconds. Forces act, and prescribed nodes move, at once, or within `ramp` seconds, as a hand does, so that the
-    organ doesn't swing past where it comes to rest. Returns displacements (n_surface, 3) m and whether it settled.
+    It steps from the rest shape until the residual force is under `tolerance` times the load, or times what holds
+    prescribed nodes, and the organ is nearly still by its own pace. Forces act, and prescribed nodes move, at once, or
+    within `ramp` seconds, as a hand does, so that the organ doesn't overshoot.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        The simulation.
+    forces : Floats, shape (n_surface, 3), N
+        Forces on the surface nodes.
+    tolerance : float
+        Residual force over load.
+    longest : float, s
+        Simulated time after which it gives up.
+    ramp : float, s
+        Time in which forces rise and prescribed nodes move.
+
+    Returns
+    -------
+    tuple[Floats, bool]
+        Displacements, shape (n_surface, 3), m, and whether it settled.
     """
     n_surface = simulation.model.n_surface
     state = simulation.state
@@ -96,7 +113,20 @@ def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: flo
 
 
 def residuals(simulation: Steppable, forces: Floats | float = 0.0) -> Floats:
-    """Force (n, 3) N left on every node under surface forces; what holds squeezed cells is one of the forces."""
+    """Return the residual force on every node under surface forces; the limits of squeezed cells count as forces.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        The simulation.
+    forces : Floats | float, shape (n_surface, 3), N, optional
+        Forces on the surface nodes.
+
+    Returns
+    -------
+    Floats, shape (n, 3), N
+        Residual forces.
+    """
     force = np.zeros_like(simulation.model.rest)
     elastic_forces(simulation.model, simulation.state.position, force)
     force *= simulation.settings.stiffness_scale
@@ -107,7 +137,7 @@ def residuals(simulation: Steppable, forces: Floats | float = 0.0) -> Floats:
 
 
 def _modes_move(simulation: Steppable, tolerance: float) -> bool:
-    """True while the modes of a modal region are on their way."""
+    """Return whether the modes of a modal region are still moving."""
     if simulation.state.status.region != Region.MODAL:
         return False
     speed, reach = (np.linalg.norm(a) for a in (simulation.state.mode_velocity, simulation.state.mode_position))
@@ -115,7 +145,7 @@ def _modes_move(simulation: Steppable, tolerance: float) -> bool:
 
 
 def _free_nodes(simulation: Steppable) -> NDArray[np.int64]:
-    """Nodes (k,) that nothing leads."""
+    """Return the nodes (k,) that aren't prescribed."""
     nodes: Any = simulation.model.moving
     if simulation.state.status.region != Region.WHOLE:
         nodes = simulation.scratch.moved_node[: simulation.scratch.moved[0]]

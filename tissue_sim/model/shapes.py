@@ -1,4 +1,4 @@
-"""Rigid tool shapes as the kernels see them: signed distance and normal in the tool's frame."""
+"""Rigid tool shapes for the kernels: signed distance and normal in the tool's frame."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Shapes(NamedTuple):
     distance: Any  # (G,) m, signed distances at the points of every grid, the last axis running fastest
     grid_start: Any  # (T,) first distance of each
     grid_points: Any  # (T, 3) points along each axis
-    grid_frame: Any  # (T, 4) m: where the first point is, and the spacing
+    grid_frame: Any  # (T, 4) m: first point, and the spacing
     tool: Any  # (T,) which tool each body belongs to
-    finest: Any  # (T,) m, radius of the finest thing about each body
+    finest: Any  # (T,) m, smallest radius of each body
     extent: Any  # (T,) m, from the origin to the farthest point that a turn moves
     smoothing: Any  # (T,) fraction of the time between two poses in which a body moves to the newer one
 
@@ -45,9 +45,31 @@ def make_shapes(
     measures: Sequence[tuple[float, float]] | None = None,
     smoothing: ArrayLike = 1.0,
 ) -> Shapes:
-    """Shapes of kinds (T,) and sizes (T, 2) m; planes (p, 4) of each, or a grid; tool (T,), its own unless given.
+    """Return the shapes of bodies.
 
     measures (T, 2) m: `Shapes.finest` and `Shapes.extent` of each; those of spheres and capsules unless given.
+
+    Parameters
+    ----------
+    kind : ArrayLike, shape (T,)
+        SPHERE, CAPSULE, CONVEX or GRID.
+    size : ArrayLike, shape (T, 2), m
+        Radius, and a capsule's length.
+    planes : Sequence[Floats] | None, shape (p, 4) each, optional
+        Planes of convex bodies; None for none.
+    grids : Sequence[Grid | None] | None, optional
+        Grids of bodies that aren't convex; None for none.
+    tool : ArrayLike | None, shape (T,), optional
+        Tool of each body; None for one of its own.
+    measures : Sequence[tuple[float, float]] | None, shape (T, 2), m, optional
+        `Shapes.finest` and `Shapes.extent` of each; None for those of spheres and capsules.
+    smoothing : ArrayLike, optional
+        `Shapes.smoothing` of each, or of all.
+
+    Returns
+    -------
+    Shapes
+        The shapes.
     """
     kinds = np.asarray(kind, dtype=np.int64).reshape(-1)
     n = len(kinds)
@@ -87,7 +109,15 @@ class Grid(NamedTuple):
 
 @kernel
 def rotation_matrix(quaternion: Any, matrix: Any) -> None:
-    """Write the rotation matrix (9,) row by row of a unit quaternion xyzw."""
+    """Write the rotation matrix of a unit quaternion.
+
+    Parameters
+    ----------
+    quaternion : Any, xyzw
+        The quaternion.
+    matrix : Any, shape (9,)
+        Receives the matrix, row by row.
+    """
     x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     matrix[0], matrix[1], matrix[2] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)
     matrix[3], matrix[4], matrix[5] = 2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)
@@ -96,7 +126,7 @@ def rotation_matrix(quaternion: Any, matrix: Any) -> None:
 
 @kernel
 def grid_distance(shapes: Any, body: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Distance between the points of a body's grid, m, and the way that it grows; beyond the grid a lower bound."""
+    """Return the distance interpolated on a body's grid, m, and its gradient; beyond the grid a lower bound."""
     frame, points, table = shapes.grid_frame[body], shapes.grid_points[body], shapes.distance
     spacing = frame[3]
     u, v, w = (x - frame[0]) / spacing, (y - frame[1]) / spacing, (z - frame[2]) / spacing
@@ -130,9 +160,27 @@ def grid_distance(shapes: Any, body: int, x: float, y: float, z: float) -> tuple
 
 @kernel
 def signed_distance(shapes: Any, body: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Distance of a point in the tool's frame to the tool's surface, m, and the outward normal.
+    """Return the distance of a point in the tool's frame from the tool's surface, and the outward normal.
 
-    Negative inside. Outside a convex shape's edges the distance is a lower bound, and so it is beyond a grid.
+    It is negative inside. Outside a convex shape's edges the distance is a lower bound, and so it is beyond a grid.
+
+    Parameters
+    ----------
+    shapes : Any
+        Shapes of the bodies.
+    body : int
+        Index of the body.
+    x : float, m
+        Coordinate of the point.
+    y : float, m
+        Coordinate of the point.
+    z : float, m
+        Coordinate of the point.
+
+    Returns
+    -------
+    tuple[float, float, float, float]
+        Distance, m, and normal.
     """
     if shapes.kind[body] == GRID:
         return grid_distance(shapes, body, x, y, z)

@@ -1,8 +1,8 @@
-"""Notices that a step has become too long under load, and has it halved for a while.
+"""Detection of oscillation: a step that has become too long under load is halved for a while.
 
-Tissue that is squeezed or stretched is stiffer than at rest, so that a substep may come to lie beyond the critical
-step. Nodes then turn around in every substep, ever faster. Those that do so are looked for in some ticks of cells,
-whose penalties add up where several are squeezed, and in those of one substep, which is as long as rest allows.
+Tissue that is squeezed or stretched is stiffer than at rest, so that a substep may exceed the critical step. Nodes then
+reverse in every substep, ever faster. Such nodes are searched in some ticks of cells, whose penalties add up where
+several are squeezed, and in those of one substep, which is as long as rest allows.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.arrays import copy
 
-LOOK_EVERY = 2  # substeps at the least
-FAST = 2e-3  # m/s, 2 um in a step of a ms: slower is what contacts do while they settle, but
-FAST_AGAIN = 2e-5  # m/s, once a step was found too long: what is held must not be shaken off each time it is tried anew
-TURNED = 0.5  # of a speed, that it has at least the other way
-MANY = 4  # coordinates that turn around
-GREW = 1.5  # their squared speeds from one look to the next
-MOST = 0.2  # of all squared speeds is theirs: a blow makes more of its motion turn around, while it ebbs away
-# Ticks for which the step stays halved. A blow is soon over. A step that is too long is found so again, and each time
-# halved for MORE times as long, until what shivered has died down.
+LOOK_EVERY = 2  # least number of substeps between two checks
+FAST = 2e-3  # m/s, 2 um in a step of a ms: contacts that settle are slower, but
+FAST_AGAIN = 2e-5  # m/s, once a step was too long: held tissue must not be shaken off at each new trial
+TURNED = 0.5  # of a speed, that it has at least in the reverse direction
+MANY = 4  # coordinates that reverse
+GREW = 1.5  # ratio of their squared speeds between two checks
+MOST = 0.2  # of all squared speeds is theirs: after an impact more of the motion reverses, while it decays
+# Ticks for which the step stays halved. An impact is soon over. A step that is too long is found so again, and each
+# time halved for MORE times as long, until the oscillation has decayed.
 HALVED, MORE, LONGEST = 120, 3, 1080
 
 
@@ -37,12 +37,27 @@ def _at_one(model: Any) -> bool:
 
 @chosen(lambda model: _at_any if has(model, "tissue") else _at_one)
 def looks_at_any(model: Any) -> Any:
-    """True when ticks of more than one substep are looked at, too."""
+    """Return whether ticks of more than one substep are checked, too."""
 
 
 @kernel
 def is_looked_at(model: Any, state: Any, substeps: int) -> bool:
-    """True when this tick of some substeps is one to look at; a step stays halved one tick less."""
+    """Return whether this tick is to be checked; a step stays halved one tick less.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    substeps : int
+        Number of substeps of the tick.
+
+    Returns
+    -------
+    bool
+        True where it is.
+    """
     status = state.status
     if status.shivering > 0:
         status.shivering -= 1
@@ -55,15 +70,30 @@ def is_looked_at(model: Any, state: Any, substeps: int) -> bool:
 
 @kernel
 def begin_look(state: Any, scratch: Any) -> None:
-    """Keep the velocities before the tick's last substep."""
+    """Keep the velocities before the tick's last substep.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     copy(state.velocity, scratch.velocity_before)
 
 
 @kernel
 def end_look(state: Any, scratch: Any) -> None:
-    """Have the step halved when nodes have turned around in this substep, faster than at the last look.
+    """Have the step halved when nodes have reversed in this substep, faster than at the last check.
 
-    A mode that the step just allows turns around as often, after a blow, but dies down.
+    After an impact, a mode that the step just allows reverses as often, but decays.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
     """
     size, status = state.velocity.size, state.status
     before, after = scratch.velocity_before.reshape(size), state.velocity.reshape(size)
@@ -81,13 +111,13 @@ def end_look(state: Any, scratch: Any) -> None:
 
 @kernel
 def turns(before: float, after: float, fast: float) -> bool:
-    """True for a speed of more than `fast`, m/s, that has become about as large the other way."""
+    """Return whether a speed of more than `fast`, m/s, has about reversed."""
     return (before * before > fast * fast) & (before * after < -TURNED * before * before)
 
 
 @kernel
 def count_turning(before: Any, after: Any, fast: float) -> int:
-    """How many coordinates of more than `fast` go about as fast as before, m/s, the other way; flat arrays."""
+    """Return how many coordinates faster than `fast`, m/s, have about reversed; flat arrays."""
     turning = 0
     for index in range(len(before)):
         turning += turns(before[index], after[index], fast)
@@ -96,7 +126,7 @@ def count_turning(before: Any, after: Any, fast: float) -> int:
 
 @kernel
 def energy_of(velocity: Any) -> float:
-    """Sum of all squared speeds, m^2/s^2; flat."""
+    """Return the sum of all squared speeds, m^2/s^2; flat array."""
     total = 0.0
     for index in range(len(velocity)):
         total += velocity[index] * velocity[index]
@@ -105,7 +135,7 @@ def energy_of(velocity: Any) -> float:
 
 @kernel
 def energy_of_turning(before: Any, after: Any, fast: float) -> float:
-    """Sum of their squared speeds, m^2/s^2."""
+    """Return the sum of the squared speeds of those that have reversed, m^2/s^2."""
     total = 0.0
     for index in range(len(before)):
         if turns(before[index], after[index], fast):

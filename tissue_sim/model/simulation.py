@@ -1,4 +1,4 @@
-"""The object that users touch: an organ, a model variant, and `step()`."""
+"""The object that users see: an organ, a model variant, and `step()`."""
 
 from __future__ import annotations
 
@@ -44,17 +44,18 @@ from tissue_sim.model.world import (
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 
-# s, however soft the organ. In a longer one a tool that is finer than FINE, m, or of any shape, slips through what it
-# pushes, and springs swing.
+# s, however soft the organ. In a longer step a tool that is finer than FINE, m, or of any shape, slips through the
+# tissue that it pushes, and springs oscillate.
 LONGEST_STEP = 5e-4
 LONGEST_OF_CELLS = 1e-3  # s; with other tools
 FINE = 1e-3
 
-# s. In a modal region nodes are made so much heavier that they need no shorter step: on a fine organ they are tiny, and
-# how fast they shiver is nothing that a hand feels. The organ's own motion is that of its modes.
+# s. In a modal region the nodes' mass is scaled so that they need no shorter step: on a fine organ they are tiny, and
+# no hand feels how fast they vibrate. The organ's own motion is that of its modes.
 REGION_STEP = 1e-3 / 6
 
-# Cells that move as a whole with local_region auto: 0.3 ms a tick (`bench region`). A region is never so accurate.
+# Up to so many cells local_region auto moves the whole organ: 0.3 ms a tick (`bench region`). A region is less
+# accurate.
 MOST_WHOLE = 20_000
 
 MOST_GRAVITY = 100.0  # m/s^2
@@ -63,23 +64,42 @@ NO_TOOLS = make_shapes([], [])
 
 
 class Simulation:
-    """A deformable organ stepped at a fixed rate. `step()` allocates nothing and takes no lock.
+    """A deformable organ stepped at a fixed rate; `step()` allocates nothing and takes no lock.
 
-    organ: the organ; model: surface, volume or hybrid, as in the paper, or cells; auto: cells
-    where the organ has them, or else hybrid; rate: ticks a second, Hz;
-    local_region: off; frozen (the paper's: two layers around a small load move alone; of springs only); modal (a layer
-    or two move by their springs or cells, the rest as a linear body; below 200 Hz the whole organ moves); auto (modal
-    while the load is small and hardly bends what is around it, else the whole model; off where that takes little
-    time, which is up to MOST_WHOLE cells);
-    shapes: the rigid tools that may touch it; return_target: where return springs pull to, the rest position
-    or the boundary that the skeleton, as it stands, has implied (once a tick, and without pushing back on the
-    skeleton, so for soft return springs; not with a modal region, whose modes are those about rest);
-    integrator: symplectic (Euler with implicit nodal damping), explicit (the paper's forward Euler: short steps),
-    implicit (stable at any step; prefactored). The nodes of a local region are never stepped implicitly;
-    substeps: in a tick, instead of those from the critical step;
-    gravity (3,) m/s^2 in the organ's frame; shape_gravity: the one under which the organ has its shape, by default the
-    same, so that it rests as it is. Cells get the shape that they have without it.
-    Raises UserError for a name, rate or number out of range.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    model : str, optional
+        surface, volume or hybrid, as in the paper, or cells; auto takes cells where the organ has them, or else hybrid.
+    rate : float, Hz, optional
+        Ticks per second.
+    local_region : str, optional
+        off; frozen (the paper's: two layers around a small load move alone; of springs only); modal (a layer or two
+        move by their springs or cells, the rest as a linear body; below 200 Hz the whole organ moves); or auto (modal
+        while the load is small and hardly bends its surroundings, else the whole model; off where that takes little
+        time, which is up to MOST_WHOLE cells).
+    shapes : Shapes, optional
+        The rigid tools that may touch it.
+    return_target : str, optional
+        Where return springs pull to: rest, the rest position, or implied, the boundary that the skeleton currently
+        implies. The latter is computed once a tick and without a reaction on the skeleton, so it suits soft return
+        springs; it excludes a modal region, whose modes are those about rest.
+    integrator : str, optional
+        symplectic (Euler with implicit nodal damping), explicit (the paper's forward Euler: short steps) or implicit
+        (stable at any step; prefactored). The nodes of a local region are never stepped implicitly.
+    substeps : int | None, optional
+        Number in a tick, instead of the one from the critical step.
+    gravity : ArrayLike, shape (3,), m/s^2, optional
+        Gravity in the organ's frame.
+    shape_gravity : ArrayLike | None, shape (3,), m/s^2, optional
+        Gravity under which the organ has its shape; by default the same, so that it rests as it is. Cells get the shape
+        that they have without it.
+
+    Raises
+    ------
+    UserError
+        When a name, a rate or a number is out of range.
     """
 
     def __init__(
@@ -158,7 +178,7 @@ class Simulation:
         self.world = handle(make_world(self.model, self.state, self.shapes, self.settings, self.scratch))
 
     def _with_tables(self, model: Model, local_region: str) -> Model:
-        """The model with what its local region needs."""
+        """Return the model with the tables that its local region needs."""
         if local_region == "off":
             return model
         if model.tissue is None:
@@ -173,9 +193,9 @@ class Simulation:
     # what users read ---------------------------------------------------------------------------
     @property
     def positions(self) -> Floats:
-        """(n, 3) m: surface nodes, medial atoms, interior nodes; the live array, not a copy.
+        """Nodes' positions (n, 3) m: surface nodes, medial atoms, interior nodes; the live array, not a copy.
 
-        Outside a modal region it is brought up to date by being read here.
+        Reading it brings the nodes outside a modal region up to date.
         """
         status = self.state.status
         if status.region == Region.MODAL and status.shown != status.tick and not self.asleep:
@@ -194,36 +214,71 @@ class Simulation:
 
     @property
     def velocities(self) -> Floats:
-        """(n, 3) m/s, the live array."""
+        """Nodes' velocities (n, 3) m/s, the live array."""
         return self.state.velocity
 
     @property
     def time(self) -> float:
-        """Simulated seconds."""
+        """Simulated time, s."""
         return float(self.state.status.tick) / self.rate
 
     @property
     def asleep(self) -> bool:
-        """True while the organ rests untouched and ticks cost nothing."""
+        """Whether the organ rests untouched and ticks cost nothing."""
         return bool(self.state.status.asleep)
 
     # what users do -----------------------------------------------------------------------------
     def apply_force(self, nodes: ArrayLike, forces: ArrayLike) -> None:
-        """Add forces (k, 3) N to nodes (k,) for the coming tick.
+        """Add forces to nodes for the coming tick.
 
-        Raises UserError for nodes out of range or forces that are not finite.
+        Parameters
+        ----------
+        nodes : ArrayLike, shape (k,)
+            Indices of the nodes.
+        forces : ArrayLike, shape (k, 3), N
+            Force on each.
+
+        Raises
+        ------
+        UserError
+            When nodes are out of range or forces are not finite.
         """
         load_world(self.world, *self._at_nodes(nodes, forces, "forces"))
 
     def set_gravity(self, gravity: ArrayLike) -> None:
-        """Set the gravity (3,) m/s^2 in the organ's frame. Raises UserError for what is none."""
+        """Set the gravity in the organ's frame.
+
+        Parameters
+        ----------
+        gravity : ArrayLike, shape (3,), m/s^2
+            The gravity.
+
+        Raises
+        ------
+        UserError
+            When it is not three finite numbers of at most MOST_GRAVITY together.
+        """
         settings = self.settings
         settings.gravity_x, settings.gravity_y, settings.gravity_z = acceleration_of(gravity, "gravity")
 
     def prescribe(self, nodes: ArrayLike, positions: ArrayLike, ticks: int = 1) -> None:
-        """Lead nodes (k,) evenly to positions (k, 3) m within some ticks, and hold them there until `free`.
+        """Move nodes evenly to positions within some ticks, and hold them there until `free`.
 
-        Held nodes of the organ, too. Raises UserError for nodes out of range or positions that are not finite.
+        Fixed nodes of the organ may be among them.
+
+        Parameters
+        ----------
+        nodes : ArrayLike, shape (k,)
+            Indices of the nodes.
+        positions : ArrayLike, shape (k, 3), m
+            Where each goes.
+        ticks : int, optional
+            Number of ticks that this takes.
+
+        Raises
+        ------
+        UserError
+            When nodes are out of range or positions are not finite.
         """
         index, values = self._at_nodes(nodes, positions, "positions")
         if ticks < 1:
@@ -231,13 +286,18 @@ class Simulation:
         prescribe_world(self.world, index, values, ticks)
 
     def free(self) -> None:
-        """Let prescribed nodes go; those that the organ is held at stay where they are until `reset`."""
+        """Release prescribed nodes; fixed nodes of the organ stay where they are until `reset`."""
         free_world(self.world)
 
     def reactions(self) -> Floats:
-        """Forces (n, 3) N that hold prescribed nodes, and those that the organ is held at, against what pulls there.
+        """Return the forces that hold prescribed and fixed nodes against the elastic and external forces on them.
 
-        Without inertia: of an organ at rest, or nearly so. 0 where nothing holds.
+        Inertia is left out, so they hold for an organ at rest, or nearly so; they are 0 at all other nodes.
+
+        Returns
+        -------
+        Floats
+            shape (n, 3), N
         """
         force = residuals(self)
         held = np.ones(len(force), dtype=bool)
@@ -247,7 +307,7 @@ class Simulation:
         return -force
 
     def _at_nodes(self, nodes: ArrayLike, given: ArrayLike, name: str) -> tuple[NDArray[np.int64], Floats]:
-        """Nodes (k,) and what is given (k, 3) at each."""
+        """Check and return nodes (k,) and the given vectors (k, 3), one at each."""
         index = np.atleast_1d(np.asarray(nodes, dtype=np.int64))
         values = np.asarray(given, dtype=np.float64)
         if values.size != 3 * len(index) or values.shape[-1] != 3:
@@ -260,18 +320,45 @@ class Simulation:
         return index, values
 
     def take_pose(self, body: int, pose: Floats, sequence: int, stamp: int = 0) -> None:
-        """Take up the newest pose (7,) of a tool's body, m and a unit quaternion xyzw; sequence: its number.
+        """Apply the newest pose of a tool's body.
 
-        stamp: ns, when the tool was there, which tells how fast it moves; 0: it came as fast as it moved.
+        Parameters
+        ----------
+        body : int
+            Index of the body.
+        pose : Floats, shape (7,), m and a unit quaternion xyzw
+            The pose.
+        sequence : int
+            Number of the pose.
+        stamp : int, ns, optional
+            Time of the pose, from which the tool's speed follows; 0 when it is unknown, and the time of arrival counts.
         """
         pose_world(self.world, body, pose, stamp, sequence)
 
     def take_force(self, body: int, force: Floats, sequence: int) -> None:
-        """Take up the newest external force (3,) N on the tissue at the tip of a body; sequence: its number."""
+        """Apply the newest external force on the tissue at the tip of a body.
+
+        Parameters
+        ----------
+        body : int
+            Index of the body.
+        force : Floats, shape (3,), N
+            The force.
+        sequence : int
+            Number of the force.
+        """
         push_world(self.world, body, force, sequence)
 
     def take_contacts(self, found: ContactSet, sequence: int) -> None:
-        """Take up a contact set; sequence: its number."""
+        """Apply a contact set.
+
+        Parameters
+        ----------
+        found : ContactSet
+            The contact set.
+        sequence : int
+            Number of the set.
+        """
         touch_world(self.world, found, sequence)
 
     def step(self, ticks: int = 1) -> None:
@@ -280,12 +367,15 @@ class Simulation:
             tick(self.world)
 
     def reset(self) -> None:
-        """Back to the rest shape, asleep, without tools; the counters go on."""
+        """Return to the rest shape, asleep, without tools; the counters go on."""
         reset_world(self.world)
 
     @property
     def critical_step(self) -> float:
-        """Longest stable step of the integrator, s, with the present stiffness and damping; inf for implicit."""
+        """Longest stable step of the integrator for the present stiffness and damping, s.
+
+        Infinite for the implicit integrator.
+        """
         return self._longest_step(self.integrator)
 
     @property
@@ -295,7 +385,7 @@ class Simulation:
         return energy._replace(elastic=energy.elastic * float(self.settings.stiffness_scale))
 
     def set_substeps(self) -> None:
-        """Work out the substeps from the critical step, after the stiffness, the damping or the rate changed."""
+        """Compute the substeps from the critical step, after the stiffness, the damping or the rate changed."""
         settings = self.settings
         local = "explicit" if self.integrator == "explicit" else "symplectic"
         settings.substeps, _ = self._substeps(self.integrator)
@@ -310,13 +400,13 @@ class Simulation:
             self._set_factor()
 
     def _substeps(self, integrator: str) -> tuple[int, float]:
-        """Substeps in a tick, and the longest stable step that they follow from, s."""
+        """Return the substeps in a tick, and the longest stable step from which they follow, s."""
         longest = self._longest_step_taken(integrator)
         return self._fixed_substeps or substeps_for(self.settings.tick_time, longest), longest
 
     @property
     def longest_step(self) -> float:
-        """What substeps follow from, s: the critical step, or what these tools allow however soft the organ is."""
+        """Longest substep allowed, s: the critical step, or what these tools allow however soft the organ is."""
         return self._longest_step_taken(self.integrator)
 
     def _longest_step_taken(self, integrator: str) -> float:
@@ -328,7 +418,13 @@ class Simulation:
         return min(longest, allowed / SAFETY)
 
     def take_settings(self, settings: Settings) -> None:
-        """Use settings that were worked out before, by a run that is repeated."""
+        """Apply settings that were computed before, by a run that is repeated.
+
+        Parameters
+        ----------
+        settings : Settings
+            The settings.
+        """
         words_of(self.settings)[:] = words_of(settings)
         if self.integrator == "implicit":
             made_for, slot = self._step_settings(), int(self.settings.factor_slot)
@@ -341,13 +437,13 @@ class Simulation:
         return model_step(self.model, self.frequency, scale, damping, integrator)
 
     def _step_settings(self) -> tuple[float, float, float]:
-        """Substep, s, and factors on stiffness and damping."""
+        """Return the substep, s, and the factors on stiffness and damping."""
         settings = self.settings
         step = float(settings.tick_time / settings.substeps)
         return step, float(settings.stiffness_scale), float(settings.damping_scale)
 
     def _set_factor(self) -> None:
-        """Factor the implicit matrix for the present settings, into the slot that is not in use."""
+        """Factorise the implicit matrix for the present settings, into the slot that is not in use."""
         settings, made_for = self.settings, self._step_settings()
         slot = int(settings.factor_slot)
         if self.model.factor is None:
@@ -359,7 +455,18 @@ class Simulation:
         self._made_for[slot] = made_for
 
     def restore(self, fields: Mapping[str, NDArray[Any]]) -> None:
-        """Continue from the fields of a state (state.fields_of); raises UserError when they don't fit."""
+        """Continue from the fields of a state (state.fields_of).
+
+        Parameters
+        ----------
+        fields : Mapping[str, NDArray[Any]]
+            Arrays of the fields, by name.
+
+        Raises
+        ------
+        UserError
+            When they don't fit.
+        """
         before = self.state.words.copy()
         try:
             take_fields(self.state, fields)
@@ -368,20 +475,47 @@ class Simulation:
             self.state.words[:] = before
             raise UserError(str(error)) from None
         self.scratch.stale[0] = 1
-        self.scratch.mobility_key[:] = 0.0  # it may prescribe other nodes, as often
+        self.scratch.mobility_key[:] = 0.0  # the state may prescribe other nodes, as often
 
     def settle(
         self, forces: Floats, tolerance: float = 1e-3, longest: float = 20.0, ramp: float = 0.0
     ) -> tuple[Floats, bool]:
-        """Displacements (n_surface, 3) m at rest under surface forces (n_surface, 3) N, and whether it settled.
+        """Return the displacements at rest under surface forces, and whether the organ settled; see settling.settle.
 
-        See settling.settle.
+        Parameters
+        ----------
+        forces : Floats, shape (n_surface, 3), N
+            Force on each surface node.
+        tolerance : float, optional
+            Relative change at which the organ counts as settled.
+        longest : float, s, optional
+            Simulated time after which it is given up.
+        ramp : float, s, optional
+            Time in which the forces grow to their value.
+
+        Returns
+        -------
+        tuple[Floats, bool]
+            displacements (n_surface, 3), m, and True when it settled
         """
         return settle(self, forces, tolerance, longest, ramp)
 
 
 def acceleration_of(given: ArrayLike, name: str) -> Floats:
-    """An acceleration (3,) m/s^2. Raises UserError, with the name, for what is none or beyond MOST_GRAVITY."""
+    """Return an acceleration as an array (3,), m/s^2.
+
+    Parameters
+    ----------
+    given : ArrayLike, m/s^2
+        Three numbers.
+    name : str
+        Name for the message.
+
+    Raises
+    ------
+    UserError
+        When it is not three finite numbers of at most MOST_GRAVITY together.
+    """
     try:
         values = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):
@@ -392,11 +526,23 @@ def acceleration_of(given: ArrayLike, name: str) -> Floats:
 
 
 def moves_whole(organ: Organ) -> bool:
-    """True for an organ whose cells `auto` moves as a whole."""
+    """Return whether `auto` moves an organ's cells as a whole.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    """
     return len(organ.cell_nodes) <= MOST_WHOLE
 
 
 def sphere_tools(radius: ArrayLike) -> Shapes:
-    """Shapes of spherical tools, one for each radius, m."""
+    """Return the shapes of spherical tools, one for each radius.
+
+    Parameters
+    ----------
+    radius : ArrayLike, shape (k,), m
+        Their radii.
+    """
     radii = np.atleast_1d(np.asarray(radius, dtype=np.float64))
     return make_shapes(np.full(len(radii), SPHERE), np.stack([radii, np.zeros(len(radii))], axis=1))

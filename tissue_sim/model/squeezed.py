@@ -1,11 +1,11 @@
-"""Cells that are squeezed no further: a constraint beside those of contact, so that a tool turns none inside out.
+"""Volume limit of cells: a constraint beside those of contact, so that a tool inverts no cell.
 
-What the law of a cell pushes back with is bounded by the step; what a tool presses is not. At LEAST of its volume at
-rest a cell gives way no more: its four nodes share an impulse along the slopes of that volume, found together with the
-contact's by projected Gauss-Seidel. The slopes are those where the substep began: at rest that is where it ends, and
-the impulse then balances the load exactly, however far that would have carried the nodes. Impulses start from none in
-every substep, and are bounded: cells between two tools may have no way out, and impulses that pile up there throw
-their nodes.
+The resistance of a cell's material law is bounded by the step; the pressure of a tool is not. At LEAST of its rest
+volume a cell yields no more: its four nodes share an impulse along the gradient of that volume, found together with the
+contact's impulses by projected Gauss-Seidel. The gradients are those at the beginning of the substep: at rest that is
+where it ends, and the impulse then balances the load exactly, however far that would have moved the nodes. Impulses
+start from zero in every substep, and are bounded: cells between two tools may have no way out, and impulses that
+accumulate there throw their nodes.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.fans import CELLS, OWN, OWN_ROWS
 from tissue_sim.model.state import Region
 
-LEAST = 0.1  # of the volume at rest; with 0.2 nodes are thrown under the deepest pinch
-NEARLY = 0.2  # more than that, from which a cell may come under it while others are resolved
-RECOVERY_RATE = 200.0  # 1/s at which a cell that was under it comes back at the most
-HARDEST = 8.0  # times the pressure of its penalty for the whole volume, that holds a cell at the most
+LEAST = 0.1  # of the rest volume; with 0.2 nodes are thrown under the deepest pinch
+NEARLY = 0.2  # above that; such a cell may fall below it while others are resolved
+RECOVERY_RATE = 200.0  # 1/s; at most so fast a cell that was below the limit returns
+HARDEST = 8.0  # limit of a cell's pressure, times that of its penalty for the whole volume
 MOST_SQUEEZED = 256  # cells resolved in a substep
-# Over cells and contact points while cells are squeezed; what is left then, the next of so many substeps begins with.
+# Passes over cells and contact points while cells are squeezed; the next of the many substeps resolves what is left.
 SQUEEZED_PASSES = 4
-SETTLED = 0.2  # of the impulses on cells, which a pass may still change
+SETTLED = 0.2  # fraction of the impulses on cells that a pass may still change
 
 
 @kernel
@@ -43,12 +43,18 @@ def _has_no_stiff_cells(model: Any) -> bool:
 
 @chosen(lambda model: _has_stiff_cells if has(model, "tissue") else _has_no_stiff_cells)
 def has_stiff_cells(model: Any) -> Any:
-    """True when the last forces found cells that are squeezed so much that they ask for shorter substeps."""
+    """Return whether the last forces found cells so squeezed that they require shorter substeps.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    """
 
 
 @kernel
 def volume_of(position: Any, nodes: Any, inverse: float) -> float:
-    """Volume of a cell over that at rest; inverse: 1 / (6 V), 1/m^3."""
+    """Return the volume of a cell over that at rest; inverse: 1 / (6 V), 1/m^3."""
     i, j, k, m = nodes[0], nodes[1], nodes[2], nodes[3]
     x, y, z = position[i, 0], position[i, 1], position[i, 2]
     jx, jy, jz = position[j, 0] - x, position[j, 1] - y, position[j, 2] - z
@@ -59,7 +65,7 @@ def volume_of(position: Any, nodes: Any, inverse: float) -> float:
 
 @kernel
 def slopes_of(position: Any, velocity: Any, back: float, nodes: Any, inverse: float, slope: Any) -> float:
-    """The same `back` seconds ago; its slopes by each node into slope (4, 3) 1/m."""
+    """Return that ratio `back` seconds ago; write its gradient by each node to slope (4, 3) 1/m."""
     for corner in range(4):
         node = nodes[corner]
         for axis in range(3):
@@ -103,11 +109,24 @@ def _none(model: Any, state: Any, mobility: Any, scratch: Any, step: float) -> i
 
 @chosen(lambda model, *_: _find if has(model, "tissue") else _none)
 def find_squeezed(model: Any, state: Any, mobility: Any, scratch: Any, step: float) -> Any:
-    """List cells that are squeezed to LEAST or nearly in scratch.squeezed; of the whole organ only. Returns how many.
+    """List cells squeezed to LEAST or nearly so in scratch.squeezed; return their number.
 
-    mobility (n,) 1/kg as for contact. For each scratch.squeezed (S, 6): 1 / (6 V), 1/m^3; what is left of its volume at
-    the least; the impulse that makes up for a lack of all of it, N m s; that given so far, and at the most; and the
-    length of the slopes together, 1/m.
+    Only the whole organ's cells are listed, not those of a local region. A row of scratch.squeezed (S, 6) holds 1 / (6
+    V), 1/m^3; the least volume ratio allowed; the impulse that corrects a ratio that is short by 1, N m s; the impulse
+    given so far; the largest one allowed; and the length of the gradients together, 1/m.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation.
+    mobility : Any, shape (n,), 1/kg
+        Velocity that a unit impulse gives each node.
+    scratch : Any
+        Working memory; updated.
+    step : float, s
+        The substep.
     """
 
 
@@ -115,7 +134,7 @@ def find_squeezed(model: Any, state: Any, mobility: Any, scratch: Any, step: flo
 def _take(
     state: Any, mobility: Any, scratch: Any, index: int, nodes: Any, inverse: float, penalty: float, step: float
 ) -> bool:
-    """True, and a cell's row in scratch.squeezed, when it is one of those to resolve; its penalty J / 6 V."""
+    """Return whether a cell is to be resolved, and fill its row of scratch.squeezed; its penalty J / 6 V."""
     if volume_of(state.position, nodes, inverse) > LEAST + NEARLY:
         return False
     slope = scratch.squeezed_slope[index]
@@ -138,7 +157,26 @@ def _take(
 
 @kernel
 def hold_squeezed(state: Any, mobility: Any, scratch: Any, found: int, step: float) -> bool:
-    """One pass over the cells that are listed; True when it changed little."""
+    """Make one pass over the listed cells.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    mobility : Any, shape (n,), 1/kg
+        Velocity that a unit impulse gives each node.
+    scratch : Any
+        Working memory; updated.
+    found : int
+        Number of the listed cells.
+    step : float, s
+        The substep.
+
+    Returns
+    -------
+    bool
+        True when the impulses changed little.
+    """
     change = total = 0.0
     for index in range(found):
         row, nodes, slope = scratch.squeezed[index], scratch.squeezed_node[index], scratch.squeezed_slope[index]
@@ -160,7 +198,17 @@ def hold_squeezed(state: Any, mobility: Any, scratch: Any, found: int, step: flo
 
 
 def add_held(scratch: Any, step: float, force: Any) -> None:
-    """Add what held the cells in the last substep, s, to force (n, 3) N."""
+    """Add the forces of the volume limit in the last substep.
+
+    Parameters
+    ----------
+    scratch : Any
+        Working memory.
+    step : float, s
+        The substep.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
+    """
     held = slice(scratch.squeezing[0])
     push = scratch.squeezed[held, 3, None, None] / step * scratch.squeezed_slope[held]
     np.add.at(force, scratch.squeezed_node[held], push)

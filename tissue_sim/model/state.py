@@ -16,13 +16,13 @@ from tissue_sim.model.records import Record, array_of
 
 
 class Region(IntEnum):
-    """How a tick was solved."""
+    """Part of the organ that a tick has solved."""
 
     WHOLE, FROZEN, MODAL = range(3)
 
 
 class Fault(IntEnum):
-    """What the guard finds."""
+    """Kinds of faults that the guard finds."""
 
     NONE, NOT_FINITE, RUNAWAY, COLLAPSED = range(4)
 
@@ -31,32 +31,32 @@ FAULT_NAMES = tuple(fault.name.lower().replace("_", " ") for fault in Fault)
 
 
 class Status(Record):
-    """How the organ is; a reset makes it new, but for the tick."""
+    """State of the organ; a reset renews it, except for the tick."""
 
     tick: int  # ticks done
     asleep: bool  # at rest and untouched
-    snapped: bool  # led back from a false rest shape
-    collapsing: bool  # more of the inside is turned inside out than can find back by itself
+    snapped: bool  # recovering from a false rest shape
+    collapsing: bool  # more cells are inverted than can recover by themselves
     region: int  # Region, how the last tick was solved
     fault_kind: int  # Fault, what the guard found last
     substeps: int  # of the last tick
     backoff: int  # factor on the substeps after a fault
-    faulted: bool  # the guard has found a fault since the organ was last as it is built
-    shivering: int  # ticks for which a step that was too long stays halved
-    halving: int  # ticks for which the next one is halved; 0 for the least
-    turning: float  # m^2/s^2, of nodes that turned around at the last look
-    quiet: int  # ticks in a row that were as good as at rest
-    alone: int  # ticks in a row in which no hand touched or loaded it, or an organ that is ticked with it
+    faulted: bool  # the guard has found a fault since the last reset to the rest shape
+    shivering: int  # ticks for which a step that was too long remains halved
+    halving: int  # ticks for which the next such step is halved; 0: the shortest time
+    turning: float  # m^2/s^2, of nodes that reversed at the last check
+    quiet: int  # ticks in a row that were nearly at rest
+    alone: int  # ticks in a row in which no hand touched or loaded it or a joined organ
     calm: int  # ticks in a row with a load small enough for a local region
     touching: int  # contact points that touched in the last tick
     active: int  # nodes that were integrated in the last tick
-    loaded: int  # nodes that nodal_force holds something for in this tick, listed in loaded_node
+    loaded: int  # nodes that nodal_force loads in this tick, listed in loaded_node
     prescribed: int  # nodes whose position is prescribed, listed in prescribed_node
     prescriptions: int  # times that these changed
-    turned: int  # cells of the inside that are turned inside out
+    turned: int  # cells of the inside that are inverted
     next_cell: int  # where the rolling check of the cells goes on
     good_age: int  # ticks since the last good shape was kept; more than KEEP_EVERY right after a fault
-    shown: int  # tick in which the nodes outside a modal region were last put where they belong
+    shown: int  # tick in which the nodes outside a modal region were last updated
     region_nodes: int  # nodes in the local region
     region_springs: int
     region_hinges: int
@@ -65,40 +65,40 @@ class Status(Record):
 
 
 class Counts(Record):
-    """What happened so far; a reset leaves it."""
+    """Numbers of events so far; a reset leaves them."""
 
     faults: int  # times the guard restored the last good state
     shivers: int  # times that a step was found too long under load
-    snaps: int  # times that the organ had to be led back from a false rest shape
+    snaps: int  # times that the organ recovered from a false rest shape
     asleep_ticks: int  # ticks that were skipped asleep
-    frozen_ticks: int  # ticks that moved a frozen region alone
+    frozen_ticks: int  # ticks that moved only a frozen region
     modal_ticks: int  # ticks that moved a modal region
     clamped_ticks: int  # ticks in which a wrench was cut to the clamp
-    slips: int  # times that a tool had slipped into the organ, and was put back on its surface
-    slewed_ticks: int  # ticks in which a wrench changed no faster than it may
+    slips: int  # times that a tool had slipped into the organ and was put back on its surface
+    slewed_ticks: int  # ticks in which the rate of a wrench was limited
 
 
 class BodyStatus(Record):
-    """How a rigid body of a tool is held."""
+    """State of a rigid body of a tool."""
 
     age: int  # ticks since the newest pose; -1 before the first one
     stamp: int  # ns of the newest pose; 0 where it has none
     remaining: float  # s until the tool stands at the newest pose
-    speed: float  # m/s, the highest that poses told of the way that it still has before it
-    turning: float  # 1/s, likewise of its quaternion
+    speed: float  # m/s, the highest of the poses on the rest of its way
+    turning: float  # 1/s, the same for its quaternion
     force_age: int  # ticks since the newest external force; -1 before the first one
     engaged: bool  # it may touch: fresh, and outside the organ when it appeared
     held_off: bool  # it appeared inside the organ, and nothing resists it until it has been outside
-    released: bool  # poses stopped: the next one is the first of a new life, wherever it is
-    placed: bool  # a hand began where it is, or is resisted there: it stays there while poses stop for a moment
-    resisted: bool  # it was when poses stopped: if they go on soon, it is put back on the surface, and not held off
-    releases: int  # how often that was so, or the organ was reset; a contact set counts for the life it was found in
+    released: bool  # poses stopped: the next one begins a new life, wherever it is
+    placed: bool  # a hand began here, or is resisted here: the body stays while poses pause
+    resisted: bool  # it was when poses stopped: if they resume soon, it is put back on the surface, not held off
+    releases: int  # number of these, and of resets; a contact set counts for the life it was found in
     pose_sequence: int  # which pose is in use
     force_sequence: int  # which external force is in use
 
 
 class Results(NamedTuple):
-    """What is handed out after every tick. T rigid bodies."""
+    """Everything that is posted after every tick, with T rigid bodies."""
 
     status: Status
     count: Counts  # type: ignore[assignment]  # hides the tuple's method, which nobody needs
@@ -108,7 +108,7 @@ class Results(NamedTuple):
 
 
 class State(NamedTuple):
-    """Views into the words. T rigid bodies of tools, n nodes, C contact points."""
+    """Views into the words, with T rigid bodies of tools, n nodes and C contact points."""
 
     words: Longs  # all that follows
     results: Longs  # the words of Results
@@ -118,24 +118,24 @@ class State(NamedTuple):
     bodies: Any  # (T,) of ToolStatus
     wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
     body_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
-    shape_tick: Longs  # (1,) tick of the positions that were handed out last
-    carried: Floats  # (3,) m by which the breath has moved its clamp, in whose frame the positions are
+    shape_tick: Longs  # (1,) tick of the positions that were posted last
+    carried: Floats  # (3,) m by which breathing has moved the clamp, in whose frame the positions are
     position: Floats  # (n, 3) m
     velocity: Floats  # (n, 3) m/s
     good_position: Floats  # (n, 3) m, a shape that passed the guard, at most KEEP_EVERY ticks old
     nodal_force: Floats  # (n, 3) N, for the coming tick
     contact_impulse: Floats  # (n, 3) N s on the tissue in this tick, kept for the modal region
-    static_load: Floats  # (n, 3) N that bends the organ outside a modal region: loads, and what its springs add
-    offset: Floats  # (n, 3) m, by how much the reduced organ was off when the region was made
-    blend: Floats  # (1,) share of the offset that is left
+    static_load: Floats  # (n, 3) N that bends the organ outside a modal region: loads, and its springs' forces
+    offset: Floats  # (n, 3) m, error of the reduced organ when the region was made
+    blend: Floats  # (1,) fraction of the offset that is left
     mode_position: Floats  # (m,) sqrt(kg) m
     mode_velocity: Floats  # (m,) sqrt(kg) m/s
-    held_pose: Floats  # (T, 7) where it is held, on its way to the newest pose
+    held_pose: Floats  # (T, 7) where the hand holds it, on its way to the newest pose
     body_goal: Floats  # (T, 7) the newest pose
     body_force: Floats  # (T, 3) N, external force on the tissue at the tool's tip
-    felt: Floats  # (T, 6) the wrench before it fades with a stale pose
-    contact_pressed: Floats  # (2, C) N s along the tool's normal in the last substep; row 1 is room
-    contact_held: Floats  # (2, C, 3) N s across it; row 1 is room, within a substep for the whole of what was given
+    felt: Floats  # (T, 6) N and N m, the wrench before it fades with a stale pose
+    contact_pressed: Floats  # (2, C) N s along the tool's normal in the last substep; row 1 is a buffer
+    contact_held: Floats  # (2, C, 3) N s across it; row 1 is a buffer, within a substep for the total
     loaded_node: Longs  # (n,) the nodes that nodal_force loads in this tick
     is_loaded: Longs  # (n,) 1 for those
     prescribed_node: Longs  # (n,) the nodes whose position is prescribed
@@ -143,7 +143,7 @@ class State(NamedTuple):
     prescribed_ticks: Longs  # (n,) until they are there
     prescribed_from: Floats  # (n, 3) m, where they are, on their way to
     prescribed_to: Floats  # (n, 3) m
-    is_turned: Longs  # (c,) 1 for cells of the inside that are turned inside out
+    is_turned: Longs  # (c,) 1 for cells of the inside that are inverted
     region_hop: Longs  # (n,) 0 loaded, 1, 2 hops away, -1 outside the local region
     contacts: ContactSet  # which points may touch
 
@@ -159,17 +159,37 @@ def _result_fields(n_bodies: int) -> dict[str, Field]:
 
 
 def result_words(n_bodies: int) -> int:
-    """Words of Results."""
+    """Return the number of words of Results."""
     return size_of(_result_fields(n_bodies))
 
 
 def results_in(words: Longs, n_bodies: int) -> Results:
-    """Results that view words (result_words(),)."""
+    """Return Results that view words.
+
+    Parameters
+    ----------
+    words : Longs, shape (result_words(),)
+        Memory of the results.
+    n_bodies : int
+        Number of bodies.
+    """
     return Results(**carve(words, _result_fields(n_bodies)))
 
 
 def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> State:
-    """A state of zeros."""
+    """Return a state of zeros.
+
+    Parameters
+    ----------
+    n : int
+        Number of nodes.
+    n_bodies : int
+        Number of bodies.
+    n_modes : int, optional
+        Number of modes.
+    n_cells : int, optional
+        Number of cells.
+    """
     real, whole = np.float64, np.int64
     fields: dict[str, Field] = _result_fields(n_bodies) | {
         "shape_tick": (whole, (1,)),
@@ -211,11 +231,17 @@ def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> Sta
     )
 
 
-_ONLY_HANDED_OUT = ("words", "results", "shape", "shape_tick")  # no part of what a tick starts from
+_ONLY_HANDED_OUT = ("words", "results", "shape", "shape_tick")  # a tick doesn't start from these
 
 
 def fields_of(state: State) -> dict[str, NDArray[Any]]:
-    """The state's fields by name, as arrays that view it; of the contact points those that count."""
+    """Return the state's fields by name, as arrays that view it; of the contact points only those in use.
+
+    Parameters
+    ----------
+    state : State
+        The state.
+    """
     named = {name: value for name, value in state._asdict().items() if name not in _ONLY_HANDED_OUT}
     points = int(state.contacts.header.points)
     for name, value in named.pop("contacts")._asdict().items():
@@ -225,7 +251,20 @@ def fields_of(state: State) -> dict[str, NDArray[Any]]:
 
 
 def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
-    """Take over what fields_of gave of a state of the same size; raises ValueError naming what doesn't fit."""
+    """Copy the fields that fields_of returned for a state of the same size.
+
+    Parameters
+    ----------
+    state : State
+        The state; updated.
+    fields : Mapping[str, NDArray[Any]]
+        Arrays of the fields, by name.
+
+    Raises
+    ------
+    ValueError
+        When a field doesn't fit; the message names it.
+    """
     state.words[:] = 0
     header = fields.get("contacts.header")
     points = (

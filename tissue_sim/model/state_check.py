@@ -1,4 +1,4 @@
-"""What a state or a contact set from a file may not say: kernels index with it, and look at no bounds."""
+"""Checks of states and contact sets from files: kernels index with their numbers and check no bounds."""
 
 from __future__ import annotations
 
@@ -15,11 +15,22 @@ from tissue_sim.model.records import array_of
 from tissue_sim.model.settings import Integrator, LocalRegion, Settings
 from tissue_sim.model.state import Fault, Region, State, fields_of
 
-MOST = 1e15  # of any number in a state; what is computed of larger ones overflows
+MOST = 1e15  # of any number in a state; computations with larger ones overflow
 
 
 def check_state(state: State) -> None:
-    """Raise ValueError naming the field whose numbers are none, or name a node, cell or body that isn't there."""
+    """Check that the numbers of a state are finite and its indices in range.
+
+    Parameters
+    ----------
+    state : State
+        The state.
+
+    Raises
+    ------
+    ValueError
+        When a field is not; the message names it.
+    """
     n, n_cells, status = len(state.position), len(state.is_turned), state.status
     _check_finite(fields_of(state))
     _check_contacts(state.contacts, n)
@@ -51,7 +62,18 @@ def check_state(state: State) -> None:
 
 
 def check_settings(settings: Settings) -> None:
-    """Raise ValueError naming the setting that no node has."""
+    """Check that every setting is one that a node can have.
+
+    Parameters
+    ----------
+    settings : Settings
+        Settings of the simulation.
+
+    Raises
+    ------
+    ValueError
+        When a setting is not; the message names it.
+    """
     for name in Settings.dtype.names or ():
         value = getattr(settings, name)
         if not abs(float(value)) <= MOST:
@@ -73,7 +95,22 @@ def check_settings(settings: Settings) -> None:
 
 
 def contact_set_of(fields: Mapping[str, NDArray[Any]], n_bodies: int, n_nodes: int) -> ContactSet:
-    """A contact set from its fields by name; raises ValueError naming what doesn't fit."""
+    """Return a contact set from its fields.
+
+    Parameters
+    ----------
+    fields : Mapping[str, NDArray[Any]]
+        Arrays of the fields, by name.
+    n_bodies : int
+        Number of bodies.
+    n_nodes : int
+        Number of nodes.
+
+    Raises
+    ------
+    ValueError
+        When a field doesn't fit; the message names it.
+    """
     body = fields.get("body")
     points = len(body) if body is not None and body.ndim else -1
     if not 0 <= points <= MOST_POINTS:

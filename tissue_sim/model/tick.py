@@ -1,7 +1,7 @@
 """One tick: the same compiled function in the node's loop, in a test and in a replay.
 
-inputs taken up -> anything touching or moving? -> local region or whole -> substeps
--> finite and bounded? -> wrenches
+Its order: inputs are applied; if nothing touches or moves, it ends; a local region or the whole organ is chosen; the
+substeps follow; positions are checked to be finite and bounded; wrenches are reported.
 """
 
 from __future__ import annotations
@@ -52,12 +52,26 @@ from tissue_sim.model.tool_motion import (
 )
 from tissue_sim.model.watched import watch_contacts
 
-CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four times its substeps
+CRUMPLED = 0.02  # fraction of inverted cells from which on a tick takes four times its substeps
 
 
 @kernel
 def tick(world: Any) -> None:
-    """Advance the organ by one tick of settings.tick_time seconds."""
+    """Advance the organ by one tick of settings.tick_time seconds.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     lead_return_springs(world.model, world.state)
     plan = world.scratch.plan
     plan.handled = world.state.status.loaded > 0
@@ -121,7 +135,21 @@ def plan_tick(world: Any) -> bool:
 
 @part
 def begin_tick(world: Any) -> None:
-    """Make ready for the substeps of the plan."""
+    """Prepare the substeps of the plan.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     state, settings, scratch = world.state, world.settings, world.scratch
     status, plan = state.status, scratch.plan
     plan.eased = plan.substeps < status.substeps
@@ -139,7 +167,8 @@ def take_substep(world: Any, substep: int) -> None:
     substeps, implicit, first = plan.substeps, plan.implicit, substep == 0
     if plan.looking and substep == substeps - 1:
         begin_look(state, scratch)
-    # The last one of a region tells more, and one that takes up momentum needs the forces where it is.
+    # The last substep of a region has more to compute, and one that carries momentum over needs the forces at its own
+    # place.
     known = first and (plan.whole or (plan.regional and substeps > 1)) and not (implicit and plan.eased)
     eased = plan.eased and first
     step = settings.tick_time / substeps
@@ -164,7 +193,21 @@ def take_substep(world: Any, substep: int) -> None:
 
 @part
 def end_tick(world: Any) -> None:
-    """Look at what the substeps made, hand out what is felt, and come to rest where nothing acts."""
+    """Check the result of the substeps, report the wrenches, and come to rest where nothing acts.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     model, state, shapes = world.model, world.state, world.shapes
     settings, scratch = world.settings, world.scratch
     status, plan = state.status, scratch.plan
@@ -185,7 +228,7 @@ def end_tick(world: Any) -> None:
 
 
 def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
-    """A function that is one kernel for models that are stepped implicitly, and another for the others."""
+    """Return a decorator for a function that is one kernel for implicit models and another for the others."""
     return chosen(lambda model, *_: kernel if has(model, "factor") else without)
 
 
@@ -206,10 +249,21 @@ def _never(model: Any, state: Any, settings: Any, scratch: Any) -> bool:
 
 @_or(_if_sound, _never)
 def steps_implicitly(model: Any, state: Any, settings: Any, scratch: Any) -> Any:
-    """True when this tick is one of the implicit integrator; then scratch.force has its first forces.
+    """Return whether this tick is one of the implicit integrator; then scratch.force has its first forces.
 
-    Not in a local region; nor after a fault, while nodes shiver, or where cells are inside out or stiffer than its
-    matrix knows, where its one step gains energy.
+    It is none in a local region, after a fault, while nodes oscillate, and where cells are inverted or stiffer than the
+    matrix assumes, where its one step would gain energy.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
     """
 
 
@@ -225,12 +279,12 @@ def _in_none(model: Any, state: Any) -> bool:
 
 @chosen(lambda model, *_: _in_a_region if has(model, "tissue") and has(model, "adjacency") else _in_none)
 def is_region_of_cells(model: Any, state: Any) -> Any:
-    """True when this tick moves the cells around a load."""
+    """Return whether this tick moves only the cells around a load."""
 
 
 @kernel
 def caution(model: Any, state: Any, begun: bool) -> int:
-    """Factor on the substeps while cells are squeezed or inside out, or nodes shiver: tissue is stiffer then.
+    """Return the factor on the substeps while cells are squeezed or inverted, or nodes oscillate, which stiffens them.
 
     begun: the forces of this tick's first substep are known.
     """
@@ -241,7 +295,7 @@ def caution(model: Any, state: Any, begun: bool) -> int:
 
 @kernel
 def whole_forces(model: Any, position: Any, settings: Any, scratch: Any) -> None:
-    """Elastic forces of the whole organ at position (n, 3) m into scratch.force (n, 3) N."""
+    """Write the elastic forces of the whole organ at position (n, 3) m to scratch.force (n, 3) N."""
     scratch.force[:] = 0.0
     elastic_forces(model, position, scratch.force)
     scale_force(settings, scratch.force)
@@ -249,9 +303,10 @@ def whole_forces(model: Any, position: Any, settings: Any, scratch: Any) -> None
 
 @kernel
 def carry_momentum(model: Any, state: Any, force: Any, step: float) -> None:
-    """Turn velocities into the force that gives them in a step, s: (M + h D + h^2 S) v+ = M v + h f.
+    """Convert velocities to the force that gives them in a step, s: (M + h D + h^2 S) v+ = M v + h f.
 
-    For an implicit step S adds mass. What moved without that must not have its speed with it: that is energy.
+    For an implicit step S adds mass. Nodes that moved without it must not keep their speed with it: that would add
+    energy.
     """
     for index in range(len(model.moving)):
         node = model.moving[index]
@@ -279,7 +334,7 @@ def _implicitly(world: Any, step: float) -> None:
 
 @kernel
 def _not_at_all(world: Any, step: float) -> None:
-    """Never called."""
+    """Raise nothing and do nothing: it is never called."""
 
 
 @chosen(lambda world, *_: _implicitly if has(world, "model", "factor") else _not_at_all)
@@ -299,7 +354,7 @@ def _no_mobility(model: Any, slot: int, node: int) -> float:
 
 @_or(_implicit_mobility, _no_mobility)
 def implicit_mobility(model: Any, slot: int, node: int) -> Any:
-    """Velocity that an impulse gives a node within an implicit step, 1/kg."""
+    """Return the velocity that a unit impulse gives a node within an implicit step, 1/kg."""
 
 
 @kernel
@@ -344,16 +399,16 @@ def integrate(world: Any, step: float, implicit: bool) -> None:
 
 @kernel
 def has_taken_impulses(state: Any, settings: Any, implicit: bool) -> bool:
-    """True when nodes are moved by the last contact impulses too: where these hold on, nothing is left to resolve."""
+    """Return whether the last contact impulses move nodes too: while these persist, nothing is left to resolve."""
     return implicit or (settings.integrator != Integrator.EXPLICIT and state.status.region == Region.WHOLE)
 
 
 @kernel
 def set_mobility(world: Any, step: float, implicit: bool) -> None:
-    """Velocity that an impulse gives each node within a substep, (n,) 1/kg, and what integration takes of its mass.
+    """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the integration's part of its mass.
 
-    Only when settings have changed. The damping is implicit, so it meets the contact's impulse too: 1 / (m + h d). With
-    1/m alone a body at rest would press with a force short by h d/m. An implicit step brings the stiffness in.
+    Only when settings have changed. The damping is implicit, so it acts on the contact's impulse too: 1 / (m + h d).
+    With 1/m alone a body at rest would press with a force short by h d/m. An implicit step adds the stiffness.
     """
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     slot = float(settings.factor_slot) if implicit else -1.0

@@ -33,25 +33,25 @@ from tissue_sim.model.unfelt import UNFELT, Unfelt, share_loads, unfelt_by
 
 
 class Carried(NamedTuple):
-    """How the breath carries k organs; see `state.carried`."""
+    """How breathing moves k organs; see `state.carried`."""
 
     breath: Breath
-    breath_words: Longs  # which it views
-    share: Floats  # (2,) of its way, and 1/s
-    moves: Floats  # (k,) how far each goes with it
-    gravity: Floats  # (k, 3) m/s^2, of each without it
+    breath_words: Longs  # memory of the breath
+    share: Floats  # (2,) fraction of the breath's way, and its rate, 1/s
+    moves: Floats  # (k,) fraction of the way that each follows
+    gravity: Floats  # (k, 3) m/s^2, of each without the breath
     speed: Floats  # (k, 3) m/s
     change: Floats  # (k, 3) m/s^2
 
 
 class Together(NamedTuple):
-    """What joins organs."""
+    """Everything that joins organs."""
 
     carried: Carried
     links: Links
     pairs: Pairs
     unfelt: Unfelt
-    awake: Longs  # (k,) 1 for organs that this tick advances; until it is planned, for those that it may
+    awake: Longs  # (k,) 1 for organs that this tick advances; before planning, for those that it may
 
 
 class Joined:
@@ -120,7 +120,7 @@ class Joined:
         return wrench
 
     def set_substeps(self) -> None:
-        """Work out the substeps of each, and those that links ask for, after stiffness, damping or the rate changed."""
+        """Compute the substeps of each, and those that links require, after stiffness, damping or the rate changed."""
         for one in self.simulations:
             one.set_substeps()
         least = least_substeps(self.links, fastest(self.simulations), float(self.simulations[0].settings.tick_time))
@@ -128,25 +128,57 @@ class Joined:
             one.settings.least_substeps = least
 
     def take_pairs(self, found: PairSet) -> None:
-        """Take up where organs touch each other."""
+        """Apply where organs touch each other.
+
+        Parameters
+        ----------
+        found : PairSet
+            The pairs.
+        """
         take_pairs(self.pairs, found)
 
     def take_settings(self, organ: int, settings: Settings) -> None:
-        """Use settings of an organ that were worked out before, with its gravity less what the breath makes of it."""
+        """Apply settings of an organ that were computed before, with its gravity less the breath's part.
+
+        Parameters
+        ----------
+        organ : int
+            Index of the organ.
+        settings : Settings
+            The settings.
+        """
         self.simulations[organ].take_settings(settings)
         self.carried.gravity[organ] = gravity_of(settings)
 
     def note_gravity(self) -> None:
-        """Take up gravity that simulations were given: what organs weigh without the breath."""
+        """Read the gravity of the simulations as the one without breath."""
         for one, gravity in zip(self.simulations, self.carried.gravity, strict=True):
             gravity[:] = gravity_of(one.settings)
 
     def tell_breath(self, share: float) -> None:
-        """Where a breath is to be that follows what it is told, as a share of its way."""
+        """Set where a breath that follows a signal is to be.
+
+        Parameters
+        ----------
+        share : float
+            Fraction of its way.
+        """
         self.carried.breath.told = share
 
     def restore(self, breath: Breath, found: PairSet, pressed: Floats, held: Floats) -> None:
-        """Go on from a breath, and from pairs that press and hold with so many N (p,), (p, 3)."""
+        """Continue from a breath and from pairs with their forces.
+
+        Parameters
+        ----------
+        breath : Breath
+            The breath.
+        found : PairSet
+            The pairs.
+        pressed : Floats, shape (p,), N
+            Normal force of each pair.
+        held : Floats, shape (p, 3), N
+            Friction of each pair.
+        """
         count = int(found.found[0])
         self.pairs.found[0] = 0
         self.take_pairs(found)
@@ -154,23 +186,23 @@ class Joined:
         words_of(self.carried.breath)[:] = words_of(breath)
 
     def reset(self) -> None:
-        """Breathed out, untouched by each other; simulations are reset by themselves."""
+        """Return to the breathed-out state without contact between organs; simulations are reset by themselves."""
         if not self.alone:
             let_go(self.worlds, self.handle)
 
 
 def gravity_of(settings: Settings) -> tuple[float, float, float]:
-    """Gravity, m/s^2."""
+    """Return the gravity, m/s^2."""
     return settings.gravity_x, settings.gravity_y, settings.gravity_z
 
 
 def fastest(simulations: Sequence[Simulation]) -> float:
-    """The largest angular frequency of any, rad/s."""
+    """Return the largest angular frequency of any, rad/s."""
     return max(one.frequency * math.sqrt(one.settings.stiffness_scale) for one in simulations)
 
 
 def carried_with(breath: Breath, moves: Sequence[float], gravity: Floats) -> Carried:
-    """Organs that go with a breath as far as `moves` (k,) says, breathed out; see Carried."""
+    """Return organs that follow a breath by the fractions `moves` (k,), breathed out; see Carried."""
     count = len(moves)
 
     def rows() -> Floats:
@@ -182,7 +214,15 @@ def carried_with(breath: Breath, moves: Sequence[float], gravity: Floats) -> Car
 
 @kernel
 def let_go(worlds: Any, joined: Any) -> None:
-    """Breathed out, untouched by each other, without what the breath did to gravity: for organs at rest."""
+    """Return to the breathed-out state without contact, and undo the breath's part of gravity, for organs at rest.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    joined : Any
+        What joins the organs; updated.
+    """
     carried = joined.carried
     joined.pairs.found[0] = 0
     carried.breath.time = carried.breath.told = carried.breath.share = carried.breath.speed = 0.0
@@ -207,7 +247,7 @@ def tick_together(worlds: Any, joined: Any) -> None:
     for organ in range(len(worlds)):
         status = worlds[organ].state.status
         worlds[organ].scratch.plan.handled = status.loaded > 0
-        # What is led back from a false rest shape is let go of by links and other organs, which hold it there.
+        # Links and other organs release an organ that recovers from a false rest shape: they would hold it there.
         awake[organ] = 0 if status.snapped else 1
     measure_links(worlds, carried, links, unfelt, awake, step)
     wake_touched(worlds, pairs, awake)
@@ -237,7 +277,7 @@ def tick_together(worlds: Any, joined: Any) -> None:
 
 @kernel
 def are_handled(worlds: Any) -> bool:
-    """True when a hand touches, pulls or leads any organ: through it, it may hold the others as they are."""
+    """Return whether a hand touches, pulls or moves any organ: through it, it may hold the others as they are."""
     for organ in range(len(worlds)):
         world = worlds[organ]
         if world.scratch.plan.handled or world.state.status.touching > 0:
@@ -247,9 +287,9 @@ def are_handled(worlds: Any) -> bool:
 
 @kernel
 def plan_together(worlds: Any, awake: Any, joined: bool) -> int:
-    """Plan the tick of every organ; returns the most substeps of any, or those that links ask for.
+    """Plan the tick of every organ; return the most substeps of any, or those that links require.
 
-    Those that are joined take as many each.
+    Joined organs take the same number each.
     """
     most = worlds[0].settings.least_substeps
     for organ in range(len(worlds)):

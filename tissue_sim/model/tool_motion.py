@@ -10,19 +10,27 @@ from tissue_sim.model.arrays import copy
 from tissue_sim.model.contact_gap import INNER_SIDE, gap_and_normal, is_touched, point_in_body
 from tissue_sim.model.shapes import rotation_matrix
 
-ROUNDING = 1e-6  # share of a tick that is none
-# Where tissue is near, a body moves in a step by no more than this fraction of the finest thing about it: points that
-# lie before it end in its front half, and are pushed on, not past it.
+ROUNDING = 1e-6  # fraction of a tick that counts as zero
+# Where tissue is near, a body moves in a step by at most this fraction of its finest feature: points before it then
+# end in its front half, and are pushed on, not past it.
 STEP = 0.25
-WALL = 0.5  # of the finest thing about a body, that it goes into held tissue at the most: then its middle stays outside
-MOVES = 0.5  # of a contact point's weights, that nodes which move have at the least, or it is held
-WALL_ROUNDS = 4  # in which a tool is brought out of held tissue in a step: a corner has three walls
-FASTEST = 1.0  # m/s, at which a body catches up there: well below the speed of sound in tissue
+WALL = 0.5  # of a body's finest feature: it enters fixed tissue by at most that, so its middle stays outside
+MOVES = 0.5  # of a contact point's weights: with less on moving nodes it counts as fixed
+WALL_ROUNDS = 4  # rounds in a step that move a tool out of fixed tissue: a corner has three walls
+FASTEST = 1.0  # m/s, of a body that catches up there: well below the speed of sound in tissue
 
 
 @kernel
 def freshness(age: int, settings: Any) -> float:
-    """1 while an input is fresh, ramping to 0 after it went stale; 0 when there was none."""
+    """Return 1 while an input is fresh, falling linearly to 0 after it went stale; 0 when there was none.
+
+    Parameters
+    ----------
+    age : int
+        Ticks since the input; below 0: there was none.
+    settings : Any
+        Settings of the simulation.
+    """
     if age < 0:
         return 0.0
     late = age * settings.tick_time - settings.stale_time
@@ -33,7 +41,17 @@ def freshness(age: int, settings: Any) -> float:
 
 @kernel
 def advance_held(state: Any, settings: Any, scratch: Any) -> None:
-    """Move where each body is held towards its newest pose, and release it when poses stop."""
+    """Move the place where each body is held towards its newest pose; release it when poses stop.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     for body in range(len(state.held_pose)):
         status = state.bodies[body]
         copy(state.held_pose[body], scratch.held[body])
@@ -54,7 +72,13 @@ def advance_held(state: Any, settings: Any, scratch: Any) -> None:
 
 @kernel
 def release_body(status: Any) -> None:
-    """End the life of a body whose poses stopped: its next pose may be anywhere."""
+    """End the life of a body whose poses stopped: its next pose may be anywhere.
+
+    Parameters
+    ----------
+    status : Any
+        Status of the body; updated.
+    """
     status.resisted, status.placed = status.engaged or status.resisted, not status.held_off
     status.engaged = status.held_off = False
     status.released = True
@@ -63,9 +87,25 @@ def release_body(status: Any) -> None:
 
 @kernel
 def follow_untouched(state: Any, shapes: Any, settings: Any, scratch: Any) -> bool:
-    """Move every body on while nothing is felt; False, and none is moved, where one would touch the tissue.
+    """Move every body on while nothing is felt.
 
-    scratch.origin and scratch.rotation are those of where the bodies are held, and stay so.
+    scratch.origin and scratch.rotation remain those of where the bodies are held.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+
+    Returns
+    -------
+    bool
+        False when a body would touch the tissue; none is moved then.
     """
     copy(state.body_pose, scratch.before)
     copy(state.held_pose, scratch.goal)
@@ -85,12 +125,12 @@ def follow_untouched(state: Any, shapes: Any, settings: Any, scratch: Any) -> bo
 
 @kernel
 def advance_bodies(state: Any, shapes: Any, scratch: Any, step: float) -> None:
-    """Move every body towards scratch.goal (T, 7) as far as it may go in a step, s; those of one tool as one."""
+    """Move every body towards scratch.goal (T, 7) as far as it may in a step, s; those of one tool together."""
     for body in range(len(state.body_pose)):
         fraction = 1.0
         for other in range(len(state.body_pose)):
             if shapes.tool[other] == shapes.tool[body]:
-                # What a pressing spring adds to the way, contact takes back: a bound on speed would bound its force.
+                # Contact takes back what a pressing spring adds to the way: a bound on speed would bound its force.
                 is_pressed = scratch.give[other] > 0.0 and has_contact(state, other)
                 most = math.inf if is_pressed else FASTEST * step
                 fraction = min(fraction, free_way(state, shapes, other, scratch.goal[other], most))
@@ -105,7 +145,17 @@ def advance_bodies(state: Any, shapes: Any, scratch: Any, step: float) -> None:
 
 @kernel
 def find_walls(model: Any, state: Any, scratch: Any) -> None:
-    """List the contact points that are held for the most part in scratch.wall: they hardly give way to a tool."""
+    """List the contact points on mostly fixed nodes in scratch.wall: they hardly yield to a tool.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     count, contacts = 0, state.contacts
     for entry in range(contacts.header.points):
         moves = 0.0
@@ -120,9 +170,9 @@ def find_walls(model: Any, state: Any, scratch: Any) -> None:
 
 @kernel
 def leave_wall(state: Any, shapes: Any, scratch: Any) -> bool:
-    """Move a tool out of the held point that lies deepest in it; False where none lies deeper than WALL.
+    """Move a tool out of the fixed point that lies deepest in it; return False where none lies deeper than WALL.
 
-    Tissue that moves is pushed on by the tool; in what is held it would go on until it has slipped inside.
+    Tissue that moves is pushed on by the tool; into fixed tissue it would go on until it has slipped inside.
     """
     deepest, chosen = 0.0, -1
     x = y = z = 0.0
@@ -154,13 +204,11 @@ def has_contact(state: Any, body: int) -> bool:
 
 @kernel
 def free_way(state: Any, shapes: Any, body: int, goal: Any, most: float) -> float:
-    """Return the fraction of its way to a goal (7,) that a body may go in a step, and meet all tissue on it.
+    """Return the fraction of its way to a goal (7,) that a body may go in a step and meet all tissue on it.
 
-    most: m that it may go where tissue is near, at its speed.
-
-    It goes no farther than the contact set knows the surface around it, and waits for the next one; and where there is
-    tissue no faster than points before it can be pushed. A body that no set has looked at yet waits; one that nothing
-    resists goes freely.
+    most: m that it may go where tissue is near, at its speed. It goes no farther than the contact set knows the surface
+    around it, and waits for the next one; where there is tissue, it goes no faster than points before it can be pushed.
+    A body that no set has looked at yet waits; one that nothing resists goes freely.
     """
     status, contacts, extent = state.bodies[body], state.contacts, shapes.extent[body]
     if not status.engaged:
@@ -171,7 +219,7 @@ def free_way(state: Any, shapes: Any, body: int, goal: Any, most: float) -> floa
         most = min(STEP * shapes.finest[body], most)
         if way > most:
             fraction = most / way
-    # Distances are convex: a fraction of the way costs at most that fraction of what the whole way does.
+    # Distances are convex: a fraction of the way adds at most that fraction of what the whole way adds.
     now, then = way_between(pose, place, extent), way_between(goal, place, extent)
     if then > contacts.reach[body] and then > now:
         fraction = min(fraction, max(0.0, contacts.reach[body] - now) / (then - now))
@@ -180,7 +228,22 @@ def free_way(state: Any, shapes: Any, body: int, goal: Any, most: float) -> floa
 
 @kernel
 def way_between(pose: Any, other: Any, extent: float) -> float:
-    """Return a bound, m, on how far the points of a body lie apart in two poses (7,); extent m, of its points."""
+    """Return a bound on how far the points of a body lie apart in two poses.
+
+    Parameters
+    ----------
+    pose : Any, shape (7,)
+        A pose.
+    other : Any, shape (7,)
+        Another pose.
+    extent : float, m
+        Largest distance of its points from its origin.
+
+    Returns
+    -------
+    float
+        m
+    """
     if extent == 0.0:
         return distance(pose, other)
     # A chord between unit quaternions is 2 sin(angle / 4), and a point moves by 2 sin(angle / 2) of its arm.
@@ -189,13 +252,34 @@ def way_between(pose: Any, other: Any, extent: float) -> float:
 
 @kernel
 def distance(pose: Any, other: Any) -> float:
-    """Return the distance between the origins of two poses (7,), m."""
+    """Return the distance between the origins of two poses.
+
+    Parameters
+    ----------
+    pose : Any, shape (7,)
+        A pose.
+    other : Any, shape (7,)
+        Another pose.
+
+    Returns
+    -------
+    float
+        m
+    """
     return math.sqrt((pose[0] - other[0]) ** 2 + (pose[1] - other[1]) ** 2 + (pose[2] - other[2]) ** 2)
 
 
 @kernel
 def quaternion_distance(pose: Any, other: Any) -> float:
-    """Return the chord between the quaternions of two poses (7,), of either sign: half the angle where it is small."""
+    """Return the chord between the quaternions of two poses, of either sign: half the angle where it is small.
+
+    Parameters
+    ----------
+    pose : Any, shape (7,)
+        A pose.
+    other : Any, shape (7,)
+        Another pose.
+    """
     less = more = 0.0
     for c in range(3, 7):
         less += (pose[c] - other[c]) ** 2
@@ -205,11 +289,26 @@ def quaternion_distance(pose: Any, other: Any) -> float:
 
 @kernel
 def couple_bodies(state: Any, shapes: Any, settings: Any, scratch: Any, step: float, share: float) -> None:
-    """Lead where the bodies are held a share of its way, and each body after it through the virtual coupling.
+    """Move where the bodies are held along their way, and each body after it through the virtual coupling.
 
-    A body has no mass: B p' = K (h - p) + F, of which a step without contact is done here; what an impulse of the
-    contact adds to it is scratch.give, m / (N s). What holds it moves evenly through the tick, so that its speed has
-    no jumps. A body is behind where it may not go as far, see `free_way`.
+    A body has no mass: B p' = K (h - p) + F, of which a step without contact is done here; the displacement per impulse
+    of the contact is scratch.give, m / (N s). The held pose moves evenly through the tick, so that its speed has no
+    jumps. A body is behind where it may not go as far, see `free_way`.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    step : float, s
+        The substep.
+    share : float
+        Fraction of the rest of the tick's way.
     """
     stiffness, damping = settings.coupling_stiffness, settings.coupling_damping
     for body in range(len(state.body_pose)):
@@ -230,7 +329,15 @@ def couple_bodies(state: Any, shapes: Any, settings: Any, scratch: Any, step: fl
 
 @kernel
 def keep_bodies(state: Any, scratch: Any) -> None:
-    """Keep where contact has pushed the tools."""
+    """Copy to the poses where contact has pushed the tools.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     for body in range(len(state.body_pose)):
         if scratch.give[body] > 0.0:
             copy(scratch.origin[body], state.body_pose[body, :3])
@@ -238,7 +345,15 @@ def keep_bodies(state: Any, scratch: Any) -> None:
 
 @kernel
 def restore_bodies(state: Any, farthest: float) -> None:
-    """Put bodies that contact has pushed out of all bounds, m, or to nowhere, where their contact points were found."""
+    """Return bodies that contact has pushed out of bounds, or to no number, to where their contact points were found.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    farthest : float, m
+        Largest displacement allowed.
+    """
     for body in range(len(state.body_pose)):
         back = state.contacts.place[body] if state.bodies[body].engaged else state.held_pose[body]
         square = 0.0
@@ -250,7 +365,7 @@ def restore_bodies(state: Any, farthest: float) -> None:
 
 @kernel
 def step_pose(pose: Any, goal: Any, share: float) -> None:
-    """Move a pose (7,) by a share of the way to a goal; the quaternion by normalised lerp."""
+    """Move a pose (7,) by a fraction of the way to a goal; the quaternion by normalised lerp."""
     if share >= 1.0:
         copy(goal, pose)
         return
@@ -269,14 +384,32 @@ def step_pose(pose: Any, goal: Any, share: float) -> None:
 
 @kernel
 def set_frame(pose: Any, origin: Any, rotation: Any) -> None:
-    """Origin (3,) and rotation matrix (9,) of a pose (7,)."""
+    """Write the origin and the rotation matrix of a pose.
+
+    Parameters
+    ----------
+    pose : Any, shape (7,), m and quaternion xyzw
+        The pose.
+    origin : Any, shape (3,), m
+        Its origin; updated.
+    rotation : Any, shape (9,)
+        Its rotation matrix, row by row; updated.
+    """
     copy(pose[:3], origin)
     rotation_matrix(pose[3:], rotation)
 
 
 @kernel
 def has_tip_force(state: Any, settings: Any) -> bool:
-    """True when an external force acts on the tissue under any tool's tip."""
+    """Return whether an external force acts on the tissue under any tool's tip.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    """
     for body in range(len(state.body_force)):
         if state.contacts.tip_node[body, 0] >= 0 and freshness(state.bodies[body].force_age, settings) > 0.0:
             force = state.body_force[body]
@@ -287,7 +420,17 @@ def has_tip_force(state: Any, settings: Any) -> bool:
 
 @kernel
 def add_tip_forces(state: Any, settings: Any, force: Any) -> None:
-    """Add the external forces at the tools' tips to force (n, 3) N."""
+    """Add the external forces at the tools' tips.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
+    """
     for body in range(len(state.body_force)):
         fresh = freshness(state.bodies[body].force_age, settings)
         if fresh > 0.0 and state.contacts.tip_node[body, 0] >= 0:

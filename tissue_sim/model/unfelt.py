@@ -1,11 +1,11 @@
-"""Loads that an organ doesn't feel: ligaments that hardly pull, and a breath that hardly bends it.
+"""Loads below the wake threshold: ligaments that hardly pull, and breathing that hardly bends an organ.
 
-Either would keep an organ awake whose shape it doesn't change visibly. So each tick bounds what they do to an organ:
-how far they bend it at most, the tension of each link times the compliance of its node and the acceleration of the
-frame times what that bends it by, and with how much they pull. Where that is s times as much as UNFELT and
-UNFELT_FORCE allow, an organ that nothing else loads feels 1 - 1/s^2 of these loads, and none while s is below 1. What
-it lacks is never more than these bounds, is the less the larger the loads are, and never jumps. An organ that a tool, a
-hand or another organ loads is awake anyway, and feels all of it.
+Either would keep an organ awake whose shape it doesn't change visibly. So each tick bounds their effect on an organ:
+how far they bend it at most, which is the tension of each link times the compliance of its node plus the acceleration
+of the frame times the compliance to it, and with which force they pull. Where that is s times as much as UNFELT and
+UNFELT_FORCE allow, an organ that nothing else loads feels 1 - 1/s^2 of these loads, and none while s is below 1. The
+part that it lacks never exceeds these bounds, shrinks as the loads grow, and never jumps. An organ that a tool, a hand
+or another organ loads is awake anyway, and feels all of it.
 """
 
 from __future__ import annotations
@@ -26,31 +26,42 @@ from tissue_sim.model.model import Model
 from tissue_sim.model.modes import free_axes, stiffness_matrix
 from tissue_sim.model.tool_motion import has_tip_force
 
-UNFELT = 1e-4  # m, which nobody sees
-UNFELT_FORCE = 1e-3  # N, which no hand feels
-UNBOUNDED = 1e30  # m/N or s^2, where nothing holds an organ, or too many nodes to factorise: it feels everything
-MOST_NODES = 8000  # of which a factor takes a second
-_RIGID = 1e-9  # of the largest pivot, that is taken for 0
+UNFELT = 1e-4  # m, too little to see
+UNFELT_FORCE = 1e-3  # N, too little to feel
+UNBOUNDED = 1e30  # m/N or s^2, where no node is fixed, or there are too many to factorise: it feels everything
+MOST_NODES = 8000  # whose factorisation takes a second
+_RIGID = 1e-9  # of the largest pivot; less counts as 0
 _TOGETHER = 48  # columns solved for at once
 
 
 class Unfelt(NamedTuple):
-    """What bounds the loads of k organs and l links that are not felt, and what the last tick found."""
+    """Bounds of the loads of k organs and l links that are not felt, and the results of the last tick."""
 
     most: Floats  # (2,) m and N that an organ may lack; zeros: all loads are felt
-    bend: Floats  # (k,) s^2, how far an acceleration of its frame of 1 m/s^2 bends an organ at most, m
-    give: Floats  # (l, 2) m/N, how far a pull at a link's end bends its organ at most
-    bent: Floats  # (k,) m, how far its loads would bend each organ at most
+    bend: Floats  # (k,) s^2, largest displacement of an organ for each m/s^2 of its frame
+    give: Floats  # (l, 2) m/N, largest displacement of its organ for each N at a link's end
+    bent: Floats  # (k,) m, largest displacement of each organ by its loads
     pulled: Floats  # (k,) N, tension of its links
-    share: Floats  # (k,) of these loads that it feels
-    ticks: Longs  # (k,) that each slept through with loads that it didn't feel
+    share: Floats  # (k,) fraction of these loads that it feels
+    ticks: Longs  # (k,) that each slept through under loads that it didn't feel
 
 
 def unfelt_by(models: Sequence[Model], links: Links, ways: Floats, most: float) -> Unfelt:
-    """Bounds for organs whose frames move along ways (k, 3), of any length, and that lack `most` m at the most.
+    """Return the bounds for organs whose frames move along given ways.
 
-    0: all is felt. The numbers are rounded up to two digits, so that libraries that round differently on another
-    processor come to the same ones, and replays to the same bits.
+    The numbers are rounded up to two digits, so that libraries that round differently on another processor give the
+    same ones, and replays the same bits.
+
+    Parameters
+    ----------
+    simulations : Sequence[Simulation]
+        Simulations of the organs.
+    links : Links
+        Links between them.
+    ways : Floats, shape (k, 3)
+        Directions of the frames, of any length.
+    most : float, m
+        Largest displacement that an organ may lack; 0: everything is felt.
     """
     count = len(models)
     bend, give = np.zeros(count), np.zeros(links.organ.shape)
@@ -71,9 +82,9 @@ def unfelt_by(models: Sequence[Model], links: Links, ways: Floats, most: float) 
 
 
 def bounds_of(model: Model, nodes: Longs, way: Floats) -> tuple[float, Floats]:
-    """How far any node moves at the most, about rest: by an acceleration along `way` (3,), s^2; by pulls (k,), m/N.
+    """Return how far any node moves at most, about rest: by an acceleration along `way` (3,), s^2; by pulls (k,), m/N.
 
-    nodes (k,) at which it is pulled, in any direction. UNBOUNDED where that is not known.
+    nodes (k,) are those that are pulled, in any direction. The bound is UNBOUNDED where it is not known.
     """
     speed = float(np.linalg.norm(way))
     if not len(nodes) and speed == 0.0:
@@ -109,7 +120,7 @@ def bounds_of(model: Model, nodes: Longs, way: Floats) -> tuple[float, Floats]:
 
 
 def rounded_up(value: float) -> float:
-    """A positive number rounded up to two digits, or 0."""
+    """Return a positive number rounded up to two digits, or 0."""
     if value <= 0.0:
         return 0.0
     digit = 10.0 ** (math.floor(math.log10(value)) - 1)
@@ -118,9 +129,20 @@ def rounded_up(value: float) -> float:
 
 @kernel
 def share_loads(worlds: Any, carried: Any, unfelt: Any, breathes: bool) -> None:
-    """Work out how much every organ feels of its links and of the breath, and weigh it accordingly.
+    """Compute the fraction of its links' and the breath's loads that every organ feels, and set its weight accordingly.
 
     Called once links have been measured, and hands and other organs have loaded the nodes.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    carried : Any
+        How organs follow the breath; updated.
+    unfelt : Any
+        The bounds; updated.
+    breathes : bool
+        Whether there is a breath.
     """
     for organ in range(len(worlds)):
         world = worlds[organ]
@@ -143,7 +165,7 @@ def share_loads(worlds: Any, carried: Any, unfelt: Any, breathes: bool) -> None:
 
 @kernel
 def share_of(bent: float, pulled: float, most: Any) -> float:
-    """Share of loads that is felt; bent m, pulled N, most (2,) that may be lacking."""
+    """Return the fraction of loads that is felt; bent m, pulled N, most (2,) that may be lacking."""
     if most[0] <= 0.0:
         return 1.0
     size = max(bent / most[0], pulled / most[1])
@@ -152,7 +174,7 @@ def share_of(bent: float, pulled: float, most: Any) -> float:
 
 @kernel
 def is_loaded_otherwise(world: Any) -> bool:
-    """True for an organ that a hand, a tool, another organ or its own weight keeps awake."""
+    """Return whether a hand, a tool, another organ or its own weight keeps an organ awake."""
     state, settings = world.state, world.settings
     status = state.status
     by_tools = status.touching > 0 or has_tip_force(state, settings)

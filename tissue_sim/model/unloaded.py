@@ -1,7 +1,12 @@
-"""The shape that an organ of cells would have without the weight that it bears in the shape that is known.
+"""The shape that an organ of cells would have without the weight that it bears in the known shape.
 
-The inverse of elastostatics: the known shape is the domain, the unloaded one the unknown, and equilibrium is Cauchy's
-stress against weight in the known shape, whose volumes and gradients are constant (Govindjee & Mihalic 1996).
+The inverse of elastostatics: the known shape is the domain, the unloaded one the unknown, and equilibrium balances
+Cauchy's stress and weight in the known shape, whose volumes and gradients are constant [1]_.
+
+References
+----------
+.. [1] S. Govindjee and P. A. Mihalic, "Computational methods for inverse finite elastostatics", Computer Methods in
+   Applied Mechanics and Engineering 136, 1996.
 """
 
 from __future__ import annotations
@@ -17,20 +22,30 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.cell_law import SQUEEZED, STEEPEST
 from tissue_sim.model.cells import shapes_of
 
-CLOSE = 1e-11  # of the weight, that may be left as a force
+CLOSE = 1e-11  # fraction of the weight that may be left as a force
 MOST_STEPS = 60
-SHORTEST = 1e-3  # of a step of Newton's, before it is given up
+SHORTEST = 1e-3  # fraction of Newton's step below which the search is given up
 
 
 class Law(NamedTuple):
-    """Of each cell (c,): Lame's moduli mu and lambda, Pa, and the penalty on a squeezed one, J/m^3."""
+    """Material constants of each cell (c,).
+
+    Attributes
+    ----------
+    mu : Floats, shape (c,), Pa
+        Shear modulus.
+    lam : Floats, shape (c,), Pa
+        Lame's first constant.
+    penalty : Floats, shape (c,), J/m^3
+        Penalty on a squeezed cell.
+    """
 
     mu: Floats
     lam: Floats
     penalty: Floats
 
     def pressure(self, swollen: Floats) -> tuple[Floats, Floats]:
-        """Slope of the energy by the volume over that at rest (c,), Pa, without mu/2 F:F; and its own slope."""
+        """Return the slope of the energy by the volume ratio (c,), Pa, without mu/2 F:F; and its own slope."""
         bounded, pushed = np.maximum(swollen, STEEPEST), np.minimum(swollen - SQUEEZED, 0.0)
         slope = 0.5 * self.lam * (1.0 + 1.0 / bounded**2) + self.mu / bounded**2
         pressure = 0.5 * self.lam * (bounded - 1.0 / bounded) - self.mu / bounded + slope * (swollen - bounded)
@@ -38,10 +53,30 @@ class Law(NamedTuple):
 
 
 def unloaded_shape(shape: Floats, cells: Ints, law: Law, weight: Floats, free: Mask) -> Floats:
-    """Positions (n, 3) m without the weight (n, 3) N that nodes bear in their shape (n, 3) m.
+    """Return the positions of the nodes without the weight that they bear in their known shape.
 
-    cells (c, 4) with their law; free (n,): nodes that nothing holds. Raises UserError when there is none: the tissue is
-    too soft for such a weight.
+    Parameters
+    ----------
+    shape : Floats, shape (n, 3), m
+        Positions in the known shape.
+    cells : Ints, shape (c, 4)
+        Node indices of the cells.
+    law : Law
+        Their material constants.
+    weight : Floats, shape (n, 3), N
+        Weight that the nodes bear.
+    free : Mask, shape (n,)
+        Nodes that are not fixed.
+
+    Returns
+    -------
+    Floats
+        shape (n, 3), m
+
+    Raises
+    ------
+    UserError
+        When there is none: the tissue is too soft for such a weight.
     """
     inverse = _Inverse(shape, cells, law, weight, free)
     found, off = shape.copy(), inverse.off(shape)
@@ -63,7 +98,7 @@ def unloaded_shape(shape: Floats, cells: Ints, law: Law, weight: Floats, free: M
 
 
 class _Inverse:
-    """Forces left on free nodes as a function of the unloaded shape, and their slope."""
+    """Residual forces on free nodes as a function of the unloaded shape, and their slope."""
 
     def __init__(self, shape: Floats, cells: Ints, law: Law, weight: Floats, free: Mask) -> None:
         self.cells, self.law, self.weight = cells, law, weight
@@ -71,7 +106,7 @@ class _Inverse:
         self.axes = (3 * np.flatnonzero(free)[:, None] + np.arange(3)).ravel()
 
     def _deformed(self, unloaded: Floats) -> tuple[Floats, Floats]:
-        """F (c, 3, 3) and its determinant (c,); that of a cell turned over is negative."""
+        """Return F (c, 3, 3) and its determinant (c,); that of an inverted cell is negative."""
         back = np.einsum("cai,caj->cij", unloaded[self.cells], self.slope)
         whole = np.linalg.det(back)
         whole = np.where(whole == 0.0, np.nan, whole)
@@ -79,7 +114,7 @@ class _Inverse:
         return deformed, 1.0 / whole
 
     def off(self, unloaded: Floats) -> Floats:
-        """Forces (3 free,) N that nothing balances; infinite where a cell is turned over."""
+        """Return the forces (3 free,) N that nothing balances; infinite where a cell is inverted."""
         deformed, swollen = self._deformed(unloaded)
         if not np.all(swollen > 0.0):
             return np.full(len(self.axes), np.inf)
@@ -92,7 +127,7 @@ class _Inverse:
         return force.ravel()[self.axes]
 
     def step(self, unloaded: Floats, off: Floats) -> Floats:
-        """Newton's step (n, 3) m."""
+        """Return Newton's step (n, 3) m."""
         deformed, swollen = self._deformed(unloaded)
         stretch = deformed @ deformed.transpose(0, 2, 1)
         share, (_, steep) = (self.law.mu / swollen)[:, None, None], self.law.pressure(swollen)
@@ -101,7 +136,7 @@ class _Inverse:
         for j in range(3):
             for one in range(3):
                 change = -deformed[:, :, j, None] * deformed[:, None, one, :]
-                swelling = -deformed[:, one, j]  # over the volume
+                swelling = -deformed[:, one, j]  # relative to the volume
                 both = change @ deformed.transpose(0, 2, 1)
                 shear = share * (both + both.transpose(0, 2, 1) - swelling[:, None, None] * stretch)
                 by[:, :, :, j, one] = shear + (steep * swollen * swelling)[:, None, None] * np.eye(3)

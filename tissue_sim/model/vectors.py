@@ -1,4 +1,4 @@
-"""Four springs or cells at a time: what their nodes have, in rows of four, turned into rows of a block and back.
+"""Four springs or cells at a time: the rows of their nodes transposed to rows of a block and back.
 
 The compiler reads nodes one coordinate at a time and adds forces likewise. These read and write a node at once and
 transpose four of them in registers. A node's position and force lie side by side, in one line of the cache. Strict IEEE
@@ -17,8 +17,8 @@ from numba.extending import intrinsic
 from tissue_sim.jit import kernel
 from tissue_sim.model.blocks import BLOCK
 
-WIDTH = 4  # doubles of a node's position, or of its force: x, y, z and nothing
-ROW = 2 * WIDTH  # of a node: position, force
+WIDTH = 4  # doubles of a node's position, or of its force: x, y, z and padding
+ROW = 2 * WIDTH  # of a node: its position and its force
 _INDEX, _LANE = ir.IntType(64), ir.IntType(32)
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _BYTES = 8
@@ -26,7 +26,7 @@ _BYTES = 8
 
 @intrinsic
 def fused(typing_context, a, b, c):  # type: ignore[no-untyped-def]
-    """a b + c, rounded once: one step of the processor in place of two, with the same bits on those that lack it."""
+    """Return a b + c, rounded once: one instruction instead of two, with the same bits on processors without it."""
 
     def make(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         return builder.fma(*arguments)
@@ -35,7 +35,7 @@ def fused(typing_context, a, b, c):  # type: ignore[no-untyped-def]
 
 
 def _gatherer(corners: int) -> Any:
-    """Reads the arms of springs or cells with so many nodes."""
+    """Return a kernel that reads the arms of springs or cells with a given number of nodes."""
 
     @intrinsic
     def gather(typing_context, rows, nodes, work):  # type: ignore[no-untyped-def]
@@ -56,7 +56,7 @@ def _gatherer(corners: int) -> Any:
 
 
 def _scatterer(corners: int) -> Any:
-    """Adds the pulls of springs or cells with so many nodes."""
+    """Return a kernel that adds the pulls of springs or cells with a given number of nodes."""
 
     @intrinsic
     def scatter(typing_context, rows, nodes, work):  # type: ignore[no-untyped-def]
@@ -85,16 +85,26 @@ def _scatterer(corners: int) -> Any:
     return scatter
 
 
-# gather: from the first node of each spring or cell in a block, nodes (BLOCK, c), to its others, m, into 3 (c - 1) rows
-# of BLOCK in work. scatter: take what these hold, N, from the others and add it to the first: the sum stays zero.
-# rows (n, ROW).
+# gather writes the vectors, m, from the first node of each spring or cell in a block, nodes (BLOCK, c), to its other
+# nodes into 3 (c - 1) rows of BLOCK in work. scatter subtracts the values of these rows, N, from the other nodes and
+# adds them to the first, so that the sum stays zero. rows has the shape (n, ROW).
 gather_arms, scatter_arms = _gatherer(4), _scatterer(4)
 gather_fan, scatter_fan = _gatherer(6), _scatterer(6)
 
 
 @kernel
 def put_node(position: Any, node: int, rows: Any) -> None:
-    """Put a node's position, of (n, 3) m, into its row, and no force."""
+    """Write a node's position, of (n, 3) m, to its row, and a force of zero.
+
+    Parameters
+    ----------
+    position : Any, shape (n, 3), m
+        Positions of the nodes, surface first.
+    node : int
+        Index of the node.
+    rows : Any, shape (n, ROW)
+        Rows of the nodes; updated.
+    """
     x, y, z = position[node, 0], position[node, 1], position[node, 2]
     rows[node, 0], rows[node, 1], rows[node, 2], rows[node, 3] = x, y, z, 0.0
     rows[node, 4] = rows[node, 5] = rows[node, 6] = rows[node, 7] = 0.0
@@ -105,7 +115,7 @@ def _signature(*arguments: Any) -> Any:
 
 
 def _pointers(context: Any, builder: Any, signature: Any, arguments: Any) -> list[Any]:
-    """Where the arrays' values lie."""
+    """Return pointers to the arrays' values."""
     kinds: Callable[..., Any] = context.make_array
     return [
         kinds(kind)(context, builder, value=value).data for kind, value in zip(signature.args, arguments, strict=True)
@@ -117,7 +127,7 @@ def _at(index: int) -> Any:
 
 
 def _row_of_each(builder: Any, ends: Any, corners: int, lane: int) -> list[Any]:
-    """Where the rows of the nodes of one of a block begin."""
+    """Return the offset of the row of each node of one spring or cell of a block."""
     nodes = [builder.load(builder.gep(ends, [_at(corners * lane + corner)])) for corner in range(corners)]
     return [builder.mul(builder.sext(node, _INDEX), _at(ROW)) for node in nodes]
 
@@ -133,7 +143,7 @@ def _store(builder: Any, value: Any, base: Any, index: Any) -> None:
 
 
 def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
-    """Four vectors of four, columns for rows."""
+    """Return four vectors of four, columns for rows."""
 
     def mixed(a: Any, b: Any, *lanes: int) -> Any:
         return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_LANE, WIDTH), list(lanes)))

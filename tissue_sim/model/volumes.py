@@ -8,9 +8,23 @@ from tissue_sim.array_types import Floats
 
 
 def triple_product(a: Floats, b: Floats, c: Floats) -> Floats:
-    """a (b x c) of vectors (k, 3) each, (k,): six times the volume of the tetrahedra that they span.
+    """Return a (b x c) of vectors: six times the volume of the tetrahedra that they span.
 
     LAPACK's and BLAS's last bits differ between processors, and a replay has to repeat on another one.
+
+    Parameters
+    ----------
+    a : Floats, shape (k, 3), m
+        First edges.
+    b : Floats, shape (k, 3), m
+        Second edges.
+    c : Floats, shape (k, 3), m
+        Third edges.
+
+    Returns
+    -------
+    Floats
+        shape (k,), m^3
     """
     x, y, z = (a * np.cross(b, c)).T
     return np.asarray(x + y + z)

@@ -1,4 +1,4 @@
-"""Which contact points a tick looks at. A contact set has many, since it serves several ticks."""
+"""Contact points that a tick examines: a contact set has many, since it serves several ticks."""
 
 from __future__ import annotations
 
@@ -11,15 +11,26 @@ from tissue_sim.model.shapes import signed_distance
 from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import FASTEST, set_frame
 
-FAST = 0.5  # m/s, that tissue comes near a tool at the most within a tick
+FAST = 0.5  # m/s, of tissue towards a tool, at most, within a tick
 
 
 @kernel
 def watch_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
-    """List the entries that may touch in the coming tick in scratch.watched; the last impulses of others are forgotten.
+    """List the contact points that may touch in the coming tick in scratch.watched; forget the last impulses of others.
 
     Left out are those that neither the tool's way, which leads from where it is to where it is held, nor tissue that
-    comes at FAST can bring together. For after advance_held; scratch.last_* become the tools now.
+    approaches at FAST can bring together. Call it after advance_held; scratch.last_* become the tools' present poses.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
     """
     body, moved, turned, count = -1, 0.0, 0.0, 0
     most = FASTEST * settings.tick_time if settings.coupling_stiffness == 0.0 else math.inf
@@ -48,9 +59,19 @@ def watch_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None
 
 @kernel
 def tissue_speed(state: Any) -> float:
-    """What tissue comes near a tool with at the most in a substep, m/s: contact may still make as much of its speed.
+    """Return a bound on the speed of tissue towards a tool in a substep; contact may still add as much.
 
-    Less than FAST only where velocities are all that moves the organ.
+    It is less than FAST only where velocities are all that moves the organ.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+
+    Returns
+    -------
+    float
+        m/s
     """
     if state.status.region != Region.WHOLE:
         return FAST
@@ -63,9 +84,9 @@ def tissue_speed(state: Any) -> float:
 
 @kernel
 def motion_of(settings: Any, scratch: Any, body: int) -> tuple[float, float]:
-    """How far a body's origin may go in this tick, m, and a bound on how far it turns, rad.
+    """Return how far a body's origin may go in this tick, m, and a bound on how far it turns, rad.
 
-    A virtual coupling leads it a part of the way.
+    A virtual coupling moves it a part of the way.
     """
     square = turn = 0.0
     for axis in range(3):

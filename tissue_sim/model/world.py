@@ -1,4 +1,4 @@
-"""All that a tick works on, as one argument that costs nothing to pass."""
+"""Everything that a tick works on, as one argument that costs nothing to pass."""
 
 from __future__ import annotations
 
@@ -16,62 +16,134 @@ from tissue_sim.model.settings import Settings
 
 
 class World(NamedTuple):
-    """What the kernels take; passed by reference (tissue_sim.handles.handle)."""
+    """Arguments of the kernels; passed by reference (tissue_sim.handles.handle)."""
 
     model: Any
     state: Any
     shapes: Any
     settings: Settings
-    settings_words: Longs  # what settings views
+    settings_words: Longs  # memory of the settings
     scratch: Any
 
 
 def make_world(model: Any, state: Any, shapes: Any, settings: Settings, scratch: Any) -> World:
-    """All that a tick works on."""
+    """Return everything that a tick works on.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Settings
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     return World(model, state, shapes, settings, words_of(settings), scratch)
 
 
 @kernel
 def reset_world(world: Any) -> None:
-    """Back to the rest shape, asleep, without tools; the counters go on."""
+    """Return to the rest shape, asleep, without tools; the counters go on.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    """
     reset_state(world.model, world.state)
 
 
 @kernel
 def show_world(world: Any) -> None:
-    """Bring the nodes outside a modal region up to date."""
+    """Update the nodes outside a modal region.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    """
     show_region(world.model, world.state, world.settings, world.scratch)
 
 
 @kernel
 def is_world_out_of_balance(world: Any) -> bool:
-    """Return True when something other than what holds the rest shape pulls at the organ."""
+    """Return whether a load that the rest shape doesn't balance acts on the organ.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    """
     return is_out_of_balance(world.model, world.settings)
 
 
 @kernel
 def weigh_world(world: Any, force: Any) -> None:
-    """Add the nodes' weight to force (n, 3) N."""
+    """Add the nodes' weight.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
+    """
     add_weight(world.model, world.settings, force)
 
 
 @kernel
 def pace_of_world(world: Any) -> float:
-    """Return how soon the organ is on its way after it was released, 1/s."""
+    """Return how soon the organ is on its way after it was released.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+
+    Returns
+    -------
+    float
+        1/s
+    """
     return pace(world.model, world.settings)
 
 
 @kernel
 def load_world(world: Any, nodes: Any, forces: Any) -> None:
-    """Add forces (k, 3) N to nodes (k,) for the coming tick."""
+    """Add forces to nodes for the coming tick.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    nodes : Any, shape (k,)
+        Indices of the nodes.
+    forces : Any, shape (k, 3), N
+        Force on each.
+    """
     load_nodes(world.state, nodes, forces)
 
 
 @kernel
 def prescribe_world(world: Any, nodes: Any, positions: Any, ticks: int) -> None:
-    """From the next tick on lead nodes (k,) to positions (k, 3) m within so many ticks, and hold them there.
+    """Move nodes to positions within some ticks, from the next one on, and hold them there.
 
     The whole organ moves from here on, from where the region and the rest of it are.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    nodes : Any, shape (k,)
+        Indices of the nodes.
+    positions : Any, shape (k, 3), m
+        Where each goes.
+    ticks : int
+        Number of ticks that this takes.
     """
     if not world.state.status.asleep:
         leave_region(world.model, world.state, world.settings, world.scratch)
@@ -80,23 +152,65 @@ def prescribe_world(world: Any, nodes: Any, positions: Any, ticks: int) -> None:
 
 @kernel
 def free_world(world: Any) -> None:
-    """Let prescribed nodes go."""
+    """Release prescribed nodes.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    """
     free_nodes(world.model, world.state)
 
 
 @kernel
 def pose_world(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> None:
-    """Take up a body's newest pose (7,); stamp in ns, 0 where it has none."""
+    """Apply a body's newest pose.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    body : int
+        Index of the body.
+    pose : Any, shape (7,), m and quaternion xyzw
+        The pose.
+    stamp : int, ns
+        Its time; 0 where it has none.
+    sequence : int
+        Number of the pose.
+    """
     take_pose(world, body, pose, stamp, sequence)
 
 
 @kernel
 def push_world(world: Any, body: int, force: Any, sequence: int) -> None:
-    """Take up the newest external force (3,) N at a body's tip."""
+    """Apply the newest external force at a body's tip.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    body : int
+        Index of the body.
+    force : Any, shape (3,), N
+        The force.
+    sequence : int
+        Number of the force.
+    """
     take_force(world.state, body, force, sequence)
 
 
 @kernel
 def touch_world(world: Any, found: Any, sequence: int) -> None:
-    """Take up a contact set."""
+    """Apply a contact set.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    found : Any
+        The contact set.
+    sequence : int
+        Number of the set.
+    """
     take_contacts(world.state, world.shapes, found, sequence)

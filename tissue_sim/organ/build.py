@@ -299,7 +299,7 @@ def stem_of(path: Path) -> str:
 
 
 def digest_of(source: Path) -> str:
-    """SHA-256 (hex) of a file, or of the names and contents of a folder's files in order; empty if there is none."""
+    """Return the SHA-256 (hex) of a file, or of a folder's file names and contents in order; empty if there is none."""
     if source.is_file():
         with source.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,4 +1,4 @@
-"""What the making of an organ tells on its way: the stages, how far they are, and what each of them made."""
+"""Record of how an organ is made: the stages, their progress, and what each of them produced."""
 
 from __future__ import annotations
 
@@ -20,17 +20,25 @@ if TYPE_CHECKING:
     from tissue_sim.organ.surfaces.surface import Wall
 
 Tell = Callable[[str], None]
-Watch = Callable[[str, float], None]  # stage, share of it that is done
+Watch = Callable[[str, float], None]  # stage, fraction of it that is done
 
 STAGES = ("read", "segment", "wall", "balloon", "skeleton", "springs")
 
 
 @dataclass
 class BuildRecord:
-    """What the stages made on the way, for the report; references only, nothing is copied.
+    """Results of the stages of a build, kept for the report; they are references, nothing is copied.
 
-    frame: `LPS` for an image's patient frame, `mesh` for the frame of a mesh file. seconds: of each stage, in order.
-    lines: what was told; warnings: those of them that warn.
+    Attributes
+    ----------
+    frame : str
+        `LPS` for an image's patient frame, `mesh` for the frame of a mesh file.
+    seed : Floats | None, shape (3,), mm
+        Seed point of the segmentation.
+    seconds : dict[str, float]
+        Duration of each stage, in their order.
+    lines : list[str]
+        Lines that were reported, warnings included.
     """
 
     frame: str = "LPS"
@@ -49,7 +57,7 @@ class BuildRecord:
 
     @property
     def warnings(self) -> list[str]:
-        """The lines that warn, without the word."""
+        """Lines of warnings, without their prefix."""
         return [line.removeprefix("warning: ") for line in self.lines if line.startswith("warning: ")]
 
 
@@ -63,20 +71,42 @@ def _unwatched(_stage: str, _done: float) -> None:
 
 @dataclass
 class Progress:
-    """Where the stages tell what they found, how far they are and what they made."""
+    """Receiver of what the stages of a build report: findings, progress and results.
+
+    Attributes
+    ----------
+    tell : Tell
+        Called with each line.
+    watch : Watch
+        Called with a stage and the fraction of it that is done.
+    record : BuildRecord
+        What has been reported and produced so far.
+    """
 
     tell: Tell = _quiet
     watch: Watch = _unwatched
     record: BuildRecord = field(default_factory=BuildRecord)
 
     def say(self, line: str) -> None:
-        """Tell a line and keep it."""
+        """Report a line and keep it in the record.
+
+        Parameters
+        ----------
+        line : str
+            The line.
+        """
         self.record.lines.append(line)
         self.tell(line)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time a stage and watch its beginning and end."""
+        """Time a stage and report its beginning and end.
+
+        Parameters
+        ----------
+        name : str
+            One of STAGES.
+        """
         self.watch(name, 0.0)
         started = time.perf_counter()
         yield
@@ -85,9 +115,23 @@ class Progress:
         self.watch(name, 1.0)
 
     def at(self, stage: str, done: float) -> None:
-        """Tell the share of a stage that is done, 0..1."""
+        """Report the fraction of a stage that is done.
+
+        Parameters
+        ----------
+        stage : str
+            One of STAGES.
+        done : float
+            Fraction done; values outside 0..1 are clipped.
+        """
         self.watch(stage, min(max(done, 0.0), 1.0))
 
     def took(self, name: str) -> str:
-        """The stage's time as text."""
+        """Return the duration of a stage as text, in brackets.
+
+        Parameters
+        ----------
+        name : str
+            Name of the stage.
+        """
         return f"({self.record.seconds[name]:.1f} s)"

@@ -13,21 +13,33 @@ from tissue_sim.organ.inclusions import cell_factors, inclusions_of
 from tissue_sim.organ.organ import Organ, signed_volume
 from tissue_sim.organ.winding import inside
 
-# Of a regular tetrahedron's volume, for edges as long in the quadratic mean: flatter ones are left out. They carry
+# Relative to a regular tetrahedron of the same root mean square edge length. Flatter cells are left out: they carry
 # nothing, and would set the critical step.
 LEAST_QUALITY = 0.1
 LEAST_SHARE = 0.9  # of the volume
-# Degrees between two faces of a cell on the surface, beyond which it is left out: a dent must turn such a cell inside
-# out. Narrower ones are the edges of a body, as a cube has them; without them those hang by a thread.
+# Degrees between two faces of a cell on the surface, beyond which it is left out: a dent would turn such a cell inside
+# out. Narrower angles are the edges of a body, as of a cube, which would hang by a thread without their cells.
 WIDEST = 120.0
 LEAST_CELLS = 4  # of a node, before one of its cells is left out for its angle
 _FACES = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
 
 
 def tetrahedra(points: Floats, surface: Floats, triangles: Ints) -> Longs:
-    """Delaunay tetrahedra (c, 4) of points (n, 3) m whose middle lies inside the closed surface.
+    """Return the Delaunay tetrahedra whose centroid lies inside a closed surface.
 
-    None where all points lie in a plane.
+    Parameters
+    ----------
+    points : Floats, shape (n, 3), m
+        Points between which the tetrahedra are made.
+    surface : Floats, shape (k, 3), m
+        Nodes of the closed surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    Longs, shape (c, 4)
+        Corner indices into `points`; empty where all points lie in a plane.
     """
     try:
         cells = Delaunay(points).simplices.astype(np.int64)
@@ -37,11 +49,31 @@ def tetrahedra(points: Floats, surface: Floats, triangles: Ints) -> Longs:
 
 
 def tissue_cells(points: Floats, surface: Floats, triangles: Ints, name: str) -> Ints:
-    """Cells (c, 4) of positive volume that fill a closed surface, between points (n, 3) m.
+    """Return tetrahedra of positive volume that fill a closed surface.
 
-    The points begin with those of the surface. Left out are slivers, and cells with two faces on the surface at a
-    wide angle; not where that would leave a node with few cells, as in a fin, or none. Raises UserError for a node that
-    has none all the same, or where cells fill too little.
+    Slivers are left out, and so are cells with two faces on the surface at a wide angle. Such a cell is kept where
+    leaving it out would leave a node with too few cells, as in a fin, or with none.
+
+    Parameters
+    ----------
+    points : Floats, shape (n, 3), m
+        Nodes, beginning with those of the surface.
+    surface : Floats, shape (k, 3), m
+        Nodes of the closed surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    name : str
+        The organ's name, for messages.
+
+    Returns
+    -------
+    Ints, shape (c, 4)
+        Corner indices into `points`.
+
+    Raises
+    ------
+    UserError
+        Where a node belongs to no cell, or the cells fill less than LEAST_SHARE of the volume.
     """
     cells = tetrahedra(points, surface, triangles)
     volume, quality = quality_of(points, cells)
@@ -67,9 +99,24 @@ def tissue_cells(points: Floats, surface: Floats, triangles: Ints, name: str) ->
 
 
 def with_cells(organ: Organ, shares: tuple[float, float] = (1.0, 1.0)) -> Organ:
-    """The organ with cells between all its nodes, of so much of its tissue's mu and lambda, inclusions counted.
+    """Return the organ with cells between all its nodes; inclusions are taken into account.
 
-    Raises UserError for a node that no cell joins, or where cells fill too little.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    shares : tuple[float, float], optional
+        Fractions of the tissue's mu and lambda that the cells carry.
+
+    Returns
+    -------
+    Organ
+        The organ with cells in place of its own.
+
+    Raises
+    ------
+    UserError
+        Where a node belongs to no cell, or the cells fill too little of the volume.
     """
     cells = tissue_cells(organ.rest_positions, organ.surface_positions, organ.surface_triangles, organ.name)
     factors = cell_factors(inclusions_of(organ), organ.rest_positions, cells)
@@ -78,7 +125,20 @@ def with_cells(organ: Organ, shares: tuple[float, float] = (1.0, 1.0)) -> Organ:
 
 
 def quality_of(points: Floats, cells: Longs | Ints) -> tuple[Floats, Floats]:
-    """Signed volumes (c,) m^3 of cells (c, 4), and those over that of a regular one with edges as long."""
+    """Return the signed volume and the quality of cells.
+
+    Parameters
+    ----------
+    points : Floats, shape (n, 3), m
+        Positions of the nodes.
+    cells : Longs | Ints, shape (c, 4)
+        Corner indices into `points`.
+
+    Returns
+    -------
+    tuple[Floats, Floats]
+        Volumes, shape (c,), m^3, and these relative to a regular tetrahedron of the same root mean square edge length.
+    """
     corner = points[cells]
     volume = np.linalg.det(corner[:, 1:] - corner[:, :1]) / 6.0
     pairs = [(a, b) for a in range(4) for b in range(a + 1, 4)]
@@ -87,7 +147,7 @@ def quality_of(points: Floats, cells: Longs | Ints) -> tuple[Floats, Floats]:
 
 
 def _widest_angle(points: Floats, cells: Longs, triangles: Ints) -> Floats:
-    """Widest angle inside each cell between two of its faces on the surface, degrees (c,); 0 without two of them."""
+    """Return the widest angle inside each cell between two of its faces on the surface, degrees (c,); 0 without two."""
     size = int(cells.max(initial=0)) + 1
 
     def keys(faces: Longs | Ints) -> Longs:
@@ -97,7 +157,7 @@ def _widest_angle(points: Floats, cells: Longs, triangles: Ints) -> Floats:
     on = np.isin(keys(np.stack([cells[:, face] for face in _FACES], axis=1)), keys(triangles))
     corner = points[cells]
     slopes = np.linalg.inv(np.where(on.sum(axis=1)[:, None, None] > 1, corner[:, 1:] - corner[:, :1], np.eye(3)))
-    # Of each corner's share: towards the corner, across the face opposite to it.
+    # Gradients of the barycentric coordinates: each points to its corner, across the face opposite to it.
     inward = np.concatenate([-slopes.sum(axis=2)[:, None], slopes.transpose(0, 2, 1)], axis=1)
     inward /= np.linalg.norm(inward, axis=2, keepdims=True)
     widest = np.zeros(len(cells))

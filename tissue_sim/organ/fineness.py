@@ -1,7 +1,8 @@
-"""How small a ball an organ's surface is fine enough for, and how many points would do for a smaller one.
+"""How small a ball an organ's surface is fine enough for, and how many points a smaller one needs.
 
-Beside finite elements the force of a ball of one mean edge of the surface is to be within 8 %, that of half an edge
-within 15 % (`tissue_sim bench palpation --places N`). Smaller ones lie between nodes, which tell nothing of there.
+Compared with finite elements, the force of a ball whose radius is one mean edge of the surface should be within 8 %,
+and that of half an edge within 15 % (`tissue_sim bench palpation --places N`). Smaller balls fit between the nodes,
+which carry no information there.
 """
 
 from __future__ import annotations
@@ -24,18 +25,57 @@ def relative_size(volume: float) -> float:
 
 
 def mean_edge(organ: Organ) -> float:
-    """Return the mean edge of an organ's surface, m."""
+    """Return the mean edge length of an organ's surface.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    float, m
+        The mean over all edges of all triangles.
+    """
     corner = organ.surface_positions[organ.surface_triangles]
     return float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).mean())
 
 
 def points_for(organ: Organ, radius: float, edges: float = FAIR) -> int:
-    """Return with how many surface points a ball, its radius in m, would measure so many mean edges."""
+    """Return how many surface points make a ball's radius as long as a number of mean edges.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    radius : float, m
+        Radius of the ball.
+    edges : float, optional
+        Wanted radius in mean edges.
+
+    Returns
+    -------
+    int
+        Number of surface points.
+    """
     return math.ceil(organ.n_surface * (edges * mean_edge(organ) / radius) ** 2)
 
 
 def too_coarse(organ: Organ, radius: float) -> str | None:
-    """Return in words why an organ is too coarse for a tool, its radius in m, and what helps; None when it isn't."""
+    """Return why an organ is too coarse for a tool, and the remedy.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    radius : float, m
+        Radius of the tool.
+
+    Returns
+    -------
+    str | None
+        A sentence for the user; None where the surface is fine enough.
+    """
     edge, wanted = mean_edge(organ), points_for(organ, radius)
     if radius >= FAIR * edge:
         return None

@@ -1,4 +1,4 @@
-"""Which surface nodes of an organ are held, from a choice in words."""
+"""Selection of the surface nodes of an organ that are held."""
 
 from __future__ import annotations
 

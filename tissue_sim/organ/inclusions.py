@@ -17,12 +17,22 @@ if TYPE_CHECKING:
     from tissue_sim.organ.organ import Organ
 
 LEAST, MOST = 1e-3, 1e3  # of the tissue's moduli
-_ALONG = (np.arange(16) + 0.5) / 16  # of a spring's length, where it is asked what it runs through
-_FINEST = 8  # parts of a cell's edges, for what it is made of
+_ALONG = (np.arange(16) + 0.5) / 16  # fractions of a spring's length at which its material is sampled
+_FINEST = 8  # parts of a cell's edges, to sample its material
 
 
 class Inclusion(NamedTuple):
-    """A closed surface within an organ, and how many times the tissue's moduli hold inside it."""
+    """Closed surface within an organ, and the factor of the tissue's moduli inside it.
+
+    Attributes
+    ----------
+    positions : Floats, shape (k, 3), m
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, outward.
+    stiffness : float
+        Factor of the tissue's moduli.
+    """
 
     positions: Floats  # (k, 3) m
     triangles: Ints  # (t, 3) outward
@@ -30,13 +40,30 @@ class Inclusion(NamedTuple):
 
 
 def check_stiffness(stiffness: float) -> None:
-    """Raise UserError for a factor that no inclusion has."""
+    """Check a stiffness factor.
+
+    Parameters
+    ----------
+    stiffness : float
+        The factor.
+
+    Raises
+    ------
+    UserError
+        When it is outside the accepted range.
+    """
     if not LEAST <= stiffness <= MOST:
         raise UserError(f"an inclusion's stiffness ratio {stiffness:g} is outside {LEAST:g}..{MOST:g}")
 
 
 def inclusions_of(organ: Organ) -> list[Inclusion]:
-    """The inclusions of an organ, in the order of its file."""
+    """Return the inclusions of an organ, in the order of its file.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    """
     found = []
     for number, stiffness in enumerate(organ.inclusion_stiffness):
         triangles = organ.inclusion_triangles[organ.inclusion_of == number]
@@ -47,9 +74,26 @@ def inclusions_of(organ: Organ) -> list[Inclusion]:
 
 
 def with_inclusions(organ: Organ, inclusions: Sequence[Inclusion]) -> Organ:
-    """The organ with these inclusions, in place of its own; its springs and cells stay what they are.
+    """Return the organ with these inclusions in place of its own; its springs and cells are unchanged.
 
-    Raises UserError where one isn't a closed surface, or its stiffness none.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    inclusions : Sequence[Inclusion]
+        The inclusions; where two overlap, the later one counts.
+    inclusions : Sequence[Inclusion]
+        The new inclusions.
+
+    Returns
+    -------
+    Organ
+        The organ with them.
+
+    Raises
+    ------
+    UserError
+        Where one isn't a closed surface, or its stiffness is out of range.
     """
     for inclusion in inclusions:
         check_stiffness(inclusion.stiffness)
@@ -67,7 +111,20 @@ def with_inclusions(organ: Organ, inclusions: Sequence[Inclusion]) -> Organ:
 
 
 def stiffness_at(inclusions: Sequence[Inclusion], points: Floats) -> Floats:
-    """How many times the tissue's moduli hold at points (..., 3) m: 1 outside; where two overlap, the last's."""
+    """Return the factor of the tissue's moduli at points.
+
+    Parameters
+    ----------
+    inclusions : Sequence[Inclusion]
+        The inclusions; where two overlap, the later one counts.
+    points : Floats, shape (..., 3), m
+        Points.
+
+    Returns
+    -------
+    Floats, shape (...)
+        Factors; 1 outside all inclusions.
+    """
     flat = points.reshape(-1, 3)
     found = np.ones(len(flat))
     for inclusion in inclusions:
@@ -79,7 +136,20 @@ def stiffness_at(inclusions: Sequence[Inclusion], points: Floats) -> Floats:
 
 
 def spring_factors(inclusions: Sequence[Inclusion], ends: Floats) -> Floats:
-    """How many times as stiff springs between ends (s, 2, 3) m are: parts of a spring are in series."""
+    """Return the stiffness factors of springs; the parts of a spring are in series.
+
+    Parameters
+    ----------
+    inclusions : Sequence[Inclusion]
+        The inclusions; where two overlap, the later one counts.
+    ends : Floats, shape (s, 2, 3), m
+        Ends of the springs.
+
+    Returns
+    -------
+    Floats, shape (s,)
+        Factors.
+    """
     first, last = ends[:, :1], ends[:, 1:]
     along = first + _ALONG[None, :, None] * (last - first)
     factors: Floats = 1.0 / np.mean(1.0 / stiffness_at(inclusions, along), axis=1)
@@ -87,7 +157,22 @@ def spring_factors(inclusions: Sequence[Inclusion], ends: Floats) -> Floats:
 
 
 def cell_factors(inclusions: Sequence[Inclusion], points: Floats, cells: Longs | Ints) -> Floats:
-    """How many times the tissue's moduli cells (c, 4) of points (n, 3) m have in the mean."""
+    """Return the mean factor of the tissue's moduli in cells.
+
+    Parameters
+    ----------
+    inclusions : Sequence[Inclusion]
+        The inclusions; where two overlap, the later one counts.
+    points : Floats, shape (n, 3), m
+        Positions of the nodes.
+    cells : Longs | Ints, shape (c, 4)
+        Corner indices into `points`.
+
+    Returns
+    -------
+    Floats, shape (c,)
+        Factors.
+    """
     if not inclusions:
         return np.ones(len(cells))
     factors: Floats = stiffness_at(inclusions, _SHARES @ points[cells]).mean(axis=1)
@@ -95,7 +180,7 @@ def cell_factors(inclusions: Sequence[Inclusion], points: Floats, cells: Longs |
 
 
 def _shares() -> Floats:
-    """Barycentric coordinates (k, 4) of points spread evenly through a tetrahedron."""
+    """Return barycentric coordinates (k, 4) of points spread evenly through a tetrahedron."""
     steps = np.arange(_FINEST)
     a, b, c = (part.ravel() for part in np.meshgrid(steps, steps, steps, indexing="ij"))
     within = a + b + c < _FINEST

@@ -1,8 +1,8 @@
 """Interior atoms: further nodes spread through the volume along the spokes.
 
-The centreline alone says little about the tissue between it and the boundary. The spokes of the M-rep reach
-all of it, so further atoms take their places there: each lies on the spoke from a medial atom to a boundary
-point, at a share of its length.
+The centreline alone says little about the tissue between it and the boundary. The spokes of the M-rep reach all of it,
+so further atoms are placed on them: each lies on the spoke from a medial atom to a boundary point, at a fraction of its
+length.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tissue_sim.organ.surfaces.intersections import is_crossed
 from tissue_sim.organ.surfaces.sizing import relative_edges
 from tissue_sim.organ.winding import inside
 
-_SHARES = np.linspace(0.1, 0.9, 17)  # of a spoke's length, from the medial atom
+_SHARES = np.linspace(0.1, 0.9, 17)  # fractions of a spoke's length, from the medial atom
 _WALL = 2.0  # atoms keep half as far from the boundary as from each other
 _LAYER, _THICK, _DEEP = 0.9, 0.2, 1.6  # mean edges: how deep the layer lies, half of how thick it is, what is deeper
 
@@ -28,8 +28,14 @@ _LAYER, _THICK, _DEEP = 0.9, 0.2, 1.6  # mean edges: how deep the layer lies, ha
 class InteriorAtoms:
     """Interior atoms on spokes.
 
-    positions (m, 3) m; spoke (m, 2): medial atom and boundary point that each one's spoke joins;
-    share (m,): of the spoke's length, from the medial atom.
+    Attributes
+    ----------
+    positions : Floats, shape (m, 3), m
+        The atoms.
+    spoke : Ints, shape (m, 2)
+        Medial atom and boundary point that each atom's spoke joins.
+    share : Floats, shape (m,)
+        Fraction of the spoke's length, from the medial atom.
     """
 
     positions: Floats
@@ -38,7 +44,18 @@ class InteriorAtoms:
 
 
 def check_interior(count: int) -> None:
-    """Raise UserError for a negative number of interior atoms."""
+    """Check the number of interior atoms.
+
+    Parameters
+    ----------
+    count : int
+        The number.
+
+    Raises
+    ------
+    UserError
+        When it is negative.
+    """
     if count < 0:
         raise UserError(f"--interior {count} is negative; use 0 or more")
 
@@ -69,7 +86,7 @@ def place_interior_atoms(
     chosen: list[int] = []
 
     def choose(until: int, room: Floats) -> None:
-        """Take the places with the most room, until there are so many; room (p,) m is spent."""
+        """Take the places with the most room, until there are so many; room (p,) m is updated."""
         while len(chosen) < until:
             best = int(room.argmax())
             if room[best] <= 0.0:

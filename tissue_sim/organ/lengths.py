@@ -26,12 +26,34 @@ _SPELLINGS = {
 
 
 def metres(unit: str) -> float | None:
-    """Return the metres in a unit of length as a header spells it; None for a unit that isn't known."""
+    """Return the metres in a unit of length as a header spells it.
+
+    Parameters
+    ----------
+    unit : str
+        Name of the unit; singular or plural, in any case.
+
+    Returns
+    -------
+    float | None
+        Metres in the unit; None for an unknown unit.
+    """
     name = unit.strip().lower()
     name = _SPELLINGS.get(name.removesuffix("s"), name)
     return (UNITS | {"nm": _NANOMETRE}).get(name)
 
 
 def is_organ(size: float) -> bool:
-    """Return whether an organ can have this longest side, m."""
+    """Return whether an organ can be of this size.
+
+    Parameters
+    ----------
+    size : float, m
+        Longest side.
+
+    Returns
+    -------
+    bool
+        True within ORGAN_SIZE.
+    """
     return ORGAN_SIZE[0] <= size <= ORGAN_SIZE[1]

@@ -1,4 +1,4 @@
-"""From a CT, a mask or a mesh to an organ: the stages in their order."""
+"""Making of an organ from a CT, a mask or a mesh: the stages in their order."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tissue_sim.organ.organ import Organ
     from tissue_sim.organ.surfaces.surface import Wall
 
-_NOTED, _WRONG = 0.05, 0.4  # of the volume that was read: how far the one that is built may be off
+_NOTED, _WRONG = 0.05, 0.4  # relative error of the built volume
 _REFINED = 0.9  # of the even surface's edges: shorter ones are refined
 _LARGEST_IMAGE = 3.0  # m, longest side: a whole body
 _PACKAGES = ("numpy", "scipy", "numba", "SimpleITK", "scikit-image", "trimesh")
@@ -39,9 +39,30 @@ def organ_from_image(
     parameters: SegmentationParameters | None = None,
     progress: Progress | None = None,
 ) -> Organ:
-    """Segment the organ around `seed`, (3,) mm LPS, and build it.
+    """Segment the organ around a seed point and build it.
 
-    Raises UserError as the stages do.
+    Parameters
+    ----------
+    ct : Volume
+        The image.
+    seed : Floats, shape (3,), mm
+        Point in the organ, in LPS.
+    request : Request
+        What the organ is to be made with.
+    parameters : SegmentationParameters | None, optional
+        Parameters of the segmentation; None for the usual ones.
+    progress : Progress | None, optional
+        Receives the lines, the progress and the results of the stages.
+
+    Returns
+    -------
+    Organ
+        The organ.
+
+    Raises
+    ------
+    UserError
+        As the stages do.
     """
     from tissue_sim.organ.segmenting.segmentation import segment
 
@@ -79,10 +100,27 @@ def organ_from_image(
 
 
 def organ_from_mask(mask: Volume, request: Request, progress: Progress | None = None) -> Organ:
-    """Build an organ from a bool mask: wall, balloon, skeleton, springs.
+    """Build an organ from a mask: wall, balloon, skeleton, springs.
 
-    Raises UserError as the stages do, for a mask that is no organ in size, and where the organ's volume is more than
-    two fifths off the mask's.
+    Parameters
+    ----------
+    mask : Volume
+        The voxels of the organ.
+    request : Request
+        What the organ is to be made with.
+    progress : Progress | None, optional
+        Receives the lines, the progress and the results of the stages.
+
+    Returns
+    -------
+    Organ
+        The organ.
+
+    Raises
+    ------
+    UserError
+        As the stages do, for a mask whose size is not an organ's, and where the organ's volume differs by more than two
+        fifths from the mask's.
     """
     _check_mask_size(mask)
     volume = float(np.count_nonzero(mask.array)) * mask.voxel_volume
@@ -90,7 +128,7 @@ def organ_from_mask(mask: Volume, request: Request, progress: Progress | None = 
 
 
 def _inflated(mask: Volume, request: Request, progress: Progress, volume: float) -> Organ:
-    """An organ from a mask; volume, mL, of what was read."""
+    """Return an organ from a mask; volume: mL of what was read."""
     from tissue_sim.organ.surfaces.balloon import inflate
     from tissue_sim.organ.surfaces.surface import wall_of_surface
 
@@ -132,7 +170,7 @@ def _inflated(mask: Volume, request: Request, progress: Progress, volume: float)
 def _refined(
     wall: Wall, positions: Floats, triangles: Ints, request: Request, progress: Progress
 ) -> tuple[Floats, Ints]:
-    """The balloon, positions (n, 3) mm on the wall's grid, with further points where the request refines it."""
+    """Return the balloon surface, (n, 3) mm on the wall's grid, with more points where the request refines it."""
     from tissue_sim.organ.surfaces.fitting import mean_edge
     from tissue_sim.organ.surfaces.grading import graded
 
@@ -155,9 +193,28 @@ def organ_from_mesh(
     keep_points: bool = False,
     progress: Progress | None = None,
 ) -> Organ:
-    """Build an organ from a closed surface; `keep_points` keeps its points and their order.
+    """Build an organ from a closed surface.
 
-    Raises UserError as the stages do.
+    Parameters
+    ----------
+    surface : SurfaceMesh
+        The surface.
+    request : Request
+        What the organ is to be made with.
+    keep_points : bool, optional
+        Whether the surface's points and their order are kept.
+    progress : Progress | None, optional
+        Receives the lines, the progress and the results of the stages.
+
+    Returns
+    -------
+    Organ
+        The organ.
+
+    Raises
+    ------
+    UserError
+        As the stages do.
     """
     from tissue_sim.organ.meshes.mesh_input import voxelize
     from tissue_sim.organ.organ import signed_volume
@@ -181,10 +238,10 @@ def organ_from_mesh(
 
 
 def _check_mask_size(mask: Volume) -> None:
-    """Refuse a mask that is no organ in size: its header has a wrong spacing."""
+    """Refuse a mask whose size is not an organ's: its header has a wrong spacing."""
     held = [np.flatnonzero(mask.array.any(axis=tuple({0, 1, 2} - {axis}))) for axis in (2, 1, 0)]
     if not all(len(index) for index in held):
-        return  # an empty one is told of by the wall
+        return  # the wall reports an empty mask
     size = 1e-3 * max(float(n[-1] - n[0] + 1) * step for n, step in zip(held, mask.spacing, strict=True))
     if not is_organ(size):
         raise UserError(
@@ -207,7 +264,7 @@ def _voxels(image: Volume) -> str:
 
 
 def _compared(volume: float, positions: Floats, triangles: Ints, request: Request, progress: Progress) -> Request:
-    """The request with both volumes in its provenance, which are told: mL of what was read, and of the surface.
+    """Return the request with the volumes read and built, mL, in its provenance, and report both.
 
     Raises UserError where they differ by more than two fifths, and that isn't accepted.
     """
@@ -290,7 +347,7 @@ def _assemble(wall: Wall, positions: Floats, triangles: Ints, request: Request, 
 
 
 def _place(inclusion: Inclusion, positions: Floats, triangles: Ints, progress: Progress) -> None:
-    """Tell where an inclusion lies within the organ's surface. Raises UserError when it doesn't."""
+    """Report where an inclusion lies within the organ's surface; raises UserError where it is outside."""
     from tissue_sim.organ.organ import signed_volume
     from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 
@@ -306,7 +363,7 @@ def _place(inclusion: Inclusion, positions: Floats, triangles: Ints, progress: P
 
 
 def wall_distance(wall: Wall, positions: Floats, triangles: Ints) -> float:
-    """Mean distance, mm, of the triangles from the wall: at corners, middles of edges and centres, by area."""
+    """Return the mean distance, mm, of the triangles from the wall: at corners, edge centres and centroids, by area."""
     corner = positions[triangles]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     weights = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=float)

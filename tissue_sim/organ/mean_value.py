@@ -1,4 +1,4 @@
-"""What lies inside a closed surface goes with it: mean value coordinates (Ju, Schaefer & Warren 2005)."""
+"""Mean value coordinates (Ju, Schaefer & Warren 2005): what lies inside a closed surface moves with it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,31 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs
 
-_ON_FACE = 1e-9  # rad, of a half angle's sum off pi, and of a sine
+_ON_FACE = 1e-9  # rad, tolerance of half the angle sum about pi, and of a sine
 
 
 def mean_value_weights(points: Floats, positions: Floats, triangles: Ints | Longs) -> Floats:
-    """Weights (p, n) of a surface's nodes, positions (n, 3), triangles (t, 3), at points (p, 3) inside it.
+    """Return the weights of a closed surface's nodes at points inside it.
 
-    Each row sums to 1, and gives back the point; so points go along exactly where the surface moves affinely.
+    Each row sums to 1 and reproduces the point, so points follow exactly where the surface moves affinely.
+
+    Parameters
+    ----------
+    points : Floats, shape (p, 3), m
+        Points inside.
+    positions : Floats, shape (n, 3), m
+        Nodes of the surface.
+    triangles : Ints | Longs, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    Floats, shape (p, n)
+        Weights.
+
+    References
+    ----------
+    Ju, Schaefer & Warren 2005: Mean value coordinates for closed triangular meshes.
     """
     weights = np.zeros((len(points), len(positions)))
     for row, point in zip(weights, points, strict=True):
@@ -22,7 +40,7 @@ def mean_value_weights(points: Floats, positions: Floats, triangles: Ints | Long
 
 
 def _add(row: Floats, point: Floats, positions: Floats, triangles: Ints | Longs) -> None:
-    """Add up the weights (n,) of one point, by triangles."""
+    """Add the weights (n,) of one point, triangle by triangle."""
     away = positions - point
     distance = np.linalg.norm(away, axis=1)
     ways = (away / distance[:, None])[triangles]  # (t, 3, 3)
@@ -36,7 +54,7 @@ def _add(row: Floats, point: Floats, positions: Floats, triangles: Ints | Longs)
         )
     sign = np.sign(np.linalg.det(ways))[:, None]
     sine = sign * np.sqrt(np.clip(1.0 - cosine**2, 0.0, None))
-    # A triangle whose plane goes through the point says nothing.
+    # A triangle whose plane goes through the point contributes nothing.
     told = (half < np.pi - _ON_FACE) & (np.abs(sine) > _ON_FACE).all(axis=1)
     cosine, sine, angle, corner = cosine[told], sine[told], angle[told], triangles[told]
     following, before = np.roll(angle, -1, axis=1), np.roll(angle, -2, axis=1)

@@ -1,4 +1,4 @@
-"""M-rep: what the medial atoms imply about the boundary (Zhang, Gu et al. 2006, section 3.2, equation 2).
+"""M-rep: the boundary that the medial atoms imply (Zhang, Gu et al. 2006, section 3.2, equation 2).
 
 Every boundary point C hangs on its nearest atom B by a spoke BC. With A, a neighbour of B on the skeleton,
 the tuple {x, r, F(V, AB), theta} holds x = B, r = |BC|, the plane F spanned by the orientation vector
@@ -21,14 +21,31 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 
 _SHORTEST = 1e-12  # m
-_HALF_TURN = 1e-12  # square of the sum of two unit vectors that counts as none
-_UNDECIDED = 1e-12  # weight of "not turned" where the atoms leave a rotation open
+_HALF_TURN = 1e-12  # square of the sum of two unit vectors that counts as zero
+_UNDECIDED = 1e-12  # weight of the identity where the atoms don't determine a rotation
 
 
 @dataclass(frozen=True, eq=False)
 class MedialRepresentation:
-    """One tuple for each of n spokes: atom B (n,), neighbour A (n,), length r (n,) m, angle theta (n,) rad,
-    orientation V (n, 3) m; and the skeleton at rest: atoms (a, 3) m, parent (a,)."""
+    """Tuples of the n spokes, and the skeleton at rest.
+
+    Attributes
+    ----------
+    atoms : Floats, shape (a, 3), m
+        Medial atoms at rest.
+    parent : Ints, shape (a,)
+        Neighbour towards the root, -1 at the root.
+    atom : Ints, shape (n,)
+        Atom B of each spoke.
+    neighbour : Ints, shape (n,)
+        Neighbour A of that atom.
+    length : Floats, shape (n,), m
+        Length r.
+    theta : Floats, shape (n,), rad
+        Angle between AB and BC.
+    orientation : Floats, shape (n, 3), m
+        Vector V = AC.
+    """
 
     atoms: Floats
     parent: Ints
@@ -40,9 +57,21 @@ class MedialRepresentation:
 
 
 def nearest_atoms(boundary: ArrayLike, atoms: ArrayLike, count: int = 4) -> tuple[Ints, Floats]:
-    """The `count` nearest atoms of each boundary point, nearest first: indices (n, count), distances (n, count).
+    """Return the atoms nearest to each boundary point, nearest first.
 
-    boundary (n, 3), atoms (a, 3); with fewer atoms than `count`, all of them.
+    Parameters
+    ----------
+    boundary : ArrayLike, shape (n, 3), m
+        Boundary points.
+    atoms : ArrayLike, shape (a, 3), m
+        Atoms.
+    count : int, optional
+        Number of atoms for each point; with fewer atoms, all of them.
+
+    Returns
+    -------
+    tuple[Ints, Floats]
+        Indices and distances (m), of shape (n, count) each.
     """
     points, centres = np.asarray(boundary, dtype=np.float64), np.asarray(atoms, dtype=np.float64)
     k = min(count, len(centres))
@@ -51,9 +80,22 @@ def nearest_atoms(boundary: ArrayLike, atoms: ArrayLike, count: int = 4) -> tupl
 
 
 def neighbours(parent: ArrayLike) -> Ints:
-    """The neighbour A of every atom, (a,): its parent, and for a root its first child.
+    """Return the neighbour A of every atom: its parent, and for a root its first child.
 
-    Raises UserError for an atom without any neighbour.
+    Parameters
+    ----------
+    parent : ArrayLike, shape (a,)
+        Neighbour towards the root, -1 at the root.
+
+    Returns
+    -------
+    Ints, shape (a,)
+        Indices.
+
+    Raises
+    ------
+    UserError
+        For an atom without any neighbour.
     """
     towards = np.asarray(parent, dtype=np.int32).copy()
     for root in np.flatnonzero(towards < 0):
@@ -67,9 +109,28 @@ def neighbours(parent: ArrayLike) -> Ints:
 def represent(
     boundary: ArrayLike, atoms: ArrayLike, parent: ArrayLike, atom: ArrayLike | None = None
 ) -> MedialRepresentation:
-    """The tuples of boundary points (n, 3) m on atoms (a, 3) m; parent (a,) as in Organ.
+    """Return the tuples of boundary points.
 
-    atom (n,): the atom B of each spoke; default: the nearest. Raises UserError for an atom without a neighbour.
+    Parameters
+    ----------
+    boundary : ArrayLike, shape (n, 3), m
+        Boundary points C.
+    atoms : ArrayLike, shape (a, 3), m
+        Medial atoms.
+    parent : ArrayLike, shape (a,)
+        Neighbour towards the root, -1 at the root.
+    atom : ArrayLike | None, shape (n,), optional
+        Atom B of each spoke; None for the nearest.
+
+    Returns
+    -------
+    MedialRepresentation
+        The medial representation.
+
+    Raises
+    ------
+    UserError
+        For an atom without a neighbour.
     """
     c, x = np.asarray(boundary, dtype=np.float64), np.asarray(atoms, dtype=np.float64)
     atom = nearest_atoms(c, x, 1)[0][:, 0] if atom is None else np.asarray(atom, dtype=np.int32)
@@ -82,9 +143,25 @@ def represent(
 
 
 def implied_boundary(atoms: ArrayLike, rep: MedialRepresentation, orientation: ArrayLike | None = None) -> Floats:
-    """Equation (2), vectorized: boundary points (n, 3) m that atoms (a, 3) m imply.
+    """Return the boundary points that atoms imply by equation (2).
 
-    orientation (n, 3): V of every spoke where it has turned with the skeleton; default: as represented.
+    Parameters
+    ----------
+    atoms : ArrayLike, shape (a, 3), m
+        Moved atoms.
+    rep : MedialRepresentation
+        The medial representation at rest.
+    orientation : ArrayLike | None, shape (n, 3), m, optional
+        V of every spoke, turned with the skeleton; None for V at rest.
+
+    Returns
+    -------
+    Floats, shape (n, 3), m
+        Boundary points.
+
+    References
+    ----------
+    Zhang, Gu et al. 2006, section 3.2, equation 2.
     """
     x = np.asarray(atoms, dtype=np.float64)
     v = rep.orientation if orientation is None else np.asarray(orientation, dtype=np.float64)
@@ -96,17 +173,29 @@ def implied_boundary(atoms: ArrayLike, rep: MedialRepresentation, orientation: A
 
 
 def recalculated_boundary(rep: MedialRepresentation, atoms: ArrayLike) -> Floats:
-    """Boundary points (n, 3) m that the moved atoms (a, 3) m imply, twist-free along the skeleton.
+    """Return the boundary points that the moved atoms imply, twist-free along the skeleton.
 
-    A rigid motion of the atoms moves the boundary with them (about a straight skeleton's axis, where the
-    atoms cannot tell, it doesn't turn). Usable as the target of the model's return springs.
+    A rigid motion of the atoms moves the boundary with them; about the axis of a straight skeleton, where the atoms
+    can't determine it, the boundary doesn't turn. Usable as the target of the model's return springs.
+
+    Parameters
+    ----------
+    rep : MedialRepresentation
+        The medial representation at rest.
+    atoms : ArrayLike, shape (a, 3), m
+        Moved atoms.
+
+    Returns
+    -------
+    Floats, shape (n, 3), m
+        Boundary points.
     """
     turn = transported_frames(rep.atoms, atoms, rep.parent)
     return implied_boundary(atoms, rep, np.einsum("nij,nj->ni", turn[rep.atom], rep.orientation))
 
 
 def transported_frames(rest: ArrayLike, moved: ArrayLike, parent: ArrayLike) -> Floats:
-    """How each atom's frame has turned from rest (a, 3) m to moved (a, 3) m: rotations (a, 3, 3).
+    """Return the rotation of each atom's frame between two states of the skeleton.
 
     The root turns as the skeleton does as a whole (Kabsch 1976), then each frame by the smallest
     rotation that takes its bone from where the parent's frame would carry it to where it is.
@@ -124,11 +213,11 @@ def transported_frames(rest: ArrayLike, moved: ArrayLike, parent: ArrayLike) -> 
 
 
 def nearest_rotation(before: Floats, after: Floats) -> Floats:
-    """The rotation (3, 3) that takes points (a, 3) nearest to others (Kabsch 1976), wary of turning about their axis.
+    """Return the rotation (3, 3) that takes points (a, 3) nearest to others (Kabsch 1976), with little twist.
 
-    Points of a rigid motion give that motion's rotation exactly. The more they have moved otherwise, the more
-    counts what takes the axis along without turning about it: a slender skeleton that is bent another
-    way has not been turned about itself. About a straight line it never turns.
+    Points of a rigid motion give that motion's rotation exactly. The more they have moved otherwise, the more weight
+    has the rotation that moves the axis without turning about it: a slender skeleton that is bent has not been twisted.
+    About a straight line it never turns.
     """
     a, b = before - before.mean(axis=0), after - after.mean(axis=0)
     spread = b.T @ a
@@ -141,13 +230,13 @@ def nearest_rotation(before: Floats, after: Floats) -> Floats:
 
 
 def _proper(u: Floats, vt: Floats) -> Floats:
-    """The rotation next to u vt, never a reflection."""
+    """Return the rotation next to u vt, never a reflection."""
     turned = u * np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     return turned @ vt
 
 
 def smallest_rotation(source: Floats, target: Floats) -> Floats:
-    """The rotation (3, 3) by the smallest angle from one unit vector (3,) to another; half a turn has no one axis."""
+    """Return the rotation (3, 3) by the smallest angle from one unit vector to another; half a turn takes any axis."""
     middle = source + target
     square = float(middle @ middle)
     if square < _HALF_TURN:
@@ -157,12 +246,12 @@ def smallest_rotation(source: Floats, target: Floats) -> Floats:
 
 
 def _directions(bones: Floats) -> Floats:
-    """Unit vectors; a bone of no length keeps none, and its frame is its parent's."""
+    """Return unit vectors; a bone of zero length keeps a zero vector, and its frame is its parent's."""
     return bones / np.maximum(np.linalg.norm(bones, axis=1, keepdims=True), _SHORTEST)
 
 
 def _across(axis: Floats, v: Floats) -> Floats:
-    """Unit vector of the plane of axis and v, at right angles to axis; any one where v lies along axis."""
+    """Return the unit vector in the plane of axis and v that is perpendicular to axis; any one where v is parallel."""
     rest = v - axis * np.einsum("ij,ij->i", axis, v)[:, None]
     size = np.linalg.norm(rest, axis=1, keepdims=True)
     least = np.eye(3)[np.argmin(np.abs(axis), axis=1)]

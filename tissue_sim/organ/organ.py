@@ -26,17 +26,17 @@ from tissue_sim.organ.shipped import shipped_organ
 SCHEMA_VERSION = 5  # 2: interior_spoke; 3: springs that harden, gone; 4: cells; 5: inclusions
 
 
-# Of the header, with their types.
+# Fields of the header, with their types.
 _TOLD = {"name": str, "youngs_modulus": float, "poisson_ratio": float, "density": float, "provenance": dict}
 _SHOWN, _LONGEST_NAME = 40, 200  # characters of an array's name in a message, of an organ's at all
-_FARTHEST = 1e3  # m, from the origin: the double's digits are for the organ, and its square must not overflow
-# Of every other number, in SI units: what lies beyond is a mistake, and what is computed of it no number.
+_FARTHEST = 1e3  # m, from the origin: farther out a double resolves the organ poorly, and squares overflow
+# Range of every other number, in SI units: what lies outside is a mistake, and computing with it gives no number.
 _LEAST, _MOST = 1e-12, 1e12
 _POSITIVE = ("mass", "spring_rest_length", "atom_radius", "cell_mu", "inclusion_stiffness")
 
 
 class SpringKind(IntEnum):
-    """What an axial spring joins; springs are stored in this order."""
+    """Kinds of axial springs by what they join; springs are stored in this order."""
 
     EDGE = 0  # two surface nodes of one triangle edge
     SPOKE = 1  # part of a spoke: a surface node and its nearest inner node, an interior atom and its medial atom
@@ -53,7 +53,7 @@ def _ints(*shape: int | str, empty: tuple[int, ...] | None = None) -> Any:
 
 
 def _array(dtype: type, shape: tuple[int | str, ...], empty: tuple[int, ...] | None) -> Any:
-    """A field of an array; empty: its shape where there is none, or None where there must be."""
+    """Return a field that holds an array; empty: its default shape, or None where the array is required."""
     metadata = {"dtype": dtype, "shape": shape}
     if empty is None:
         return field(metadata=metadata)
@@ -62,13 +62,16 @@ def _array(dtype: type, shape: tuple[int | str, ...], empty: tuple[int, ...] | N
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Organ:
-    """An organ ready to be simulated. SI units; every array is read-only.
+    """Organ ready to be simulated, in SI units; every array is read-only.
 
-    Nodes are numbered surface first, then medial atoms, then interior atoms:
-    `n = n_surface + n_atoms + n_interior`. The inner nodes are the medial and interior atoms.
+    Nodes are numbered surface first, then medial atoms, then interior atoms: `n = n_surface + n_atoms + n_interior`.
+    The inner nodes are the medial and interior atoms. The comments beside the fields give units and meaning.
 
-    Raises UserError (naming the field) when arrays don't fit together, hold non-finite values,
-    or the surface isn't one closed outward surface.
+    Raises
+    ------
+    UserError
+        Where arrays don't fit together or hold non-finite values, and where the surface isn't one closed outward
+        surface; the message names the field.
     """
 
     name: str
@@ -155,7 +158,7 @@ class Organ:
 
     @property
     def schema_version(self) -> int:
-        """Of its file: the oldest that can hold it, so that older packages read what they know."""
+        """Schema version of its file: the oldest that can hold it, so that older packages can read it."""
         return SCHEMA_VERSION if len(self.inclusion_stiffness) else 4
 
     @property
@@ -206,7 +209,7 @@ class Organ:
             check_surface(self.inclusion_positions[used], own.reshape(-1, 3).astype(np.int32), name)
 
     def _check_numbers(self) -> None:
-        """Refuse numbers that no organ has, and that arithmetic overflows with."""
+        """Refuse numbers out of range, with which arithmetic would overflow."""
         for item in fields(self):
             if item.metadata.get("dtype") is not np.float64:
                 continue
@@ -232,7 +235,7 @@ class Organ:
         return cls.load(shipped_organ(name))
 
     def to_bytes(self) -> bytes:
-        """The organ file: a compressed NPZ with schema version and the SHA-256 of its content inside.
+        """Return the organ file: a compressed NPZ that holds the schema version and the SHA-256 of its content.
 
         The same organ gives the same bytes.
         """
@@ -253,7 +256,18 @@ class Organ:
         return stream.getvalue()
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the organ file. Raises UserError when it can't be written."""
+        """Write the organ file.
+
+        Parameters
+        ----------
+        path : str | os.PathLike[str]
+            The file.
+
+        Raises
+        ------
+        UserError
+            Where it can't be written.
+        """
         try:
             Path(path).write_bytes(self.to_bytes())
         except OSError as error:
@@ -263,8 +277,20 @@ class Organ:
     def load(cls, path: str | os.PathLike[str]) -> Organ:
         """Read an organ file.
 
-        Raises UserError naming the file when it is missing, not an organ, truncated, altered,
-        or of a schema version this package doesn't know.
+        Parameters
+        ----------
+        path : str | os.PathLike[str]
+            The file.
+
+        Returns
+        -------
+        Organ
+            The organ.
+
+        Raises
+        ------
+        UserError
+            Where the file is missing, not an organ, truncated, altered, or of an unknown schema version.
         """
         try:
             content = read_npz(Path(path))
@@ -313,19 +339,32 @@ class Organ:
         return cls(**whole)
 
     def digest(self) -> str:
-        """SHA-256 (hex) of the arrays: two organs with the same digest simulate alike."""
+        """Return the SHA-256 (hex) of the arrays: two organs with the same digest simulate alike."""
         return content_digest("", self._arrays(without=() if len(self.cell_nodes) else ("cell_",)))
 
     def _arrays(self, without: tuple[str, ...] = ()) -> dict[str, Any]:
-        """All arrays but those whose names begin so, and those of inclusions where there are none."""
-        if not len(self.inclusion_stiffness):  # as it was before there were any
+        """Return all arrays except those whose names start so, and except inclusions where there are none."""
+        if not len(self.inclusion_stiffness):  # as files were before inclusions existed
             without = (*without, "inclusion_")
         names = (item.name for item in fields(self) if "dtype" in item.metadata)
         return {name: getattr(self, name) for name in names if not name.startswith(without)}
 
 
 def signed_volume(positions: Floats, triangles: Ints) -> float:
-    """Volume enclosed by a closed surface, m^3: positive when triangles point outward."""
+    """Return the volume enclosed by a closed surface, positive when its triangles point outward.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3), m
+        Points.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    float, m^3
+        The volume.
+    """
     a, b, c = (positions[triangles[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
@@ -335,6 +374,21 @@ def check_surface(positions: Floats, triangles: Ints, name: str) -> None:
 
     Every directed edge must occur once, with its opposite (closed and consistently wound); the
     signed volume must be positive (outward).
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    name : str
+        Name for messages.
+
+    Raises
+    ------
+    UserError
+        Where a directed edge doesn't occur exactly once together with its opposite, where points are unused, where the
+        surface falls into pieces, and where its signed volume isn't positive.
     """
     directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
     if len(directed) == 0:
@@ -383,7 +437,7 @@ def _check_shape(name: str, array: NDArray[Any], shape: tuple[int | str, ...], s
 
 
 def _header(text: str) -> dict[str, Any] | None:
-    """What an organ file's header says; None where it is no header."""
+    """Return what an organ file's header says; None where it is no header."""
     try:
         header = json.loads(text)
         header["schema_version"] = int(header["schema_version"])
@@ -400,7 +454,20 @@ def _header(text: str) -> dict[str, Any] | None:
 
 
 def content_digest(text: str, arrays: Mapping[str, NDArray[Any]]) -> str:
-    """SHA-256 (hex) of an organ file's header and arrays, which it holds itself."""
+    """Return the SHA-256 (hex) of an organ file's header and arrays, which the file itself holds.
+
+    Parameters
+    ----------
+    text : str
+        The header.
+    arrays : Mapping[str, NDArray[Any]]
+        Arrays by name.
+
+    Returns
+    -------
+    str
+        The digest.
+    """
     digest = hashlib.sha256(text.encode())
     for key in sorted(arrays):
         array = np.ascontiguousarray(arrays[key])

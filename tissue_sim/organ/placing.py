@@ -1,4 +1,4 @@
-"""An organ somewhere else, as a scene of several has them."""
+"""Placement of an organ in a scene of several."""
 
 from __future__ import annotations
 
@@ -15,9 +15,26 @@ from tissue_sim.organ.organ import Organ
 def placed(
     organ: Organ, position: Sequence[float] = (0.0, 0.0, 0.0), quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
 ) -> Organ:
-    """The organ turned about its origin by a unit quaternion xyzw, and its origin moved to a position (3,) m.
+    """Return the organ turned about its origin and then moved.
 
-    Raises UserError for numbers that are no pose.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    position : Sequence[float], shape (3,), m, optional
+        Where its origin is moved.
+    quaternion : Sequence[float], x, y, z, w, optional
+        Unit quaternion of the rotation.
+
+    Returns
+    -------
+    Organ
+        The placed organ.
+
+    Raises
+    ------
+    UserError
+        Where the pose is invalid.
     """
     at, turn = np.array(position, dtype=np.float64), np.array(quaternion, dtype=np.float64)
     if at.shape != (3,) or turn.shape != (4,) or not np.all(np.isfinite(np.concatenate([at, turn]))):

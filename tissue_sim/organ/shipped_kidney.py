@@ -1,4 +1,4 @@
-"""The kidneys that ship, as built: the phantom's left kidney, through the real stages; and with a tumour in it."""
+"""Making of the kidneys that ship: the phantom's left kidney through the real stages, also with a tumour."""
 
 from __future__ import annotations
 
@@ -23,11 +23,22 @@ from tissue_sim.organ.topology import assemble_like
 KIDNEY = Path("config") / "organs" / "kidney_as_built.npz"
 BACK = "y>0.9"  # where a kidney lies on the wall behind it: the patient frame's y points to the back
 TUMOUR, UNDER, STIFFER = 0.005, 0.005, 5.0  # m, its radius, and from it to the surface; times the tissue's moduli
-_NEAREST = 0.98  # of that depth, that the surface is away at the least
+_NEAREST = 0.98  # fraction of that depth which the surface must be away at least
 
 
 def make_kidney(progress: Progress | None = None) -> Organ:
-    """Paint the phantom, write it as NIfTI, read it back, segment from one seed, build. Deterministic."""
+    """Paint the phantom, write it as NIfTI, read it back, segment from one seed, and build; deterministic.
+
+    Parameters
+    ----------
+    progress : Progress | None, optional
+        Receives the lines, the progress and the results of the stages.
+
+    Returns
+    -------
+    Organ
+        The kidney.
+    """
     parameters = PhantomParameters()
     phantom = make_phantom(parameters)
     with tempfile.TemporaryDirectory() as folder:
@@ -40,7 +51,18 @@ def make_kidney(progress: Progress | None = None) -> Organ:
 
 
 def with_tumour(kidney: Organ) -> Organ:
-    """The kidney, assembled anew, with a ball of stiffer tissue under its front, where nothing else is as near."""
+    """Return the kidney, assembled anew, with a ball of stiffer tissue under its frontmost suitable point.
+
+    Parameters
+    ----------
+    kidney : Organ
+        The kidney.
+
+    Returns
+    -------
+    Organ
+        The kidney with the inclusion.
+    """
     surface, triangles = kidney.surface_positions, kidney.surface_triangles
     deep = UNDER + TUMOUR
     middles = surface - deep * vertex_normals(surface, triangles)

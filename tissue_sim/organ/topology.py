@@ -1,4 +1,4 @@
-"""From geometry to springs: the hybrid topology of Zhang, Gu et al. (2006), section 3."""
+"""Springs and masses from geometry: the hybrid topology of Zhang, Gu et al. (2006), section 3."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind, check_surface, signed_volume
 
 NEAREST_ATOMS = 4  # section 3.3: each boundary point is joined with the four nearest medial atoms
-# Of the organ's mass. The skeleton's springs are the stiffest: with less mass on its atoms it alone would set the step.
+# Fraction of the organ's mass. The skeleton's springs are the stiffest: with less mass on its atoms the skeleton alone
+# would determine the time step.
 SURFACE_MASS_SHARE = 0.45
 DAMPING_RATE = 45.0  # 1/s: settles a poke of a 10 kPa kidney in 0.2 s with under 5 % overshoot
 SHELL_THICKNESS = 0.8  # of the mean edge: the tissue that edge and angular springs stand for
-RETURN_SHARE = 0.02  # return spring as a share of the tissue column's stiffness
+RETURN_SHARE = 0.02  # return spring as a fraction of the tissue column's stiffness
 
 
 def assemble_organ(
@@ -41,26 +42,59 @@ def assemble_organ(
     inclusions: Sequence[Inclusion] = (),
     provenance: Mapping[str, Any] | None = None,
 ) -> Organ:
-    """Make a node-ready organ from a closed surface and its medial atoms.
+    """Return a node-ready organ from a closed surface and its medial atoms.
 
-    surface_positions (n_surface, 3) m, surface_triangles (n_triangles, 3) outward,
-    atom_positions (n_atoms, 3) m, atom_radius (n_atoms,) m, atom_parent (n_atoms,) with -1 at the
-    root, fixed (n_fixed,) surface nodes, interior_atoms: how many further atoms to spread along the
-    spokes, interior_layer: the share of them that lies a mean edge under the surface, youngs_modulus Pa,
-    density kg/m^3, inclusions: tissue of another stiffness, and so all springs that run through it.
+    Springs: one for each triangle edge, k = E h sum(A)/l^2 [1]_ with the shell thickness h, 0.8 of the mean edge
+    length; from each surface node to its nearest inner node (spoke) and the next three of its four nearest (virtual),
+    which share the stiffness A sqrt(E M)/L of the tissue column under the node, M the oedometric modulus; between
+    neighbouring medial atoms (skeleton) with E pi r^2/l. Angular springs sit on every edge with the bending stiffness
+    of a plate, E h^3/(12 (1 - nu^2)), discretised as in [2]_. With interior atoms, the tetrahedra between the inner
+    nodes carry the tissue there, k = E sum(V)/l^2 on their edges [1]_, and the skeleton the rest of its section.
+    Masses: density times volume, 80 % on the surface by area, the rest on the inner nodes by stiffness, so that they
+    don't determine the critical step.
 
-    Springs: one for each triangle edge (Van Gelder 1998: k = E h sum(A)/l^2, shell thickness h
-    0.8 of the mean edge length); from each surface node to its nearest inner node (spoke) and the next three of its
-    four nearest (virtual), sharing the stiffness A sqrt(E M)/L of the tissue column under the node,
-    M the oedometric modulus;
-    between neighbouring medial atoms (skeleton) with E pi r^2/l. Angular springs sit on every edge
-    with the bending stiffness of a plate, E h^3/(12 (1 - nu^2)), discretised as by
-    Bergou et al. (2006). With interior atoms, the tetrahedra between the inner nodes carry the
-    tissue there: k = E sum(V)/l^2 on their edges (Van Gelder 1998), and the skeleton the rest of its section.
-    Masses: density times volume, 80 % on the surface by area, the rest on the inner nodes by stiffness,
-    so that they don't set the critical step.
+    Parameters
+    ----------
+    name : str
+        Name of the organ.
+    surface_positions : ArrayLike, shape (n_surface, 3), m
+        Points of the surface.
+    surface_triangles : ArrayLike, shape (n_triangles, 3)
+        Corner indices, counter-clockwise seen from outside.
+    atom_positions : ArrayLike, shape (n_atoms, 3), m
+        Medial atoms.
+    atom_radius : ArrayLike, shape (n_atoms,), m
+        Their radii.
+    atom_parent : ArrayLike, shape (n_atoms,)
+        Parent of each atom, -1 at the root.
+    fixed : ArrayLike, shape (n_fixed,), optional
+        Fixed surface nodes.
+    interior_atoms : int, optional
+        Number of further atoms along the spokes.
+    interior_layer : float, optional
+        Fraction of them that lies a mean edge under the surface.
+    youngs_modulus : float, Pa, optional
+        Young's modulus.
+    poisson_ratio : float, optional
+        Poisson's ratio.
+    density : float, kg/m^3, optional
+        Density.
+    inclusions : Sequence[Inclusion], optional
+        Tissue of another stiffness, which applies to all springs that run through it.
+    provenance : Mapping[str, Any] | None, optional
+        Origin of the organ, kept in its file.
 
-    Raises UserError for an open or inverted surface, no atoms, or tissue out of range.
+    Raises
+    ------
+    UserError
+        For an open or inverted surface, no atoms, or tissue out of range.
+
+    References
+    ----------
+    .. [1] A. Van Gelder, "Approximate simulation of elastic membranes by triangulated spring meshes", Journal of
+       Graphics Tools 3, 1998.
+    .. [2] M. Bergou, M. Wardetzky, D. Harmon, D. Zorin and E. Grinspun, "A quadratic bending model for inextensible
+       surfaces", Eurographics Symposium on Geometry Processing, 2006.
     """
     surface = np.asarray(surface_positions, dtype=np.float64)
     triangles = np.asarray(surface_triangles, dtype=np.int32)
@@ -147,7 +181,20 @@ def assemble_organ(
 
 
 def assemble_like(organ: Organ, **changes: Any) -> Organ:
-    """The organ assembled anew, its springs as they are built, but for some arguments of assemble_organ."""
+    """Return the organ assembled anew, with new springs and some arguments of assemble_organ changed.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    changes : Any
+        Arguments of assemble_organ.
+
+    Returns
+    -------
+    Organ
+        The new organ.
+    """
     same = {
         "name": organ.name,
         "surface_positions": organ.surface_positions,
@@ -167,7 +214,7 @@ def assemble_like(organ: Organ, **changes: Any) -> Organ:
 
 
 class _Springs(NamedTuple):
-    """Spokes and virtual springs; volume m^3 of the tissue that they stand for, where it is known."""
+    """Spokes and virtual springs, and the volume m^3 of the tissue that they represent, where it is known."""
 
     nodes: Ints
     length: Floats
@@ -176,12 +223,12 @@ class _Springs(NamedTuple):
     volume: float = 0.0
 
     def node_stiffness(self, n: int) -> Floats:
-        """Sum of the column stiffnesses at each of n nodes, (n,) N/m."""
+        """Return the sum of the column stiffnesses at each of n nodes, (n,) N/m."""
         return np.bincount(self.nodes.ravel(), weights=np.repeat(self.stiffness, 2), minlength=n)
 
 
 def _columns(surface: Floats, atoms: Floats, node_area: Floats, youngs_modulus: float) -> _Springs:
-    """Tissue columns between the surface and the inner nodes."""
+    """Return the tissue columns between the surface and the inner nodes."""
     atom, length = nearest_atoms(surface, atoms, NEAREST_ATOMS)
     k = atom.shape[1]
     if np.any(length <= 0.0):
@@ -196,16 +243,16 @@ def _columns(surface: Floats, atoms: Floats, node_area: Floats, youngs_modulus: 
 
 
 def _inner_springs(inner: Floats, owner: Ints, surface: Floats, triangles: Ints, youngs_modulus: float) -> _Springs:
-    """Springs among the inner nodes, of which the last have their medial atom in owner (m,); none without those.
+    """Return springs among the inner nodes, of which the last have their medial atom in owner (m,).
 
-    On the edges of the Delaunay tetrahedra whose middle lies inside the organ, and from each interior atom
-    to its medial atom, which in a thin place may be no such edge.
+    They lie on the edges of the Delaunay tetrahedra whose centroid lies inside the organ, and between each interior
+    atom and its medial atom, which in a thin place may not be such an edge. Without interior atoms there are none.
     """
     n_atoms = len(inner) - len(owner)
     spokes = np.stack([owner, np.arange(n_atoms, len(inner))], axis=1).astype(np.int64)
     solid = tetrahedral_edges(inner, surface, triangles) if len(owner) else NO_TETRAHEDRA
     pairs = np.sort(solid.pairs, axis=1)
-    bones = np.all(pairs < n_atoms, axis=1)  # the skeleton springs are these
+    bones = np.all(pairs < n_atoms, axis=1)  # these are the skeleton springs
     unique, inverse = np.unique(np.concatenate([spokes, pairs[~bones]]), axis=0, return_inverse=True)
     share = np.bincount(inverse.ravel()[len(spokes) :], weights=solid.share[~bones], minlength=len(unique))
     kind = np.full(len(unique), SpringKind.VIRTUAL)
@@ -217,7 +264,17 @@ def _inner_springs(inner: Floats, owner: Ints, surface: Floats, triangles: Ints,
 
 
 class TetrahedralEdges(NamedTuple):
-    """Edges of c tetrahedra: pairs (6c, 2), each with its tetrahedron's volume, share (6c,) m^3; volume of all."""
+    """Edges of c tetrahedra.
+
+    Attributes
+    ----------
+    pairs : NDArray[np.int64], shape (6c, 2)
+        Point indices.
+    share : Floats, shape (6c,), m^3
+        Volume of the edge's tetrahedron.
+    volume : float, m^3
+        Volume of all tetrahedra.
+    """
 
     pairs: NDArray[np.int64]
     share: Floats
@@ -228,9 +285,21 @@ NO_TETRAHEDRA = TetrahedralEdges(np.empty((0, 2), dtype=np.int64), np.empty(0), 
 
 
 def tetrahedral_edges(points: Floats, surface: Floats, triangles: Ints) -> TetrahedralEdges:
-    """Edges of the Delaunay tetrahedra of points (n, 3) m whose middle lies inside the closed surface.
+    """Return the edges of the Delaunay tetrahedra whose centroid lies inside a closed surface.
 
-    None where all points lie in a plane.
+    Parameters
+    ----------
+    points : Floats, shape (n, 3), m
+        Points between which the tetrahedra are made.
+    surface : Floats, shape (k, 3), m
+        Nodes of the closed surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    TetrahedralEdges
+        The edges; none where all points lie in a plane.
     """
     cells = tetrahedra(points, surface, triangles)
     corner = points[cells]
@@ -244,7 +313,22 @@ def _share(values: Floats) -> Floats:
 
 
 def check_tissue(youngs_modulus: float, poisson_ratio: float, density: float) -> None:
-    """Raise UserError unless Young's modulus Pa, Poisson's ratio and density kg/m^3 are those of a tissue."""
+    """Raise UserError unless the parameters are those of a tissue.
+
+    Parameters
+    ----------
+    youngs_modulus : float, Pa
+        Young's modulus.
+    poisson_ratio : float
+        Poisson's ratio.
+    density : float, kg/m^3
+        Density.
+
+    Raises
+    ------
+    UserError
+        Where a parameter is out of range.
+    """
     if not 1.0 <= youngs_modulus <= 1e9:
         raise UserError(f"Young's modulus {youngs_modulus:g} Pa is outside 1..1e9")
     if not 0.0 <= poisson_ratio < 0.5:
@@ -254,23 +338,36 @@ def check_tissue(youngs_modulus: float, poisson_ratio: float, density: float) ->
 
 
 def triangle_area(positions: Floats, triangles: Ints) -> Floats:
-    """Area of each triangle, (n_triangles,) m^2."""
+    """Return the area of each triangle, (n_triangles,) m^2."""
     a, b, c = (positions[triangles[:, k]] for k in range(3))
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def node_area(positions: Floats, triangles: Ints) -> Floats:
-    """Surface area of each node, (n,) m^2: a third of the triangles around it."""
+    """Return the surface area of each node: a third of the triangles around it.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    Floats, shape (n,), m^2
+        Areas.
+    """
     share = np.repeat(triangle_area(positions, triangles) / 3.0, 3)
     return np.bincount(triangles.ravel(), weights=share, minlength=len(positions))
 
 
 def surface_edges(triangles: Ints, area: Floats) -> tuple[Ints, Ints, Floats]:
-    """Edges of a closed surface.
+    """Return the edges of a closed surface, their opposite corners, and the area beside them.
 
-    Returns the edges (n_edges, 2), the corners opposite to each, (n_edges, 2): the first belongs to
-    the triangle that runs along the edge i -> j, the second to the one that runs j -> i, and
-    the summed area of the two triangles, (n_edges,).
+    The edges have shape (n_edges, 2). The corners opposite to each, (n_edges, 2): the first belongs to the triangle
+    that runs along the edge i -> j, the second to the one that runs j -> i. The summed area of the two triangles has
+    shape (n_edges,).
     """
     directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     opposite = np.concatenate([triangles[:, 2], triangles[:, 0], triangles[:, 1]])

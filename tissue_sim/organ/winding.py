@@ -1,4 +1,4 @@
-"""Inside or outside: the winding number of a closed triangle surface."""
+"""Winding number of a closed triangle surface, which tells inside from outside."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 
-_TOGETHER = 64  # triangles of a group at the most
-_AFAR = 3.0  # times as far as a group reaches: from there it counts as one
-_FEW = 16  # points that are asked of every triangle sooner than groups are made
-_DOUBT = 0.2  # off a whole number, from which a winding number is worked out in full
+_TOGETHER = 64  # largest number of triangles in a group
+_AFAR = 3.0  # times the radius of a group: from that distance it counts as one
+_FEW = 16  # points up to which testing every triangle is faster than making groups
+_DOUBT = 0.2  # deviation from a whole number, from which a winding number is computed in full
 
 
 class _Groups(NamedTuple):
@@ -28,10 +28,25 @@ class _Groups(NamedTuple):
 
 
 def winding_number(points: Floats, positions: Floats, triangles: Ints | Longs) -> Floats:
-    """Winding number of a closed surface about each point, (p,): 1 inside, 0 outside.
+    """Return the winding number of a closed surface about each point: 1 inside, 0 outside.
 
-    points (p, 3), positions (n, 3), triangles (t, 3). Sum of the triangles' solid angles
-    (van Oosterom & Strackee 1983).
+    Parameters
+    ----------
+    points : Floats, shape (p, 3)
+        Points.
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints | Longs, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    Floats, shape (p,)
+        Winding numbers.
+
+    References
+    ----------
+    van Oosterom & Strackee 1983: The solid angle of a plane triangle.
     """
     found = np.empty(len(points))
     _add_angles(np.asarray(points, dtype=np.float64), np.asarray(positions[triangles], dtype=np.float64), found)
@@ -39,10 +54,28 @@ def winding_number(points: Floats, positions: Floats, triangles: Ints | Longs) -
 
 
 def inside(points: Floats, positions: Floats, triangles: Ints) -> NDArray[np.bool_]:
-    """Whether each of points (p, 3) lies inside the closed outward surface.
+    """Return whether each point lies inside a closed outward surface.
 
-    Points beyond all positions lie outside. Triangles that lie together count as one where a point is far from them
-    (Barill et al. 2018); a point for which that leaves a doubt is asked of every triangle.
+    Triangles that lie together count as one where a point is far from them; a point for which the result is uncertain
+    is tested against every triangle.
+
+    Parameters
+    ----------
+    points : Floats, shape (p, 3)
+        Points.
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    NDArray[np.bool_], shape (p,)
+        True inside.
+
+    References
+    ----------
+    Barill et al. 2018: Fast winding numbers for soups and clouds.
     """
     points = np.asarray(points, dtype=np.float64)
     near = np.all((points >= positions.min(axis=0)) & (points <= positions.max(axis=0)), axis=1)
@@ -63,7 +96,7 @@ def _is_wound(points: Floats, positions: Floats, triangles: Ints) -> NDArray[np.
 
 
 def _groups(corners: Floats) -> tuple[Floats, Longs]:
-    """Triangles (t, 3, 3) in an order in which those of a group lie together, and where groups start, (g + 1,)."""
+    """Return triangles (t, 3, 3) in an order in which groups are contiguous, and the groups' starts (g + 1,)."""
     middle = corners.mean(axis=1)
     parts = [np.arange(len(corners))]
     while len(parts[0]) > _TOGETHER:
@@ -77,7 +110,7 @@ def _groups(corners: Floats) -> tuple[Floats, Longs]:
 
 
 def _seen_from_afar(corners: Floats, starts: Longs) -> tuple[Floats, Floats, Floats]:
-    """Of each group its middle (g, 3), its area times normal (g, 3) and the square (g,) of where afar begins."""
+    """Return each group's centre (g, 3), area times normal (g, 3), and the square (g,) of its far distance."""
     area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     weight = np.linalg.norm(area, axis=1)[:, None] + 1e-300
     total = np.add.reduceat(weight, starts[:-1])
@@ -98,7 +131,7 @@ def _add_angles(points: Any, corners: Any, found: Any) -> None:
 
 @kernel
 def _half_angle(corner: Any, x: float, y: float, z: float) -> float:
-    """Half of the solid angle of a triangle (3, 3), seen from a point."""
+    """Return half of the solid angle of a triangle (3, 3), seen from a point."""
     ax, ay, az = corner[0, 0] - x, corner[0, 1] - y, corner[0, 2] - z
     bx, by, bz = corner[1, 0] - x, corner[1, 1] - y, corner[1, 2] - z
     cx, cy, cz = corner[2, 0] - x, corner[2, 1] - y, corner[2, 2] - z

@@ -1,4 +1,4 @@
-"""`tissue_sim demo`: node, scripted haptic bridge and viewer, with one line a second about them."""
+"""Command `tissue_sim demo`: node, scripted haptic bridge and viewer, with one line a second about them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WAIT = 600.0  # s that the bridge waits for the node, which may compile its kern
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the command's arguments."""
     parser.add_argument(
         "--seconds", type=client.number(0.1, 1e9, "s"), help="end after this time; without it, run until Ctrl-C"
     )
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the demonstration; returns 0, or 1 when something ended before its time."""
+    """Run the demonstration; return 0, or 1 when something ended before its time."""
     if args.organ is not None and not Path(args.organ).is_file():
         raise UserError(f"organ file {args.organ} does not exist; make one with 'tissue_sim build'")
     token = None
@@ -93,7 +93,13 @@ def run(args: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def chosen_graph(environment: MutableMapping[str, str]) -> Iterator[None]:
-    """Keep to this machine, and to a ROS domain that nobody on it uses, unless the user chose otherwise."""
+    """Keep to this machine, and to a ROS domain that nobody on it uses, unless the user chose otherwise.
+
+    Parameters
+    ----------
+    environment : MutableMapping[str, str]
+        The environment variables; updated.
+    """
     dds.keep_to_this_machine(environment)
     if "ROS_DOMAIN_ID" in environment:
         yield
@@ -105,7 +111,7 @@ def chosen_graph(environment: MutableMapping[str, str]) -> Iterator[None]:
 
 
 def node_command(organ: str | None, folder: Path, priority: int) -> list[str]:
-    """How the node is started."""
+    """Return the command line of the node."""
     words = ["-p", "record:=true", "-p", f"record_folder:={json.dumps(str(folder.absolute()))}"]
     words += ["-p", f"realtime_priority:={priority}"]
     if organ is not None:
@@ -114,7 +120,7 @@ def node_command(organ: str | None, folder: Path, priority: int) -> list[str]:
 
 
 def status_line(values: Mapping[str, str]) -> str:
-    """The node's physics status in one line."""
+    """Return the node's physics status in one line."""
 
     def number(key: str, form: str) -> str:
         try:
@@ -131,7 +137,7 @@ def status_line(values: Mapping[str, str]) -> str:
 
 
 class Watch:
-    """Follows the node's diagnostics until the time is over, which counts from when node and bridge both run."""
+    """Observer of the node's diagnostics until the time is over, which counts from when node and bridge both run."""
 
     def __init__(self, seconds: float | None) -> None:
         self._seconds = seconds
@@ -139,7 +145,7 @@ class Watch:
         self.node_up = False
 
     def run(self, children: list[Child], stop: client.Stop) -> Child | None:
-        """Print a line a second; returns the child that ended by itself, or None when it is time to stop."""
+        """Print a line a second; return the child that ended by itself, or None when it is time to stop."""
         from diagnostic_msgs.msg import DiagnosticArray
         from geometry_msgs.msg import PoseStamped
         from rclpy.qos import QoSProfile
@@ -198,7 +204,7 @@ def _conclude(watch: Watch, dead: Child | None, last_words: str, killed: list[st
 
 
 def _program() -> str:
-    """How this was started, for a command line that works where this one did."""
+    """Return how this was started, for a command line that works where this one did."""
     called = Path(sys.argv[0])
     return str(called) if called.name == "tissue_sim" and shutil.which(called.name) is None else "tissue_sim"
 

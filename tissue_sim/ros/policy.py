@@ -1,4 +1,4 @@
-"""`tissue_sim policy`: what DDS Security (sros2) has to allow a node, its haptic bridge and its viewer."""
+"""Command `tissue_sim policy`: what DDS Security (sros2) has to allow a node, its haptic bridge and its viewer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tissue_sim.ros.shared.tool_link import ToolLink
 
 VERSION = "0.2.0"  # of sros2's format
-WAIT = 15.0  # s for the node to tell its parameters
+WAIT = 15.0  # s for the node to answer with its parameters
 ABOUT = " Printed by `tissue_sim policy` for a running node; read by `ros2 security generate_artifacts -p`. "
 PARAMETER_SERVICES = (
     *("describe_parameters", "get_parameter_types", "get_parameters", "list_parameters"),
@@ -27,8 +27,23 @@ OF_EVERY_NODE = "get_type_description"
 
 @dataclass(frozen=True)
 class Allowed:
-    """What a process may do, by absolute names: topics that it publishes and subscribes, services that it answers and
-    calls. node: the name that its policy is noted under; nodes: those of all its nodes."""
+    """Permissions of a process, by absolute names.
+
+    Attributes
+    ----------
+    node : str
+        Name that its policy is noted under.
+    nodes : Sequence[str]
+        Names of all its nodes.
+    publish : Iterable[str]
+        Topics that it publishes.
+    subscribe : Iterable[str]
+        Topics that it subscribes.
+    reply : Iterable[str]
+        Services that it answers.
+    request : Iterable[str]
+        Services that it calls.
+    """
 
     node: str
     nodes: Sequence[str]
@@ -39,12 +54,18 @@ class Allowed:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the command's arguments."""
     parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the running node")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the policy that fits a node as it answers now; returns 0. Raises UserError when it doesn't."""
+    """Print the policy that fits a node as it answers now; return 0.
+
+    Raises
+    ------
+    UserError
+        When it doesn't answer.
+    """
     from tissue_sim.ros.shared.node_parameters import told_by
 
     values = told_by(args.node, "policy", WAIT)
@@ -55,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def fitted(node: str, values: Mapping[str, Any]) -> str:
-    """The policy, XML, for a node of this name (with its namespace) and these parameters."""
+    """Return the policy, XML, for a node of this name (with its namespace) and these parameters."""
     root = ElementTree.Element("policy", version=VERSION)
     root.append(ElementTree.Comment(ABOUT))
     enclaves = ElementTree.SubElement(root, "enclaves")
@@ -67,7 +88,7 @@ def fitted(node: str, values: Mapping[str, Any]) -> str:
 
 
 def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
-    """What each process may do, by its enclave."""
+    """Return what each process may do, by its enclave."""
     from tissue_sim.ros.node.simulation_services import SERVICES
     from tissue_sim.ros.shared.tool_link import ToolLink
 
@@ -119,13 +140,13 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
 
 
 def _topics(namespace: str, link: ToolLink, *topics: str) -> list[str]:
-    """Absolute names of a tool's topics, of those that it has; measured_js only of a gripper."""
+    """Return the absolute names of those of a tool's topics that it has; measured_js only of a gripper."""
     names = [link.topics.names[topic] for topic in topics if topic != "measured_js" or link.tool.shape == "gripper"]
     return [name if name.startswith("/") else f"{namespace}/{name}" for name in names if name]
 
 
 def _of_organs(own: str, values: Mapping[str, Any], *names: str) -> list[str]:
-    """Topics of every organ: below its name in a scene."""
+    """Return topics of every organ: below its name in a scene."""
     return [topic for organ in [*values["organs"]] or [""] for topic in _below(path_of(own, organ), *names)]
 
 

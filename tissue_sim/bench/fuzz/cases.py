@@ -1,4 +1,4 @@
-"""What a case is, what may come of it, and the kinds of cases there are."""
+"""Cases of hostile input, their possible outcomes, and the kinds of cases."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from tissue_sim.organ.shipped import shipped_file
 
 
 class Case(NamedTuple):
-    """One hostile input: all of it follows from these three."""
+    """One hostile input, which is determined by these three fields."""
 
     kind: str
     seed: int
     number: int
 
     def rng(self) -> np.random.Generator:
-        """Random numbers of this case alone."""
+        """Return the random numbers of this case alone."""
         return np.random.default_rng([self.seed, zlib.crc32(self.kind.encode()), self.number])
 
 
@@ -29,7 +29,7 @@ Verdict = Literal["used", "refused", "failed"]
 
 
 class Outcome(NamedTuple):
-    """What came of a case: used, refused with one line, or failed with the reason."""
+    """Outcome of a case: used, refused with one line, or failed with the reason."""
 
     case: Case
     verdict: Verdict
@@ -39,19 +39,24 @@ class Outcome(NamedTuple):
     megabytes: float = 0.0  # memory beyond what the process had before
 
     def as_json(self) -> dict[str, Any]:
-        """Its fields, flat."""
+        """Return its fields, flat."""
         return {**self.case._asdict(), **{key: value for key, value in self._asdict().items() if key != "case"}}
 
 
 class Broken(Exception):
-    """What was made of an input breaks what is promised, in one line."""
+    """Error with one line: a result breaks what is promised."""
 
 
 class Input(NamedTuple):
-    """A hostile input, ready: in a few words, and what uses it.
+    """Hostile input, ready to be used.
 
-    use returns a line on what came of it. It raises UserError where it refuses, Broken where it finds that a promise
-    is broken; whatever else it raises is a failure.
+    Attributes
+    ----------
+    what : str
+        Description in a few words.
+    use : Callable[[], str]
+        Uses it and returns a line on the result. Raises UserError where it refuses, Broken where a promise is broken;
+        any other exception is a failure.
     """
 
     what: str
@@ -59,11 +64,23 @@ class Input(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """A kind of cases. module: has `prepare(case, folder) -> Input` and `warm_up(folder)`.
+    """Kind of cases.
 
-    warm_up does once in a process what every case needs, so that its time and memory count for none.
-    megabytes, seconds: what a case may take. needs: a file of the checkout, without which there are no such cases.
-    last: whether its cases come after all of others, as what serves them is begun anew between its kind and another.
+    Attributes
+    ----------
+    module : str
+        Has `prepare(case, folder) -> Input`, and `warm_up(folder)`, which does once in a process what every case needs,
+        so that its time and memory aren't counted.
+    what : str
+        Description.
+    megabytes : float
+        Memory that a case may take.
+    seconds : float
+        Time that a case may take.
+    needs : str
+        File of the checkout without which there are no such cases.
+    last : bool
+        Whether its cases come after all others, because their server is restarted between kinds.
     """
 
     module: str
@@ -84,7 +101,7 @@ class Kind(NamedTuple):
         return made
 
     def warm_up(self, folder: Path) -> None:
-        """See above."""
+        """Do once in a process what every case needs."""
         importlib.import_module(self.module).warm_up(folder)
 
 

@@ -1,4 +1,4 @@
-"""`tissue_sim bench fuzz`: hostile input by the thousand; each is used, or refused with one line."""
+"""Benchmark `tissue_sim bench fuzz`: many hostile inputs; each is used, or refused with one line."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ USUAL = 200
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "--files", type=int, metavar="N", help=f"files of each kind (default: {USUAL}, if no --scenes is given)"
     )
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the cases, print what failed with the command that repeats it; 1 with --check when any did.
+    """Run the cases, print what failed with the command that repeats it; return 1 with --check when any did.
 
     Ctrl-C ends it with what was found so far.
     """
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     outcomes = []
     counted: Counter[str] = Counter()
-    rows.keep()  # a run that is stopped tells with which case the next one may begin
+    rows.keep()  # a run that is stopped reports with which case the next one may begin
     with rows.until_stopped(), progress.task("cases", len(cases)) as under_way:
         for outcome in run_cases(cases, args.jobs):
             outcomes.append(outcome)
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def cases_of(args: argparse.Namespace) -> list[Case]:
-    """The cases that are asked for, those of most kinds mixed. Raises UserError for numbers out of range."""
+    """Return the requested cases, most kinds mixed. Raises UserError for numbers out of range."""
     for option, count in (("--files", args.files), ("--scenes", args.scenes)):
         if count is not None and not 1 <= count <= MOST:
             raise UserError(f"{option} {count} is outside 1..{MOST}")
@@ -101,12 +101,12 @@ def cases_of(args: argparse.Namespace) -> list[Case]:
 
 
 def repeating(case: Case) -> str:
-    """The command that repeats a case."""
+    """Return the command that repeats a case."""
     return f"tissue_sim bench fuzz --seed {case.seed} --kinds {case.kind} --case {case.number}"
 
 
 def failure(outcome: Outcome) -> list[str]:
-    """The lines that tell a failure."""
+    """Return the lines that report a failure."""
     what = f" [{outcome.what}]" if outcome.what else ""
     return [
         f"FAILED {outcome.case.kind} {outcome.case.number}{what}: {outcome.line}",
@@ -115,7 +115,7 @@ def failure(outcome: Outcome) -> list[str]:
 
 
 def summary(outcomes: Sequence[Outcome], args: argparse.Namespace, seconds: float) -> str:
-    """Counts by kind; of one case what came of it."""
+    """Return counts by kind; for a single case its outcome."""
     if args.case is not None:
         rows = [o for o in outcomes if o.verdict != "failed"]
         return "\n".join(f"{o.case.kind} {o.case.number} [{o.what}]: {o.verdict}: {o.line}" for o in rows)
@@ -131,7 +131,7 @@ def summary(outcomes: Sequence[Outcome], args: argparse.Namespace, seconds: floa
 
 
 def report(outcomes: Sequence[Outcome], seed: int, seconds: float) -> dict[str, Any]:
-    """For machines."""
+    """Return the outcomes for machines."""
     kinds = dict.fromkeys(outcome.case.kind for outcome in outcomes)
     counts = {kind: Counter(o.verdict for o in outcomes if o.case.kind == kind) for kind in kinds}
     return {

@@ -1,4 +1,4 @@
-"""A process for each core that takes cases, and what dies or hangs of one is noticed and begun anew."""
+"""Pool of processes that run cases; those that die or hang are noticed and restarted."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from tissue_sim.child import end_with_parent
 PREPARING = 600.0  # s that a case may take until its input is ready: imports, and kernels the first time
 _LOOK_EVERY = 0.5  # s
 
-_CONTEXT = multiprocessing.get_context("spawn")  # a fork would begin with this process's threads and memory
+_CONTEXT = multiprocessing.get_context("spawn")  # a fork would start with this process's threads and memory
 
 
 def _serve(pipe: Connection, folder: str) -> None:
-    """A worker: a case comes in; None goes out when its input is ready, and then its outcome."""
+    """Run cases as a worker: a case comes in; None goes out when its input is ready, and then its outcome."""
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the command, which ends the workers
     trial = Trial(Path(folder))
@@ -58,7 +58,7 @@ class _Worker:
         self.case, self._started, self._patience = case, time.monotonic(), PREPARING
 
     def outcome(self) -> Outcome | None:
-        """That of its case, if there is one by now; a worker that has died or hangs is begun anew."""
+        """Return the outcome of its case, if there is one; restart a worker that has died or hangs."""
         case = self.case
         assert case is not None
         if self.pipe.poll():
@@ -78,7 +78,7 @@ class _Worker:
     def _anew(self, case: Case, reason: str) -> Outcome:
         seconds = time.monotonic() - self._started
         if reason:
-            os.kill(self._process.pid or 0, signal.SIGABRT)  # the fault handler tells where it is
+            os.kill(self._process.pid or 0, signal.SIGABRT)  # the fault handler reports where it is
             self._process.join(2.0)
         reason = reason or self._cause()
         left = remains_of(Path(self._own.name))
@@ -102,7 +102,20 @@ class _Worker:
 
 
 def run_cases(cases: Sequence[Case], jobs: int) -> Iterator[Outcome]:
-    """Outcomes of cases as they are ready, on so many processes."""
+    """Yield the outcomes of cases as they are ready.
+
+    Parameters
+    ----------
+    cases : Sequence[Case]
+        The cases.
+    jobs : int
+        Number of processes.
+
+    Yields
+    ------
+    Iterator[Outcome]
+        One outcome.
+    """
     waiting = list(reversed(cases))
     with tempfile.TemporaryDirectory(prefix="tissue_sim_fuzz_") as folder:
         workers = [_Worker(Path(folder)) for _ in range(min(jobs, len(cases)))]

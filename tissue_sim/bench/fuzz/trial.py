@@ -1,4 +1,4 @@
-"""One case after the other in a process that may die of one: used, refused, or failed."""
+"""Trials of one case after the other in a process that may die of one: used, refused, or failed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tissue_sim.memory import limited
 from tissue_sim.unexpected import told
 
 INPUT, SCRATCH, PRINTED, CRASH, WHAT = "input", "scratch", "printed", "crash", "what"  # in a worker's folder
-OUTSIDE = "outside"  # files there that an input may name, and that nothing may open
+OUTSIDE = "outside"  # file there that an input may name, and that must not be opened
 LONGEST_LINE = 1000  # characters
 SPARE = 1024  # MB that a case may reserve beyond what it may use, before an allocation fails
 _NO_MEMORY = re.compile(r"MemoryError|bad_alloc|[Aa]llocat(?!ed' value)|out of memory")
@@ -33,7 +33,7 @@ _HIDDEN = (ResourceWarning, DeprecationWarning, PendingDeprecationWarning, Impor
 
 
 class Trial:
-    """Runs cases in a folder of its own; the process must be one that does nothing else."""
+    """Runner of cases in its own folder; the process must not do anything else."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -44,14 +44,14 @@ class Trial:
         faulthandler.enable(self._crash)
         self._printed = os.open(folder / PRINTED, os.O_RDWR | os.O_CREAT | os.O_APPEND)
         sys.stdout.flush()
-        for stream in (1, 2):  # of libraries, too
+        for stream in (1, 2):  # also of libraries
             os.dup2(self._printed, stream)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         self._warm: set[str] = set()
         self._watch = Watch(folder)
 
     def run(self, case: Case, when_ready: Callable[[], object] = lambda: None) -> Outcome:
-        """Make the input of a case, say so, use it, judge."""
+        """Make the input of a case, report that, use it, and assess the result."""
         kind = KINDS[case.kind]
         (self.folder / WHAT).unlink(missing_ok=True)
         self._clear()
@@ -59,7 +59,7 @@ class Trial:
             kind.warm_up(self.folder / INPUT)
             self._warm.add(case.kind)
             self._clear()
-            gc.freeze()  # what is loaded now stays: no collection looks through it again
+            gc.freeze()  # what is loaded now stays, so that no collection scans it again
         (self.folder / OUTSIDE).write_bytes(b"secret " * 1000)
         ready = kind.prepare(case, self.folder / INPUT)
         (self.folder / WHAT).write_text(ready.what, encoding="utf-8")
@@ -92,7 +92,7 @@ class Trial:
         return verdict, line, seconds, taken
 
     def _wrong(self, verdict: Verdict, line: str, taken: float, kind: Kind) -> str:
-        """What is not as it should be with an input that was used or refused; empty where all is."""
+        """Return what is wrong with an input that was used or refused; empty where nothing is."""
         own = frozenset({INPUT, SCRATCH, PRINTED, CRASH, WHAT})
         if seen := self._watch.seen(own):
             return "; ".join(seen)
@@ -123,7 +123,7 @@ def _verdict(use: Callable[[], str]) -> tuple[Verdict, str]:
 
 
 class Remains(NamedTuple):
-    """What a worker that died has left: its last input in a few words, its innermost Python line, its last words."""
+    """Traces of a worker that died: its last input in a few words, its innermost Python line, its last output."""
 
     what: str
     at: str
@@ -131,7 +131,18 @@ class Remains(NamedTuple):
 
 
 def remains_of(folder: Path) -> Remains:
-    """Of a worker's folder; empty where there is nothing."""
+    """Return the traces in a worker's folder; empty where there are none.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+
+    Returns
+    -------
+    Remains
+        The traces.
+    """
     frames = [line for line in _lines(folder / CRASH) if line.startswith("File ")]
     return Remains(" ".join(_lines(folder / WHAT)), (frames or [""])[0], (_lines(folder / PRINTED) or [""])[-1])
 
@@ -149,14 +160,14 @@ def _lines(path: Path) -> list[str]:
 
 
 def _start_of_memory() -> float:
-    """MB in use; the peak begins anew."""
+    """Return the MB in use, and reset the peak."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
     return _peak_memory()
 
 
 def _peak_memory() -> float:
-    """MB, the most in use at once since then."""
+    """Return the peak MB in use since the last reset."""
     status = Path("/proc/self/status").read_text()
     found = re.search(r"VmHWM:\s*(\d+) kB", status)
     return int(found[1]) / 1024.0 if found else 0.0

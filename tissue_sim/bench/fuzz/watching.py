@@ -1,4 +1,4 @@
-"""What an input has done beside being read: files outside its folder, programs, connections."""
+"""Side effects of an input: files outside its folder, programs, connections."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Any
 
 _OPENED, _CREATED, _REMOVED = 0x20, 0x100, 0x200  # of inotify(7)
 _EVENT = struct.Struct("iIII")
-ELSEWHERE = "/etc/passwd"  # a file that an input may name, and that nothing may open
+ELSEWHERE = "/etc/passwd"  # a file that an input may name, and that must not be opened
 _FORBIDDEN = ("os.system", "os.exec", "os.posix_spawn", "subprocess.Popen", "socket.connect", "urllib.Request")
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
 class Watch:
-    """Watches a folder, not those in it: what is opened, made or removed there, by whatever library.
+    """Observer of a folder, not of its subfolders: what is opened, made or removed there, by whatever library.
 
-    And, where Python does it, programs and connections; only while it is `armed`.
+    It also observes programs and connections, where Python starts them; only while it is `armed`.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -37,7 +37,7 @@ class Watch:
             self._seen.append(f"{event} {arguments[0]!r:.60}")
 
     def seen(self, own: frozenset[str]) -> list[str]:
-        """What happened since it was last asked, but for the names `own`."""
+        """Return what happened since the last call, except for the names `own`."""
         found, self._seen = self._seen, []
         try:
             data = os.read(self._events, 1 << 16) if self._events >= 0 else b""

@@ -1,6 +1,6 @@
-"""A clamped beam of silicone that bends under its weight, and under a weight on its end, at rest and in motion.
+"""Clamped silicone beam that bends under its weight, and under a weight on its end, at rest and in motion.
 
-Measured by Zhang, Michelis, Spielberg and Katzschmann 2021 (diffPD_sim2real). Young's moduli and the damping are
+It was measured by Zhang, Michelis, Spielberg and Katzschmann 2021 (diffPD_sim2real). Young's moduli and the damping are
 fitted to the runs without a weight; those with one are predicted.
 """
 
@@ -30,7 +30,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
 FILE = "beam_markers.csv"
-FRAMES = 100.0  # a second
+FRAMES = 100.0  # per second
 WEIGHTS = {"gravity": 0.0, "load52": 0.51012, "load101": 1.00062}  # N on the upper edge of the free end
 REPEATS = ("a", "b")
 GRAVITY = (0.0, 0.0, -9.81)  # m/s^2
@@ -44,13 +44,13 @@ MARKERS = np.array(
     ]
 )
 TIP = 3  # markers at the free end
-# As the source has them, but for Poisson's ratio, 0.499 there; the modulus is where its fit begins.
+# As in the source, except for Poisson's ratio, 0.499 there; the modulus is the start of its fit.
 MATERIAL = Material(youngs_modulus=263.8e3, poisson_ratio=0.45, density=1070.0)
 HELD = "x<0.001"
 STILL = 20  # frames before a run begins
 LAST = 100  # frames at the end of a run, which count as rest
-BEGUN = 0.02  # of the travel, by which a run has begun
-SECOND = 100  # frames of motion that are judged
+BEGUN = 0.02  # fraction of the travel at which a run has begun
+SECOND = 100  # frames of motion that are compared
 FITS = 4  # of the modulus at rest
 TOLERANCE, LONGEST = 1e-4, 20.0  # of settling, and s
 ELEMENT_STEP = 0.005  # s, of the finite elements' motion
@@ -58,7 +58,7 @@ MOST_OFF, MOST_OFF_MOVING = 5.0, 15.0  # %
 
 
 class Fitted(NamedTuple):
-    """What the runs without a weight say of the silicone."""
+    """Parameters of the silicone from the runs without a weight."""
 
     at_rest: float  # Pa, Young's modulus
     moving: float  # Pa, within a second
@@ -66,25 +66,25 @@ class Fitted(NamedTuple):
 
 
 class Bent(NamedTuple):
-    """One run: what was measured at the free end's markers, and predicted."""
+    """Results of one run: motion of the free end's markers, measured and predicted."""
 
     run: str
     weight: float  # N
     rest: Floats  # (3,) m, mean travel of the markers at rest: measured, finite elements, model
     time: Floats  # (t,) s
     measured: Floats  # (t, 3, 3) m of the markers from where they were at first
-    elements: Floats  # likewise; nan while the end is led
+    elements: Floats  # likewise; nan while the end is prescribed
     model: Floats
     rate: Rate
 
     @property
     def off(self) -> dict[str, float]:
-        """Off the measured travel at rest, %; less is negative."""
+        """Error of the predicted travel at rest, %; negative where it is less."""
         return {name: 100.0 * float(self.rest[k] / self.rest[0] - 1.0) for k, name in ((1, "elements"), (2, "model"))}
 
     @property
     def off_moving(self) -> dict[str, float]:
-        """Relative L2 of the markers' motion from where the end is let go until the second is over, %."""
+        """Relative L2 error of the markers' motion from the release of the end until the second is over, %."""
         free = ~np.isnan(self.elements[:, 0, 0])
         size = np.linalg.norm(self.measured[free])
         found = {"elements": self.elements, "model": self.model}
@@ -94,9 +94,9 @@ class Bent(NamedTuple):
 
 
 def read(path: Path) -> dict[str, Floats]:
-    """Markers (t, 6, 3) m of every run in the beam's frame.
+    """Return markers (t, 6, 3) m of every run in the beam's frame.
 
-    Raises UserError for a file that is missing, or not the one that is expected.
+    Raises UserError for a file that is missing, or not the expected one.
     """
     rows: dict[str, list[list[float]]] = {}
     try:
@@ -117,17 +117,17 @@ def read(path: Path) -> dict[str, Floats]:
 
 
 class Run(NamedTuple):
-    """What is known of a run before it is predicted."""
+    """Data of a run before it is predicted."""
 
     name: str
     weight: float  # N
-    moved: Floats  # (t, 3, 3) m, the free end's markers from where they were at first, from where motion begins
+    moved: Floats  # (t, 3, 3) m, displacements of the free end's markers, from the beginning of the motion
     rest: float  # m, mean travel of the markers at rest
-    led: int  # frames until the end first passes where it will rest: the hand that lets it go is on it until then
+    led: int  # frames until the end first passes its equilibrium: the releasing hand touches it until then
 
 
 def run_of(name: str, markers: Floats) -> Run:
-    """A run from its markers (t, 6, 3) m."""
+    """Return a run from its markers (t, 6, 3) m."""
     moved = markers[:, :TIP] - markers[:STILL, :TIP].mean(axis=0)
     rest = float(np.linalg.norm(moved[-LAST:].mean(axis=(0, 1))))
     travel = np.linalg.norm(moved.mean(axis=1), axis=1)
@@ -137,7 +137,7 @@ def run_of(name: str, markers: Floats) -> Run:
 
 
 class Beam:
-    """The calibrated beam, with a weight on its end or without."""
+    """Calibrated beam, with a weight on its end or without."""
 
     def __init__(self, organ: Organ) -> None:
         self.organ = organ
@@ -147,7 +147,7 @@ class Beam:
         self._stiffness = np.concatenate([organ.cell_mu, organ.cell_lambda])
 
     def simulation(self, weight: float, stiffness: float = 1.0, damping_ratio: float | None = None) -> Simulation:
-        """Under gravity, straight, at rest; stiffness: times the organ's; without a ratio as damped as it is."""
+        """Return the beam under gravity, straight, at rest, with a stiffness factor and a damping ratio."""
         mass, damping = self.mass(weight), self.organ.damping
         if damping_ratio is not None:
             damping = 2.0 * damping_ratio * 2.0 * math.pi * self.lowest(mass, stiffness) * mass
@@ -158,22 +158,22 @@ class Beam:
         return simulation
 
     def mass(self, weight: float) -> Floats:
-        """Masses (n,) kg with a weight, N, on the edge of the free end."""
+        """Return masses (n,) kg with a weight, N, on the edge of the free end."""
         mass = self.organ.mass.copy()
         mass[self.edge] += weight / -GRAVITY[2] / len(self.edge)
         return mass
 
     def lowest(self, mass: Floats, stiffness: float) -> float:
-        """The lowest frequency, Hz."""
+        """Return the lowest frequency, Hz."""
         elastic = Elastic(assemble(replace(self.organ, mass=mass)))
         return float(frequencies_of(elastic, stiffness * self._stiffness, mass, 2)[0])
 
     def markers(self, positions: Floats) -> Floats:
-        """How far (3, 3) m the free end's markers have moved."""
+        """Return the displacements (3, 3) m of the free end's markers."""
         return tip_markers(self.organ.surface_positions[self.end], positions[self.end])
 
     def rest(self, weight: float) -> float:
-        """Mean travel of the markers at rest, m. Raises UserError when the beam doesn't come to rest."""
+        """Return the mean travel of the markers at rest, m. Raises UserError when the beam doesn't come to rest."""
         simulation = self.simulation(weight)
         _, settled = simulation.settle(np.zeros((self.organ.n_surface, 3)), TOLERANCE, LONGEST)
         if not settled:
@@ -181,7 +181,7 @@ class Beam:
         return float(np.linalg.norm(self.markers(simulation.positions).mean(axis=0)))
 
     def follow(self, run: Run, stiffness: float, damping_ratio: float) -> tuple[Floats, Floats, Floats, Rate]:
-        """A run's markers (t, 3, 3) m, positions and velocities (n, 3) where the end is let go, and its rate."""
+        """Return a run's markers (t, 3, 3) m, positions and velocities (n, 3) at the release, and its rate."""
         simulation = self.simulation(run.weight, stiffness, damping_ratio)
         rest = self.organ.surface_positions[self.end]
         ticks = round(simulation.rate / FRAMES)
@@ -206,14 +206,14 @@ class Beam:
 
 
 def tip_markers(rest: Floats, positions: Floats) -> Floats:
-    """How far (3, 3) m markers on sticks move with the end face's nodes (k, 3) m, which move as a rigid body nearly."""
+    """Return displacements (3, 3) m of markers on sticks for positions (k, 3) m of the nearly rigid end face."""
     rotation, shift = rigid_motion(rest, positions)
     moved: Floats = MARKERS[:TIP] @ rotation.T + shift - MARKERS[:TIP]
     return moved
 
 
 class Elements:
-    """The beam of finite elements, with a weight on its end."""
+    """Finite elements of the beam, with a weight on its end."""
 
     def __init__(self, organ: Organ, weight: float) -> None:
         self.body = Body(organ)
@@ -223,14 +223,14 @@ class Elements:
         edge: Longs = self.end[surface[self.end, 2] > SIZE[2] - 1e-6]
         force = np.zeros((organ.n_surface, 3))
         force[edge, 2] = -weight / len(edge)
-        # On the nodes themselves: spread as its force is, by quadratic shapes, some of it would be negative.
+        # The mass is on the nodes: distributed like its force by quadratic shapes, some of it would be negative.
         inertia = np.zeros(self.body.n_nodes)
         inertia[edge] = weight / -GRAVITY[2] / len(edge)
         self.load = self.body.loads(force, GRAVITY)
         self.body.solid.add_masses(inertia)
 
     def rest(self) -> float:
-        """Mean travel of the markers at rest, m. Raises UserError when it doesn't settle."""
+        """Return the mean travel of the markers at rest, m. Raises UserError when it doesn't settle."""
         found = self.body.solid.settle(self.load)
         if not found.converged:
             raise UserError("the beam's finite elements do not converge")
@@ -238,7 +238,7 @@ class Elements:
         return float(np.linalg.norm(moved.mean(axis=0)))
 
     def follow(self, frames: int, damping_rate: float, start: Floats, speed: Floats) -> Floats:
-        """Markers (frames + 1, 3, 3) m from displacements and velocities (n, 3) on."""
+        """Return markers (frames + 1, 3, 3) m from initial displacements and velocities (n, 3)."""
         solid, seconds = self.body.solid, frames / FRAMES
         motion = swing(
             solid,
@@ -256,7 +256,7 @@ class Elements:
 
 
 def plain(youngs_modulus: float) -> Organ:
-    """The beam as built, of some modulus, Pa."""
+    """Return the beam as built, of a modulus, Pa."""
     counts = tuple(cells + 1 for cells in CELLS)
     index, triangles = shell((counts[0], counts[1], counts[2]))
     positions = index / np.array(CELLS) * SIZE - [SIZE[0], 0.0, 0.0]
@@ -264,16 +264,16 @@ def plain(youngs_modulus: float) -> Organ:
 
 
 def modulus_at_rest(travel: float, watch: Any) -> float:
-    """Young's modulus with which finite elements sag as far, m, as the beam without a weight."""
+    """Return Young's modulus with which finite elements sag as far, m, as the beam without a weight."""
     modulus = MATERIAL.youngs_modulus
     for _ in range(FITS):
-        modulus *= Elements(plain(modulus), 0.0).rest() / travel  # as good as inverse to the sag
+        modulus *= Elements(plain(modulus), 0.0).rest() / travel  # nearly inverse to the sag
         watch()
     return modulus
 
 
 def fitted(beam: Beam, runs: list[Run], at_rest: float, watch: Any) -> Fitted:
-    """Modulus and damping of the motion in the runs without a weight, by the model."""
+    """Return modulus and damping of the motion in the runs without a weight, by the model."""
 
     def off(unknown: Floats) -> Floats:
         parts = []
@@ -289,7 +289,22 @@ def fitted(beam: Beam, runs: list[Run], at_rest: float, watch: Any) -> Fitted:
 
 
 def measure(data: Path, folder: Path, progress: Progress) -> tuple[Fitted, list[Bent]]:
-    """Build and calibrate the beam, fit what is fitted without a weight, and predict every run."""
+    """Build and calibrate the beam, fit its parameters without a weight, and predict every run.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of the measured tables.
+    folder : Path
+        For the calibrated beam and intermediate results.
+    progress : Progress
+        Receives the progress.
+
+    Returns
+    -------
+    tuple[Fitted, list[Bent]]
+        The fit, and the results of every run.
+    """
     runs = [run_of(name, markers) for name, markers in read(data / FILE).items()]
     without = [run for run in runs if run.weight == 0.0]
     with progress.stage("beam's modulus", FITS) as done:
@@ -313,7 +328,7 @@ def measure(data: Path, folder: Path, progress: Progress) -> tuple[Fitted, list[
 
 
 def predicted(beam: Beam, run: Run, fit: Fitted, rests: tuple[float, float]) -> Bent:
-    """One run, both ways; the finite elements begin where the model is let go, in its state."""
+    """Return one run by both; the finite elements start from the model's state at the release."""
     stiffness = fit.moving / fit.at_rest
     model, start, speed, rate = beam.follow(run, stiffness, fit.damping_ratio)
     elements = Elements(plain(fit.moving), run.weight)
@@ -330,7 +345,20 @@ def predicted(beam: Beam, run: Run, fit: Fitted, rests: tuple[float, float]) -> 
 
 
 def as_json(fit: Fitted, found: list[Bent]) -> dict[str, Any]:
-    """What was fitted, and the figures of every run."""
+    """Return the fit, and the figures of every run.
+
+    Parameters
+    ----------
+    fit : Fitted
+        The fit.
+    found : list[Bent]
+        The results.
+
+    Returns
+    -------
+    dict[str, Any]
+        The figures by name.
+    """
     return {
         "modulus_at_rest_pa": fit.at_rest,
         "modulus_moving_pa": fit.moving,

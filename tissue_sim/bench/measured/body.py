@@ -1,4 +1,4 @@
-"""A measured body as an organ: its surface kept, atoms inside, calibrated to finite elements of its shape."""
+"""Measured body as an organ: its surface kept, atoms inside, calibrated to finite elements of its shape."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from tissue_sim.version import __version__
 
 MOST_STEPS = 40  # of Newton's method
 SHORTEST = 1e-4  # of a step of it
-CLOSE = 1e-8  # of the largest force, that may be left
+CLOSE = 1e-8  # fraction of the largest force that may remain
 
 
 class Material(NamedTuple):
-    """What a body is made of."""
+    """Material of a body."""
 
     youngs_modulus: float  # Pa
     poisson_ratio: float
@@ -37,7 +37,7 @@ class Material(NamedTuple):
 
 
 class Rate(NamedTuple):
-    """Time for a millisecond of the real-time model, and what it did."""
+    """Time for a millisecond of the real-time model, and its faults."""
 
     median: float  # s
     p99: float  # s
@@ -45,13 +45,47 @@ class Rate(NamedTuple):
 
 
 def built(name: str, positions: Floats, triangles: Ints, fixed: str, material: Material) -> Organ:
-    """The organ of a surface (n, 3) m, (t, 3), held where `fixed` says, with the pipeline's atoms and springs."""
+    """Return the organ of a surface, with the pipeline's atoms and springs.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    positions : Floats, shape (n, 3), m
+        Points.
+    triangles : Ints, shape (t, 3)
+        Corner indices.
+    fixed : str
+        Choice of the held nodes, as for select_fixed.
+    material : Material
+        Its material.
+
+    Returns
+    -------
+    Organ
+        The organ.
+    """
     request = Request(name=name, fixed=fixed, **material._asdict())
     return organ_from_mesh(SurfaceMesh(positions, triangles, ()), request, keep_points=True)
 
 
 def calibrated(organ: Organ, folder: Path, progress: Progress) -> Organ:
-    """The organ calibrated with defaults; what it takes is kept in the folder, and the organ written there."""
+    """Return the organ calibrated with defaults, and write it into a folder.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    folder : Path
+        For the organ and intermediate results.
+    progress : Progress
+        Receives the progress.
+
+    Returns
+    -------
+    Organ
+        The calibrated organ.
+    """
     settings = Settings()
     inputs = {"organ": organ.digest(), "version": __version__, **asdict(settings)}
     checkpoint = Checkpoint(folder / f".{organ.name}.calibration", inputs)
@@ -61,9 +95,26 @@ def calibrated(organ: Organ, folder: Path, progress: Progress) -> Organ:
 
 
 def settle_led(solid: Solid, led: Floats) -> Floats:
-    """Rest (n, 3) m of a neo-Hookean solid whose held axes are where `led` (n, 3) m says, from the linear one.
+    """Return the equilibrium of a neo-Hookean solid whose held axes are prescribed, from the linear one.
 
-    Newton's method, each step factored and shortened until the energy falls. Raises UserError when it comes to nothing.
+    Newton's method, each step factored and shortened until the energy falls.
+
+    Parameters
+    ----------
+    solid : Solid
+        The solid.
+    led : Floats, shape (n, 3), m
+        Displacements of the held axes.
+
+    Returns
+    -------
+    Floats, shape (n, 3), m
+        Displacements.
+
+    Raises
+    ------
+    UserError
+        Where it doesn't converge.
     """
     pull = np.where(solid.held, 0.0, (solid.stiffness @ np.where(solid.held, led, 0.0).ravel()).reshape(led.shape))
     moved = np.where(solid.held, led, solid.solve(-pull[None])[0])
@@ -84,7 +135,22 @@ def settle_led(solid: Solid, led: Floats) -> Floats:
 
 
 def timed(simulation: Simulation, ticks: int, watch: Callable[[], None] | None = None) -> Rate:
-    """Step so many milliseconds; watch: called after each, outside what is timed."""
+    """Run a number of ticks and time them.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        The simulation.
+    ticks : int
+        Number of ticks.
+    watch : Callable[[], None] | None, optional
+        Called after each, outside the timed part.
+
+    Returns
+    -------
+    Rate
+        Times and faults.
+    """
     took, before = np.empty(ticks), int(simulation.state.count.faults)
     for tick in range(ticks):
         began = time.perf_counter()

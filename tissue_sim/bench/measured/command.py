@@ -1,4 +1,4 @@
-"""`tissue_sim bench measured`: bodies that others have measured, beside our finite elements and the real-time model."""
+"""Benchmark `tissue_sim bench measured`: bodies that others have measured, finite elements and the real-time model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BODIES = ("cube", "beam")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("--data", metavar="FOLDER", required=True, help="folder of the measured tables")
     parser.add_argument(
         "--out",
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build, calibrate, predict and print; returns 0, or with --check 1 when a bound is missed."""
+    """Build, calibrate, predict and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     data = Path(args.data)
     for body, file in (("cube", truth_cube.FILE), ("beam", beam.FILE)):
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(data: Path, folder: Path, bodies: tuple[str, ...]) -> tuple[dict[str, Any], list[Path]]:
-    """Figures, bounds, and pictures. Raises UserError as the bodies do."""
+    """Return figures, bounds, and pictures. Raises UserError as the bodies do."""
     found: dict[str, Any] = {}
     bounds: list[Bound] = []
     cube: list[truth_cube.Compressed] | None = None
@@ -84,7 +84,7 @@ def measure(data: Path, folder: Path, bodies: tuple[str, ...]) -> tuple[dict[str
 
 
 def text(found: dict[str, Any]) -> str:
-    """The figures as tables."""
+    """Return the figures as tables."""
     lines: list[str] = []
     if "truth_cube" in found:
         rows = [["strain %", "finite elements mm", "worst", "model mm", "worst", "us a ms", "faults"]]

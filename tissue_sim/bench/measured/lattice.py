@@ -7,15 +7,25 @@ from scipy.sparse import coo_array, csr_array
 
 from tissue_sim.array_types import Floats, Ints, Longs
 
-AT_ONCE = 64  # points looked for together
-EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # whose middles are the last nodes of a quadratic element
+AT_ONCE = 64  # points located together
+EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # whose midpoints are the last nodes of a quadratic element
 
 
 def shell(counts: tuple[int, int, int]) -> tuple[Longs, Ints]:
-    """Which points of a lattice of so many lie outside (n, 3), as indices, and the triangles (t, 3) between them.
+    """Return the outer points of a lattice, as indices, and the triangles between them.
 
-    Counter-clockwise from outside where the indices grow along a right-handed frame. The diagonals take turns, so that
-    none of the lattice's directions is stiffer than another.
+    The triangles are counter-clockwise from outside where the indices grow along a right-handed frame. The diagonals
+    alternate, so that none of the lattice's directions is stiffer than another.
+
+    Parameters
+    ----------
+    counts : tuple[int, int, int]
+        Number of points along each axis.
+
+    Returns
+    -------
+    tuple[Longs, Ints]
+        Indices of the points, shape (n, 3), and triangles, shape (t, 3).
     """
     index = np.stack(np.meshgrid(*(np.arange(count) for count in counts), indexing="ij"), axis=-1)
     last = np.array(counts) - 1
@@ -38,10 +48,23 @@ def shell(counts: tuple[int, int, int]) -> tuple[Longs, Ints]:
 
 
 def places(points: Floats, nodes: Floats, cells: Ints) -> csr_array:
-    """Values (p, n) at points (p, 3) m of values at the nodes (n, 3) m of straight cells.
+    """Return the interpolation of values at the nodes of straight cells to points.
 
-    Linear ones (c, 4), or quadratic ones (c, 10).
     A point outside all of them is taken with the cell that it leaves least.
+
+    Parameters
+    ----------
+    points : Floats, shape (p, 3), m
+        Points.
+    nodes : Floats, shape (n, 3), m
+        Nodes.
+    cells : Ints, shape (c, 4) or (c, 10)
+        Node indices of linear or quadratic cells.
+
+    Returns
+    -------
+    csr_array, shape (p, n)
+        Interpolation matrix.
     """
     corner = nodes[cells[:, :4]]
     back = np.linalg.inv((corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1))
@@ -60,7 +83,20 @@ def places(points: Floats, nodes: Floats, cells: Ints) -> csr_array:
 
 
 def rigid_motion(start: Floats, end: Floats) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and shift (3,) that bring points (k, 3) closest to others (k, 3) (Kabsch 1976)."""
+    """Return the rotation and shift that bring points closest to others (Kabsch 1976).
+
+    Parameters
+    ----------
+    start : Floats, shape (k, 3)
+        Points.
+    end : Floats, shape (k, 3)
+        Other points.
+
+    Returns
+    -------
+    tuple[Floats, Floats]
+        Rotation, shape (3, 3), and shift, shape (3,).
+    """
     middle, goal = start.mean(axis=0), end.mean(axis=0)
     left, _, right = np.linalg.svd((start - middle).T @ (end - goal))
     mirrored = np.sign(np.linalg.det(right.T @ left.T))

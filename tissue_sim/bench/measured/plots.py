@@ -1,4 +1,4 @@
-"""Pictures of measured bodies: where the cube's inner beads went, how the beam's end moved."""
+"""Pictures of measured bodies: the cube's inner beads, and the motion of the beam's end."""
 
 from __future__ import annotations
 
@@ -12,13 +12,30 @@ from tissue_sim.bench.measured.truth_cube import Compressed
 from tissue_sim.errors import UserError
 
 _MEASURED, _ELEMENTS, _MODEL = "#222222", "#2166ac", "#d55e00"
-MIDDLE = 2  # of the inner beads' layers
+MIDDLE = 2  # index among the inner beads' layers
 
 
 def write_pictures(cube: list[Compressed] | None, bent: list[Bent] | None, folder: Path) -> list[Path]:
-    """Write truth_cube.png and beam.png of what there is; returns their paths.
+    """Write truth_cube.png and beam.png, as far as there are results.
 
-    Raises UserError when the folder can't be written.
+    Parameters
+    ----------
+    cube : list[Compressed] | None
+        Results of the cube; None for none.
+    bent : list[Bent] | None
+        Results of the beam; None for none.
+    folder : Path
+        Where they are written.
+
+    Returns
+    -------
+    list[Path]
+        Their paths.
+
+    Raises
+    ------
+    UserError
+        Where the folder can't be written.
     """
     paths = []
     try:
@@ -34,7 +51,7 @@ def write_pictures(cube: list[Compressed] | None, bent: list[Bent] | None, folde
 
 
 def _cube(found: list[Compressed]) -> Any:
-    """A layer of beads at the last strain, and how far all inner beads are off at every strain."""
+    """Return a figure of a layer of beads at the last strain, and of the errors of all inner beads at every strain."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
@@ -76,7 +93,7 @@ def _cube(found: list[Compressed]) -> Any:
 
 
 def _beam(found: list[Bent]) -> Any:
-    """How the markers at the free end go down, by measurement and prediction, a panel for each weight."""
+    """Return a figure of the markers at the free end, measured and predicted, with a panel for each weight."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.0, 4.2), layout="constrained")

@@ -1,7 +1,7 @@
-"""The Truth Cube: silicone with 343 beads, compressed in a CT (Kerdok et al. 2003).
+"""Truth Cube: silicone with 343 beads, compressed in a CT (Kerdok et al. 2003).
 
-Its outermost beads don't follow the plates exactly, so they are led where they were measured; what is predicted are
-the 125 beads inside. Young's modulus plays no part there.
+Its outermost beads don't follow the plates exactly, so they are prescribed as measured; the 125 beads inside are
+predicted. Young's modulus has no influence there.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ FILE = "truth_cube_uniaxial.csv"
 STRAINS = (5.0, 12.5, 18.25)  # %, nominal
 SIDE = 7  # beads
 FINER = 2  # surface points between two beads, and one
-# Silicone's modulus and density as the file's source has them; its Poisson's ratio is 0.499, and cells go up to 0.49.
+# The silicone's modulus and density as in the file's source; its Poisson's ratio is 0.499, and cells allow up to 0.49.
 MATERIAL = Material(youngs_modulus=15.3e3, poisson_ratio=0.49, density=980.0)
-HELD = "z<0.05"  # of the calibration; here all of the surface is led
+HELD = "z<0.05"  # for the calibration; here all of the surface is prescribed
 LED, STILL = 300, 1000  # ticks
-MOST_OFF, MOST_BEHIND = 0.5, 0.1  # mm in the mean at the last strain: off what was measured, behind finite elements
+MOST_OFF, MOST_BEHIND = 0.5, 0.1  # mm on average at the last strain: error, and excess over finite elements'
 
 
 class Compressed(NamedTuple):
-    """One strain: where the inner beads (5, 5, 5, 3) m went, by measurement and prediction."""
+    """Results of one strain: positions of the inner beads (5, 5, 5, 3) m, measured and predicted."""
 
     strain: float  # %
     measured: Floats
@@ -55,9 +55,9 @@ class Compressed(NamedTuple):
 
 
 def read(path: Path) -> Floats:
-    """Beads (7, 7, 7, 4, 3) m by their place, along x, y and z, at rest and at each strain.
+    """Return beads (7, 7, 7, 4, 3) m by their place, along x, y and z, at rest and at each strain.
 
-    Raises UserError for a file that is missing, or not the one that is expected.
+    Raises UserError for a file that is missing, or not the expected one.
     """
     beads = np.full((SIDE, SIDE, SIDE, 1 + len(STRAINS), 3), np.nan)
     try:
@@ -76,7 +76,7 @@ def read(path: Path) -> Floats:
 
 
 def between(beads: Floats) -> Floats:
-    """The lattice with further points between the beads (7, 7, 7, ...), linear."""
+    """Return the lattice with further points between the beads (7, 7, 7, ...), by linear interpolation."""
     lattice = RegularGridInterpolator((np.arange(SIDE),) * 3, beads.reshape(SIDE, SIDE, SIDE, -1))
     fine = np.linspace(0.0, SIDE - 1.0, FINER * (SIDE - 1) + 1)
     found = lattice(np.stack(np.meshgrid(fine, fine, fine, indexing="ij"), axis=-1))
@@ -84,7 +84,22 @@ def between(beads: Floats) -> Floats:
 
 
 def measure(data: Path, folder: Path, progress: Progress) -> list[Compressed]:
-    """Build the body between the outermost beads, calibrate it, and predict the inner ones at every strain."""
+    """Build the body between the outermost beads, calibrate it, and predict the inner ones at every strain.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of the measured tables.
+    folder : Path
+        For the calibrated body and intermediate results.
+    progress : Progress
+        Receives the progress.
+
+    Returns
+    -------
+    list[Compressed]
+        The results of every strain.
+    """
     beads = read(data / FILE)
     lattice = between(beads)
     index, triangles = shell((len(lattice),) * 3)
@@ -124,7 +139,7 @@ def measure(data: Path, folder: Path, progress: Progress) -> list[Compressed]:
 
 
 def on_facets(filling: FeMesh, corners: Floats, moved: Floats) -> Floats:
-    """Displacements (n, 3) m of a filling's nodes on the surface, linear on its triangles (t, 3, 3) m; 0 inside."""
+    """Return displacements (n, 3) m of a filling's surface nodes, linear on triangles (t, 3, 3) m; 0 inside."""
     found = np.zeros_like(filling.nodes)
     for column in filling.facets.T:
         share = coordinates(filling.nodes[column], corners[filling.triangle])
@@ -133,7 +148,18 @@ def on_facets(filling: FeMesh, corners: Floats, moved: Floats) -> Floats:
 
 
 def as_json(found: list[Compressed]) -> list[dict[str, Any]]:
-    """The figures of every strain."""
+    """Return the figures of every strain.
+
+    Parameters
+    ----------
+    found : list[Compressed]
+        The results.
+
+    Returns
+    -------
+    list[dict[str, Any]]
+        The figures by name.
+    """
     return [
         {
             "strain_percent": one.strain,

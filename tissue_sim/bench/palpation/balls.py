@@ -1,4 +1,4 @@
-"""`tissue_sim bench palpation --places N`: does a ball feel the same force at nodes, on edges and inside triangles?
+"""`tissue_sim bench palpation --places N`: the force on a sphere at nodes, on edges and in triangles.
 
 Balls of some mean edges of the organ's surface are pressed in at each, and slide over it.
 """
@@ -29,7 +29,18 @@ MOST_RIPPLE = 5.0  # %
 
 
 def run(args: argparse.Namespace) -> int:
-    """Press, slide, compare and print; returns 0, or with --check 1 when a bound is missed."""
+    """Press, slide, compare and print.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed arguments.
+
+    Returns
+    -------
+    int
+        Exit code: 0, or with --check 1 when a bound is missed.
+    """
     radii = parse_radii(args.radii)
     if not 1 <= args.places <= MOST_PLACES:
         raise UserError(f"--places {args.places} is outside 1..{MOST_PLACES}")
@@ -131,7 +142,7 @@ def _known(values: Floats) -> list[float | None]:
 
 
 def _offs(pressed: Sequence[Pressed]) -> Floats:
-    """All differences, (k,) %, where finite elements settled."""
+    """Return all differences, (k,) %, where finite elements settled."""
     every = np.concatenate([one.off for one in pressed]) if pressed else np.zeros(0)
     return np.asarray(every[np.isfinite(every)])
 

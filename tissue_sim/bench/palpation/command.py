@@ -1,7 +1,8 @@
-"""`tissue_sim bench palpation`: a finger feels for a tumour; force against depth beside nonlinear finite elements.
+"""Benchmark `tissue_sim bench palpation`: a finger over a tumour; force against depth beside finite elements.
 
-A rigid sphere is pressed in over each inclusion, and doesn't slip; so are finite elements of the same shape, with the
-inclusion and without. Then it is pressed in at every node around: the map of stiffness that a finger would feel.
+A rigid sphere is pressed in over each inclusion, and doesn't slip; so are neo-Hookean finite elements of the same
+shape, with the inclusion and without. Then it is pressed in at every node around: the map of stiffness that a finger
+would feel.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ DEFAULT = "kidney_tumour"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the command's arguments."""
     add_shared(
         parser, organ="the kidney with a tumour of this package", out="folder for a plot of curves and map", check=True
     )
@@ -47,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Feel, compare and print; returns 0, or with --check 1 when a bound is missed."""
+    """Press, compare and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     if args.places is not None:
         from tissue_sim.bench.palpation import balls

@@ -45,19 +45,19 @@ class Felt(NamedTuple):
 
     @property
     def told_apart(self) -> Floats:
-        """By how much the inclusion makes the finite elements stiffer at each depth, %."""
+        """Relative increase of the finite elements' force by the inclusion at each depth, %."""
         return np.asarray(100.0 * (self.reference / self.plain - 1.0))
 
 
 class Map(NamedTuple):
-    """What a finger feels around an inclusion."""
+    """Stiffness that a finger feels around an inclusion."""
 
     nodes: Longs  # (k,)
     stiffness: Floats  # (k,) N/m
 
 
 def measure(organ: Organ) -> list[Felt]:
-    """A curve for each inclusion. Raises UserError for an organ without any, and as Body does."""
+    """Return a curve for each inclusion. Raises UserError for an organ without any, and as Body does."""
     inclusions = inclusions_of(organ)
     if not inclusions:
         raise UserError(f"organ '{organ.name}' has no inclusion; build it with --mask and --inclusion")
@@ -73,7 +73,7 @@ def measure(organ: Organ) -> list[Felt]:
 
 
 def measure_maps(organ: Organ, felt: Sequence[Felt]) -> list[Map]:
-    """A map around each place that was felt; an empty one for those that Ctrl-C has left out."""
+    """Return a map around each place; an empty one for those that Ctrl-C left out."""
     found: list[Map] = []
     with rows.until_stopped():
         for one in rows.each(felt, "maps"):
@@ -83,25 +83,25 @@ def measure_maps(organ: Organ, felt: Sequence[Felt]) -> list[Map]:
 
 
 def press_at(surface: Surface, node: int) -> Press:
-    """Where a finger touches at a surface node; it presses along the normal there."""
+    """Return the press at a surface node, along the normal there."""
     normal = surface.normal[node]
     return Press(surface.positions[node] + FINGER * normal, -normal, node)
 
 
 def over(organ: Organ, inclusion: Inclusion) -> Press:
-    """The place on the surface that is nearest to an inclusion's middle, and isn't held."""
+    """Return the press at the free surface node nearest to an inclusion's centre."""
     apart = np.linalg.norm(organ.surface_positions - inclusion.positions.mean(axis=0), axis=1)
     apart[organ.fixed] = np.inf
     return press_at(surface_of(organ), int(apart.argmin()))
 
 
 def finger(organ: Organ) -> Scene:
-    """The organ and a finger that doesn't slip."""
+    """Return the organ and a finger that doesn't slip."""
     return ball(organ, FINGER, FRICTION)
 
 
 def by_elements(organ: Organ, press: Press) -> Floats:
-    """The same force (d,) N of finite elements, touched at all of their own nodes; nan where they don't settle."""
+    """Return the same force (d,) N of finite elements, touched at all of their nodes; nan where they don't settle."""
     touched = np.linalg.norm(organ.surface_positions - organ.surface_positions[press.node], axis=1) < UNDER
     solid, nodes = touchable(organ, touched)
     starts = np.concatenate([[0.0], DEPTHS[:-1]])
@@ -116,7 +116,7 @@ def by_elements(organ: Organ, press: Press) -> Floats:
 
 
 def mapped(organ: Organ, press: Press) -> Map:
-    """Stiffness at every node around a place, which the finger can press and that isn't near the clamp."""
+    """Return the stiffness at every node around a place that the finger can press and that isn't near the clamp."""
     surface, scene = surface_of(organ), finger(organ)
     near = np.linalg.norm(surface.positions - surface.positions[press.node], axis=1) < AROUND
     near &= surface.normal @ surface.normal[press.node] > 0.5
@@ -131,7 +131,7 @@ def mapped(organ: Organ, press: Press) -> Map:
 
 
 def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
-    """All figures and bounds: of each curve the error, and by how much the inclusion is told apart."""
+    """Return all figures and bounds: of each curve the error, and how clearly the inclusion is discernible."""
     table, bounds = [], []
     for number, (one, around) in enumerate(zip(felt, maps, strict=True)):
         settled = bool(np.isfinite(one.reference).all() and np.isfinite(one.plain).all())
@@ -164,7 +164,7 @@ def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
 
 
 def text(organ: Organ, found: dict[str, Any]) -> str:
-    """The figures as tables."""
+    """Return the figures as tables."""
     lines = [f"organ '{organ.name}': a finger of {1e3 * found['finger_m']:g} mm, held, without slip"]
     for row in found["inclusions"]:
         table = [["deep mm", "force N", "finite elements N", "error %", "without the inclusion N", "effect %"]]

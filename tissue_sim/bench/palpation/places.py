@@ -21,7 +21,7 @@ ALIKE = 0.05  # by which the least cosine between a place's normal and those aro
 
 
 class Spot(NamedTuple):
-    """Where a ball is pressed in: number and kind of the place, (3,) m on the surface, inward unit vector (3,)."""
+    """Spot where a ball is pressed in: number and kind of the place, (3,) m on the surface, inward direction (3,)."""
 
     place: int
     kind: str

@@ -1,4 +1,4 @@
-"""The plot of `tissue_sim bench palpation`: force against depth, and the stiffness that a finger feels around."""
+"""Plot of `tissue_sim bench palpation`: force against depth, and the stiffness that a finger feels around."""
 
 from __future__ import annotations
 
@@ -14,7 +14,29 @@ from tissue_sim.organ.organ import Organ
 
 
 def write_plots(organ: Organ, felt: Sequence[Felt], maps: Sequence[Map], folder: str) -> list[Path]:
-    """Write a picture for each inclusion into the folder; raises UserError when it can't be written."""
+    """Write a picture for each inclusion into the folder.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    felt : Sequence[Felt]
+        Curves over the inclusions.
+    maps : Sequence[Map]
+        Maps around them.
+    folder : str
+        The folder.
+
+    Returns
+    -------
+    list[Path]
+        Paths of the pictures.
+
+    Raises
+    ------
+    UserError
+        Where it can't be written.
+    """
     paths = []
     for number, (one, around) in enumerate(zip(felt, maps, strict=True)):
         path = Path(folder) / ("palpation.png" if len(felt) == 1 else f"palpation_{number}.png")
@@ -27,7 +49,7 @@ def write_plots(organ: Organ, felt: Sequence[Felt], maps: Sequence[Map], folder:
 
 
 def drawn(organ: Organ, felt: Felt, around: Map) -> Any:
-    """Curves on the left; on the right the map, seen along the finger's way, with the inclusion's outline."""
+    """Return curves on the left, and the map with the inclusion's outline, seen along the finger's direction."""
     from matplotlib.figure import Figure
     from scipy.spatial import ConvexHull
 

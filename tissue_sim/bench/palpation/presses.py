@@ -26,7 +26,7 @@ ELEMENTS = Grading(clamp=0, growth=1.0)  # places lie far from the clamp
 
 
 class Pressed(NamedTuple):
-    """A ball at a spot: its radius in mean edges; depths (d,) radii, forces (d,) N, nan where nothing settled."""
+    """Results of a ball at a spot: radius in mean edges; depths (d,) radii, forces (d,) N, nan where unsettled."""
 
     radius: float
     place: int
@@ -47,7 +47,7 @@ Reference = Callable[[Organ, Sequence[Spot], float, Floats], Floats]
 def presses(
     organ: Organ, radii: Sequence[float], places: Sequence[Sequence[Spot]], reference: Reference | None = None
 ) -> Iterable[Pressed]:
-    """Yield what balls feel that are pressed in at all spots, beside the reference: finite elements if None.
+    """Yield the forces of balls that are pressed in at all spots, beside the reference: finite elements if None.
 
     radii: mean edges. Raises UserError as Body does.
     """
@@ -92,7 +92,7 @@ def by_elements(organ: Organ, spots: Sequence[Spot], radius: float, depths: Floa
 
 
 def _beneath(body: Body, nodes: Longs, spot: Spot, radius: float) -> Longs:
-    """Those nodes that a ball can reach which goes straight in: fewer take less time."""
+    """Return the nodes that a ball moving straight in can reach: fewer take less time."""
     away = body.solid.nodes[nodes] - spot.point
     beside = np.linalg.norm(away - np.outer(away @ spot.way, spot.way), axis=1)
     return nodes[beside < 1.1 * radius]

@@ -26,7 +26,7 @@ KNOTS, ROUNDS = 25, 4  # of a track on an edge; of finding its distance
 
 
 class Slid(NamedTuple):
-    """A ball that slides: radius in mean edges, mean force along the normal, N, and its ripple, % of that."""
+    """Results of a sliding ball: radius in mean edges, mean force along the normal, N, and its ripple, % of that."""
 
     radius: float
     place: int
@@ -36,7 +36,7 @@ class Slid(NamedTuple):
 
 
 class Track(NamedTuple):
-    """Where the middle of a ball goes that slides: m along, (k,); places (k, 3) m and outward normals (k, 3)."""
+    """Path of the centre of a sliding ball: m along, (k,); places (k, 3) m and outward normals (k, 3)."""
 
     along: Floats
     centres: Floats
@@ -51,8 +51,8 @@ class Track(NamedTuple):
 def track_over(organ: Organ, spot: Spot, radius: float) -> Track:
     """Return the track over a spot on which a ball, its radius in m, lies SLID_DEPTH deep in the surface at rest.
 
-    A quadric through the nodes around leads it, and its distance from the triangles is kept: on a smooth track the ball
-    would feel the facets' shape, which finite elements have, too.
+    It follows a quadric through the nodes around, at a constant distance from the triangles: on a smooth track the ball
+    would feel the shape of the facets, which finite elements have, too.
     """
     surface, edge, out = surface_of(organ), mean_edge(organ), -spot.way
     sideways = np.cross(out, [0.3, 1.0, 0.1])  # no axis, which rows of a mesh might follow
@@ -76,7 +76,7 @@ def track_over(organ: Organ, spot: Spot, radius: float) -> Track:
 
 
 def slides(organ: Organ, radii: Sequence[float], places: Sequence[Sequence[Spot]]) -> Iterable[Slid]:
-    """Yield what balls feel that slide over the middle of each place, with every friction; radii: mean edges."""
+    """Yield the forces of balls that slide over the middle of each place, with every friction; radii: mean edges."""
     edge = mean_edge(organ)
     with progress.task("slides", len(radii) * len(FRICTIONS) * len(places)) as under_way:
         for radius in radii:
@@ -110,7 +110,7 @@ def slid_force(scene: Scene, track: Track) -> Floats:
 
 
 def ripple(force: Floats) -> float:
-    """Return half the range of a force (k,) N about a parabola along the way, % of its mean.
+    """Return half the range of a force (k,) N about a parabola along the track, % of its mean.
 
     The parabola is the organ's: over a few edges its shape and its clamp change the force smoothly.
     """

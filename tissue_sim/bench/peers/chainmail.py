@@ -1,11 +1,11 @@
 """ChainMail: geometric limits that pass a displacement on from node to node, then relaxation.
 
-Gibson, 3D ChainMail: a fast algorithm for deforming volumetric objects (1997), on the edges of tetrahedra instead of
-a grid, with the limits of Li and Brodlie, Soft object modelling with generalised ChainMail (2003): node j, whose rest
+Gibson, 3D ChainMail: a fast algorithm for deforming volumetric objects (1997), on the edges of tetrahedra instead of a
+grid, with the limits of Li and Brodlie, Soft object modelling with generalised ChainMail (2003): node j, whose rest
 offset from its neighbour i is d, stays on each axis within (1 -+ STRETCH) d -+ SHEAR (|d| on the other two axes). On a
-grid that is Gibson's: along a link it may stretch, across it shear.
+grid this is Gibson's: along a link it may stretch, across it shear.
 
-It knows no forces. What is loaded is moved to where the reference has it, and the rest follows.
+It has no forces. Loaded nodes are moved to where the reference has them, and the rest follows.
 """
 
 from __future__ import annotations
@@ -18,17 +18,24 @@ from tissue_sim.bench.timing import Burst, time_calls
 from tissue_sim.jit import kernel
 from tissue_sim.organ.organ import Organ
 
-STRETCH, SHEAR = 0.1, 0.1  # how far a link may be longer or shorter, and sheared
+STRETCH, SHEAR = 0.1, 0.1  # largest relative stretch or compression of a link, and its shear
 SWEEPS = 5000  # of relaxation at most
-STILL = 1e-5  # of what it was moved by: a sweep that moves no node by more has settled it
-UPDATE = 0.001  # s that an update stands for: it is done once a tick
-SWELLING = 200  # updates in which a load swells and ebbs
+STILL = 1e-5  # fraction of the displacement: a sweep that moves no node by more has converged
+UPDATE = 0.001  # s of an update, which is done once per tick
+SWELLING = 200  # updates in which a load rises and falls
 
 
 class ChainMail:
-    """Nodes (n, 3) m at rest, of which the first are the organ's surface, linked by edges (e, 2); some are held.
+    """Nodes linked by edges; the organ's fixed nodes are held.
 
-    The organ's nodes fixed are held.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    nodes : Floats, shape (n, 3), m
+        Nodes at rest, the organ's surface first.
+    edges : Ints, shape (e, 2)
+        Node indices.
     """
 
     def __init__(self, organ: Organ, nodes: Floats, edges: Ints) -> None:
@@ -44,7 +51,7 @@ class ChainMail:
         self.relax(none)
 
     def move(self, nodes: Longs, displacement: Floats) -> None:
-        """Move nodes (k,) by displacements (k, 3) m from rest, and let the limits pass it on, from held nodes too."""
+        """Move nodes (k,) by displacements (k, 3) m from rest, and propagate it, from held nodes too."""
         self.position[nodes] = self.rest[nodes] + displacement
         driven = self._held.copy()
         driven[nodes] = True
@@ -52,13 +59,13 @@ class ChainMail:
         pass_on(self.position, self.rest, self.start, self.neighbours, driven, sources, STRETCH, SHEAR)
 
     def relax(self, nodes: Longs) -> float:
-        """One sweep of relaxation about the moved nodes (k,); returns how far a node moved at most, m."""
+        """Do one sweep of relaxation about the moved nodes (k,); return the largest motion of a node, m."""
         free = ~self._held
         free[nodes] = False
         return float(relax(self.position, self.rest, self.start, self.neighbours, np.flatnonzero(free)))
 
     def settle(self, load: Load) -> Answer:
-        """Passed on and relaxed until nothing moves."""
+        """Propagate and relax until nothing moves."""
         self.position[:] = self.rest
         nodes, displacement = moved_by(load)
         still = STILL * float(np.abs(displacement).max(initial=0.0))
@@ -73,7 +80,7 @@ class ChainMail:
         return Answer((self.position - self.rest)[: self.organ.n_surface], seconds, moves[-1] <= still)
 
     def burst(self, load: Load) -> Burst:
-        """Updates: the loaded nodes swell and ebb, the limits pass it on, one sweep of relaxation."""
+        """Return updates: the loaded nodes rise and fall, the limits propagate it, and one sweep relaxes it."""
         nodes, displacement = moved_by(load)
         count = 0
 
@@ -87,12 +94,12 @@ class ChainMail:
 
 
 def moved_by(load: Load) -> tuple[Longs, Floats]:
-    """The loaded nodes (k,), and where the reference has them, (k, 3) m."""
+    """Return the loaded nodes (k,), and their displacements in the reference, (k, 3) m."""
     return load.nodes, load.reached[load.nodes]
 
 
 def linked(count: int, edges: Ints) -> tuple[Longs, Longs]:
-    """Neighbours of each of `count` nodes along edges (e, 2), as compressed rows start (count + 1,), neighbours."""
+    """Return the neighbours of each node along edges (e, 2), as compressed rows start (count + 1,), neighbours."""
     both = np.unique(np.concatenate([edges, edges[:, ::-1]]).astype(np.int64), axis=0)
     start = np.searchsorted(both[:, 0], np.arange(count + 1)).astype(np.int64)
     return start, np.ascontiguousarray(both[:, 1])
@@ -100,7 +107,7 @@ def linked(count: int, edges: Ints) -> tuple[Longs, Longs]:
 
 @kernel
 def pass_on(position, rest, start, neighbours, driven, sources, stretch, shear):  # type: ignore[no-untyped-def]
-    """Pass on what was moved, (n, 3) m in place: first in, first out, each node once, as Gibson has it.
+    """Propagate displacements, (n, 3) m in place: first in, first out, each node once, as Gibson does.
 
     driven (n,): nodes that stay where they are; sources (k,): where it starts.
     """
@@ -141,7 +148,7 @@ def pass_on(position, rest, start, neighbours, driven, sources, stretch, shear):
 
 @kernel
 def relax(position, rest, start, neighbours, free):  # type: ignore[no-untyped-def]
-    """Put every free node (f,) in the middle of where its neighbours want it, one after the other; largest move, m."""
+    """Put every free node (f,) at the mean of where its neighbours want it; return the largest move, m."""
     largest = 0.0
     for k in range(len(free)):
         i = free[k]

@@ -1,4 +1,4 @@
-"""The interface of what is compared: settle under a load, and take one update after another."""
+"""Interface of the compared engines: settle under a load, and do one update after another."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench.timing import Burst
 from tissue_sim.organ.organ import Organ
 
-TOLERANCE = 1e-3  # of its displacement, by which a settled engine's may still change from one look to the next
-LOOK = 0.1  # simulated s between two looks
+TOLERANCE = 1e-3  # relative change of the displacement between checks, below which an engine has settled
+LOOK = 0.1  # simulated s between two checks
 
 
 class Load(NamedTuple):
-    """A load on a surface of n points, and where the reference is then."""
+    """Load on a surface of n points, and the reference's displacements under it."""
 
     force: Floats  # (n, 3) N
     reached: Floats  # (n, 3) m, for an engine that is moved instead of pushed
 
     @property
     def nodes(self) -> NDArray[np.int64]:
-        """The loaded nodes (k,)."""
+        """Loaded nodes (k,)."""
         return np.flatnonzero(np.any(self.force != 0.0, axis=1)).astype(np.int64)
 
 
 class Answer(NamedTuple):
-    """What an engine settles to."""
+    """Equilibrium of an engine."""
 
     displacement: Floats  # (n, 3) m of the surface
     seconds: float  # of the processor until then
@@ -39,17 +39,29 @@ class Answer(NamedTuple):
 
 
 class Engine(Protocol):
-    """A solver of one organ. It is made once, whatever that costs; then it answers one load after the other."""
+    """Solver of one organ, which is made once, whatever that takes, and then answers one load after the other."""
 
     organ: Organ  # whose surface it moves
     update: float  # simulated s that an update stands for
 
     def settle(self, load: Load) -> Answer:
-        """Where the surface comes to rest under a load, from the rest shape."""
+        """Return the equilibrium of the surface under a load, from the rest shape.
+
+        Parameters
+        ----------
+        load : Load
+            The load.
+        """
         ...
 
     def burst(self, load: Load) -> Burst:
-        """Times of updates under a load."""
+        """Return a function that times updates under a load.
+
+        Parameters
+        ----------
+        load : Load
+            The load.
+        """
         ...
 
 
@@ -60,11 +72,29 @@ def settle_by_steps(
     longest: float,
     tolerance: float = TOLERANCE,
 ) -> Answer:
-    """Step an engine until its surface stands still.
+    """Step an engine until its surface is at rest.
 
     step: does a step of `tick` s and returns the processor's seconds for it; surface: displacements (n, 3) m now;
     longest: simulated s after which it counts as not settled, as it does when a value is not finite.
     tolerance: how much its displacement may change in 0.1 s, relative L2.
+
+    Parameters
+    ----------
+    step : Callable[[], float]
+        Does a step and returns its processor time, s.
+    surface : Callable[[], Floats]
+        Returns the present displacements, shape (n, 3), m.
+    tick : float, s
+        Time step.
+    longest : float, s
+        Simulated time after which it counts as not settled, as it does when a value is not finite.
+    tolerance : float, optional
+        Largest relative change (L2) of the displacement in 0.1 s.
+
+    Returns
+    -------
+    Answer
+        The equilibrium.
     """
     stride = max(1, round(LOOK / tick))
     before = np.zeros_like(surface())
@@ -82,7 +112,18 @@ def settle_by_steps(
 
 
 def timed(work: Callable[[], object]) -> float:
-    """The processor's seconds in this thread for a piece of work."""
+    """Return the processor time of this thread for a piece of work.
+
+    Parameters
+    ----------
+    work : Callable[[], object]
+        The work.
+
+    Returns
+    -------
+    float, s
+        The time.
+    """
     start = time.thread_time()
     work()
     return time.thread_time() - start

@@ -1,4 +1,4 @@
-"""Linear finite elements, factored beforehand: one solve an answer, and the same as a table of compliances."""
+"""Linear finite elements, factored beforehand: one solve per answer, and the same as a table of compliances."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tissue_sim.calibration.fe_mesh import libraries
 from tissue_sim.calibration.fem import Body
 from tissue_sim.organ.organ import Organ
 
-UPDATE = 0.001  # s that an update stands for: it is solved once a tick
+UPDATE = 0.001  # s of an update, which is solved once per tick
 AT_ONCE = 64  # columns of a compliance solved together
 
 
@@ -40,7 +40,7 @@ class LinearTetrahedra:
         self._factors = splu(inside, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
     def settle(self, load: Load) -> Answer:
-        """One solve."""
+        """Solve once."""
         found = np.zeros(self.free.shape)
         right = self._right(load)
 
@@ -51,7 +51,7 @@ class LinearTetrahedra:
         return Answer(found[: self.organ.n_surface], seconds, True)
 
     def burst(self, load: Load) -> Burst:
-        """Solves."""
+        """Return a function that times solves."""
         right = self._right(load)
         return lambda count: time_calls(lambda: self._factors.solve(right), count)
 
@@ -70,20 +70,27 @@ class QuadraticTetrahedra:
         self.body.settle_linear(np.zeros((1, organ.n_surface, 3)))  # factors, before anything is timed
 
     def settle(self, load: Load) -> Answer:
-        """One solve."""
+        """Solve once."""
         found: list[Floats] = []
         seconds = timed(lambda: found.append(self.body.settle_linear(load.force[None])[0]))
         return Answer(found[0], seconds, True)
 
     def burst(self, load: Load) -> Burst:
-        """Solves."""
+        """Return a function that times solves."""
         return lambda count: time_calls(lambda: self.body.settle_linear(load.force[None]), count)
 
 
 class Compliance:
-    """The surface's displacements under unit forces on its nodes, a table of the quadratic body's in single precision.
+    """Table of surface displacements under unit forces, of the quadratic body, in single precision.
 
-    one_patch: of the table only the columns of the loaded nodes, as for a tool that can't be anywhere else.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    table : NDArray[np.float32], shape (3 n, 3 n), m/N
+        The table.
+    one_patch : bool, optional
+        Use only the columns of the loaded nodes, as for a tool that can't be anywhere else.
     """
 
     def __init__(self, organ: Organ, table: NDArray[np.float32], *, one_patch: bool = False) -> None:
@@ -91,13 +98,13 @@ class Compliance:
         self._table, self._one_patch = table, one_patch
 
     def settle(self, load: Load) -> Answer:
-        """One product."""
+        """Compute one product."""
         product = self._product(load)
         seconds = float(np.median(product(3)))
         return Answer(product.displacement.reshape(-1, 3).astype(np.float64), seconds, True)
 
     def burst(self, load: Load) -> Burst:
-        """Products."""
+        """Return a function that times products."""
         return self._product(load)
 
     def _product(self, load: Load) -> Product:
@@ -109,7 +116,18 @@ class Compliance:
 
 
 def compliance_table(body: Body) -> NDArray[np.float32]:
-    """Displacements (3 n, 3 n) m/N of the surface nodes under a force on any of them."""
+    """Return the displacements of the surface nodes under a unit force on any of them.
+
+    Parameters
+    ----------
+    body : Body
+        The finite-element body.
+
+    Returns
+    -------
+    NDArray[np.float32], shape (3 n, 3 n), m/N
+        The table.
+    """
     n = body.organ.n_surface
     table = np.empty((3 * n, 3 * n), dtype=np.float32)
     for first in range(0, 3 * n, AT_ONCE):

@@ -15,9 +15,25 @@ DAMPING = 0.1  # s, proportional to stiffness: it changes how an organ settles, 
 
 
 class Mujoco:
-    """An organ of tetrahedra as a flex, in steps of `step` s.
+    """Organ of tetrahedra as a MuJoCo flex.
 
-    Raises ModuleNotFoundError without mujoco, UserError when MuJoCo can't load the organ.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    mesh : Tetrahedra
+        Its tetrahedra.
+    step : float, s
+        Time step.
+    longest : float, s, optional
+        Simulated time after which it counts as not settled.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        Without mujoco.
+    UserError
+        Where MuJoCo can't load the organ.
     """
 
     def __init__(self, organ: Organ, mesh: Tetrahedra, step: float, longest: float = 2.0) -> None:
@@ -26,12 +42,12 @@ class Mujoco:
         self._flex = Flex(organ, *none, filling=mesh, step=step, damping=DAMPING)
 
     def settle(self, load: Load) -> Answer:
-        """Steps until the surface stands still."""
+        """Step until the surface is at rest."""
         self._load(load)
         return settle_by_steps(self._flex.step, self._surface, self.update, self.longest)
 
     def burst(self, load: Load) -> Burst:
-        """Steps under the load."""
+        """Return a function that times steps under the load."""
         self._load(load)
         return self._flex
 
@@ -39,6 +55,6 @@ class Mujoco:
         self._flex.load(load.nodes, load.force[load.nodes])
 
     def _surface(self) -> Floats:
-        """Displacements (n_surface, 3) m now."""
+        """Return the present displacements (n_surface, 3) m."""
         n = self.organ.n_surface
         return self._flex.positions[:n] - self._flex.rest[:n]

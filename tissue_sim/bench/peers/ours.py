@@ -1,4 +1,4 @@
-"""The package's own models."""
+"""Models of this package as compared engines."""
 
 from __future__ import annotations
 
@@ -15,9 +15,21 @@ from tissue_sim.organ.organ import Organ
 
 
 class Ours:
-    """A simulation with these options; a local region is kept whatever the load, so that it is judged alone.
+    """Simulation with options; a local region is kept whatever the load, so that it is assessed alone.
 
-    Raises UserError as Simulation does.
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    longest : float, s, optional
+        Simulated time after which it counts as not settled.
+    options : Any
+        Options of Simulation.
+
+    Raises
+    ------
+    UserError
+        As Simulation does.
     """
 
     def __init__(self, organ: Organ, longest: float = 5.0, **options: Any) -> None:
@@ -30,19 +42,19 @@ class Ours:
 
     @property
     def substeps(self) -> int:
-        """Substeps of a tick; of one of the local region where there is one."""
+        """Number of substeps of a tick; those of the local region where there is one."""
         settings = self.simulation.settings
         local = settings.local_region != LocalRegion.OFF
         return int(settings.region_substeps if local else settings.substeps)
 
     def settle(self, load: Load) -> Answer:
-        """Where the model comes to rest."""
+        """Return the equilibrium of the model."""
         found: list[tuple[Floats, bool]] = []
         seconds = timed(lambda: found.append(self.simulation.settle(load.force, TOLERANCE, self.longest)))
         return Answer(found[0][0], seconds, found[0][1])
 
     def burst(self, load: Load) -> Burst:
-        """Ticks under the load, which swells and ebbs; it has done so once before, so that no blow is measured."""
+        """Return ticks under the load, which rises and falls, after the first impact."""
         ticks = Ticks(self.simulation, load.nodes, load.force[load.nodes])
         ticks.swing()
         return ticks

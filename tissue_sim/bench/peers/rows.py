@@ -1,4 +1,4 @@
-"""The rows of `tissue_sim bench tradeoff`: which engines are compared at one size."""
+"""Rows of `tissue_sim bench tradeoff`: the engines that are compared at one size."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from tissue_sim.bench.variants import BALANCED, Variants
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 
-# Surface points up to which an engine is made: above them that takes minutes or many GB.
+# Surface points up to which an engine is made: beyond them it takes minutes or many GB.
 MOST_QUADRATIC, MOST_FLEX, MOST_XPBD, MOST_LINEAR = 2000, 1000, 2000, 4000
 
 CALIBRATED = "cells"
 
 
 class Row(NamedTuple):
-    """A line of the table before it is measured: make() returns the engine and a remark on it."""
+    """Line of the table before it is measured; make() returns the engine and a remark on it."""
 
     name: str
     ours: bool
@@ -36,10 +36,23 @@ class Row(NamedTuple):
 
 
 def rows_of(variants: Variants, tuning: Sequence[Load], *, own: bool, quick: bool) -> Iterator[Row]:
-    """The rows of one size.
+    """Yield the rows of one size.
 
-    tuning: loads that XPBD is tuned on. own: the organ's own size, which has the paper's springs, too; unless quick
-    also what differs in its steps alone.
+    Parameters
+    ----------
+    variants : Variants
+        Variants of the organ.
+    tuning : Sequence[Load]
+        Loads on which XPBD is tuned.
+    own : bool
+        Whether it is the organ's own size, which has the paper's springs, too.
+    quick : bool
+        Whether rows that differ only in their steps are left out.
+
+    Yields
+    ------
+    Iterator[Row]
+        One row.
     """
     plain, groups, cells = variants
     points, balanced = plain.n_surface, cells[BALANCED]
@@ -81,7 +94,7 @@ def rows_of(variants: Variants, tuning: Sequence[Load], *, own: bool, quick: boo
 
 
 def _ours(organ: Organ | str, *, finer: int = 1, **options: Any) -> tuple[Engine, str]:
-    """One of the package's models; finer: of how many times the substeps that it takes by itself."""
+    """Return one of the package's models; finer: factor of its default number of substeps."""
     if isinstance(organ, str):
         raise UserError(organ)
     engine = Ours(organ, **options)
@@ -92,7 +105,7 @@ def _ours(organ: Organ | str, *, finer: int = 1, **options: Any) -> tuple[Engine
 
 
 class _Shared:
-    """The peers of one size, and what they share, made when it is first asked for."""
+    """Peers of one size, and what they share, made on first use."""
 
     def __init__(self, organ: Organ, tuning: Sequence[Load], iterations: Sequence[int]) -> None:
         self.organ, self.tuning, self.iterations = organ, tuning, iterations

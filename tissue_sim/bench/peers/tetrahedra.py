@@ -1,4 +1,4 @@
-"""The mesh that peers of tetrahedra share: Netgen's, inside exactly the organ's surface, without any refinement."""
+"""Mesh that peers of tetrahedra share: Netgen's, exactly inside the organ's surface, without any refinement."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.calibration.fe_mesh import Grading, fill
 from tissue_sim.organ.organ import Organ
 
-UNGRADED = Grading(clamp=-10, near=-10)  # edges a thousand times the surface's are wanted: Netgen's stay as they are
+UNGRADED = Grading(clamp=-10, near=-10)  # so large that Netgen's mesh isn't refined
 PAIRS = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 
 
@@ -26,13 +26,29 @@ class Tetrahedra(NamedTuple):
         return np.unique(np.sort(self.cells[:, PAIRS].reshape(-1, 2), axis=1), axis=0)
 
     def masses(self, density: float) -> Floats:
-        """Masses (n,) kg: a quarter of each cell's for each of its nodes."""
+        """Return masses (n,) kg: a quarter of each cell's for each of its nodes."""
         share = np.repeat(density * volumes(self.nodes, self.cells) / 4.0, 4)
         return np.bincount(self.cells.ravel(), weights=share, minlength=len(self.nodes))
 
 
 def tetrahedra_of(organ: Organ) -> Tetrahedra:
-    """The mesh of an organ; raises UserError without Netgen, or when it can't fill the surface."""
+    """Return the mesh of an organ.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    Tetrahedra
+        The mesh.
+
+    Raises
+    ------
+    UserError
+        Without Netgen, and where it can't fill the surface.
+    """
     filling = fill(organ, grading=UNGRADED)
     cells = np.ascontiguousarray(filling.elements[:, :4])
     nodes = np.ascontiguousarray(filling.nodes[: cells.max() + 1])
@@ -42,5 +58,5 @@ def tetrahedra_of(organ: Organ) -> Tetrahedra:
 
 
 def volumes(nodes: Floats, cells: Ints) -> Floats:
-    """Signed volumes (c,) m^3."""
+    """Return the signed volumes (c,) m^3."""
     return np.linalg.det(nodes[cells[:, 1:]] - nodes[cells[:, :1]]) / 6.0

@@ -1,9 +1,9 @@
-"""Extended position based dynamics of pypbd: one constraint of elastic energy a tetrahedron.
+"""Extended position based dynamics of pypbd: one constraint of elastic energy per tetrahedron.
 
-Macklin, Mueller and Chentanez, XPBD (2016), as the PositionBasedDynamics library has it. What its Python module leaves
-open is done here: it can't switch gravity off, so lengths are told in micrometres, of which 9.81 are nothing; it takes
-no forces, so each step begins with their impulse; and it damps nothing, so momentum is taken away before each step.
-Only its own step is timed.
+Macklin, Mueller and Chentanez, XPBD (2016), as the PositionBasedDynamics library has it. What its Python module lacks
+is done here: it can't switch gravity off, so lengths are in micrometres, of which 9.81 are negligible; it takes no
+forces, so each step begins with their impulse; and it has no damping, so momentum is reduced before each step. Only its
+own step is timed.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from tissue_sim.bench.timing import Burst
 from tissue_sim.organ.organ import Organ
 
 UNIT = 1e-6  # m
-DAMPING_RATE = 8.0  # 1/s: with what its steps lose, a kidney settles in a second or two
+DAMPING_RATE = 8.0  # 1/s: together with numerical damping, a kidney settles in a second or two
 DAMPED_EVERY = 0.01  # s
-TREMBLING = 2e-3  # of its displacement: it never stands quite still
+TREMBLING = 2e-3  # fraction of its displacement: it never rests completely
 ROUNDS = 1  # of scaling the stiffness
 FEM_CONSTRAINTS = 3  # pypbd's number of the XPBD constraint of a tetrahedron's strain energy
 
 
 class Settings(NamedTuple):
-    """What XPBD is tuned by: step, s, iterations in it, and a factor on Young's modulus."""
+    """Tuning of XPBD: step, s, iterations per step, and a factor of Young's modulus."""
 
     step: float = 1e-3
     iterations: int = 1
@@ -38,7 +38,7 @@ class Settings(NamedTuple):
 
 
 class Xpbd:
-    """An organ of tetrahedra in pypbd. Raises ModuleNotFoundError without pypbd."""
+    """Organ of tetrahedra in pypbd. Raises ModuleNotFoundError without pypbd."""
 
     def __init__(self, organ: Organ, mesh: Tetrahedra, settings: Settings, longest: float = 3.0) -> None:
         import pypbd
@@ -70,19 +70,19 @@ class Xpbd:
         self._controller.setValueUInt(kind.MAX_ITERATIONS_V, 0)
 
     def settle(self, load: Load) -> Answer:
-        """Steps until the surface stands still."""
+        """Step until the surface is at rest."""
         self._reset()
         step = self._stepper(load)
         return settle_by_steps(step, lambda: self.displacement, self.update, self.longest, TREMBLING)
 
     def burst(self, load: Load) -> Burst:
-        """Steps under the load."""
+        """Return a function that times steps under the load."""
         self._reset()
         step = self._stepper(load)
         return lambda count: np.array([step() for _ in range(count)])
 
     def _stepper(self, load: Load) -> Callable[[], float]:
-        """A function that does a step under the load and returns the seconds of the step itself."""
+        """Return a function that does a step under the load and returns the seconds of the step itself."""
         particles, free = self._particles, self._free.tolist()
         loaded = load.nodes
         kicks = load.force[loaded] * self.update / (self.mass[loaded, None] * UNIT)
@@ -105,7 +105,7 @@ class Xpbd:
 
     @property
     def displacement(self) -> Floats:
-        """Displacements (n_surface, 3) m of the surface now."""
+        """Present displacements (n_surface, 3) m of the surface."""
         n = self.organ.n_surface
         return (np.asarray(self._particles.getVertices())[:n] - self.rest[:n]) * UNIT
 
@@ -117,11 +117,31 @@ class Xpbd:
 
 
 def tuned(organ: Organ, mesh: Tetrahedra, loads: Sequence[Load], iterations: Sequence[int] = (1,)) -> Settings:
-    """Settings that come closest to the reference on some loads: the iterations, and how stiff its constraints are.
+    """Return the settings that come closest to the reference on some loads: iterations and stiffness.
 
-    What it settles to depends on its iterations, which it stops before they converge, as real time asks. So for each
-    number of them the stiffness is scaled by how far the answers are too small or too large.
-    Raises ModuleNotFoundError without pypbd.
+    Its equilibrium depends on its iterations, which it stops before they converge, as real time requires. So for each
+    number of iterations the stiffness is scaled by how much the answers are too small or too large.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    mesh : Tetrahedra
+        Its tetrahedra.
+    loads : Sequence[Load]
+        Loads of the tuning.
+    iterations : Sequence[int], optional
+        Numbers of iterations that are tried.
+
+    Returns
+    -------
+    Settings
+        The settings.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        Without pypbd.
     """
     best = math.inf, Settings()
     for count in iterations:

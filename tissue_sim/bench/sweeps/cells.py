@@ -9,13 +9,13 @@ from typing import NamedTuple
 from tissue_sim.errors import UserError
 from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS
 
-SMALL_ORGAN = "ellipsoid"  # what --quick runs on where no organ file is named
+SMALL_ORGAN = "ellipsoid"  # organ for --quick where no organ file is named
 DEFAULT_RATE = 1000.0  # Hz
-NEWTONS_A_UNIT = 2e-3  # the paper's forces have no unit; its 100 on one point is taken for 0.2 N
+NEWTONS_A_UNIT = 2e-3  # the paper's forces have no unit; its 100 on one point is taken as 0.2 N
 
 
 class Axis(NamedTuple):
-    """What one panel of the map varies."""
+    """Quantity that one panel of the map varies."""
 
     title: str
     values: tuple[float, ...]
@@ -58,7 +58,16 @@ QUICK_AXES = [axis for axis in AXES if axis not in ("force_far", "force_pull", "
 class Cell:
     """One trial, as it is handed to a worker.
 
-    axis, value: what is varied; organ: an organ file, or SMALL_ORGAN; quick: shorter times.
+    Attributes
+    ----------
+    axis : str
+        Name of the varied quantity.
+    value : float
+        Its value.
+    organ : str
+        Organ file, or SMALL_ORGAN.
+    quick : bool
+        Whether times are shorter.
     """
 
     axis: str
@@ -69,29 +78,42 @@ class Cell:
     quick: bool = False
 
     def at(self, axis: str, default: float) -> float:
-        """The cell's value when it lies on that axis, else the default."""
+        """Return the cell's value when it lies on that axis, else the default."""
         return self.value if self.axis == axis else default
 
     @property
     def judged(self) -> bool:
-        """True where nothing may go wrong: an integrator meant for use, substeps from the critical step."""
+        """Whether nothing may go wrong: an integrator meant for use, substeps from the critical step."""
         return self.integrator != "explicit" and self.axis != "step"
 
     @property
     def brief(self) -> bool:
-        """True where a tick takes hundreds of substeps, so that little time can be watched."""
+        """Whether a tick takes hundreds of substeps, so that little time can be simulated."""
         return self.integrator == "explicit"
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """Name in messages."""
         return f"{self.axis} {self.value:g}, {self.integrator}, region {self.local_region}"
 
 
 def axes_named(names: str) -> list[str]:
-    """Axes of a list with commas; `force` and `depth` stand for each kind of them, `all` for every axis.
+    """Return the axes of a list with commas; `force` and `depth` stand for all of their kind, `all` for every axis.
 
-    Raises UserError for one that isn't there.
+    Parameters
+    ----------
+    names : str
+        The list.
+
+    Returns
+    -------
+    list[str]
+        Names of axes.
+
+    Raises
+    ------
+    UserError
+        For an unknown one.
     """
     chosen: list[str] = []
     for name in names.split(","):
@@ -103,7 +125,24 @@ def axes_named(names: str) -> list[str]:
 
 
 def cells_of(axes: list[str], organ: str, quick: bool, regions: Sequence[str] = LOCAL_REGIONS) -> list[Cell]:
-    """Every cell of the axes, in the order of the map; the slow explicit integrator has fewer values."""
+    """Return every cell of the axes, in the order of the map; the slow explicit integrator has fewer values.
+
+    Parameters
+    ----------
+    axes : list[str]
+        Names of axes.
+    organ : str
+        Organ file, or SMALL_ORGAN.
+    quick : bool
+        Whether times are shorter.
+    regions : Sequence[str], optional
+        Local regions to try.
+
+    Returns
+    -------
+    list[Cell]
+        The cells.
+    """
     return [
         Cell(axis, value, integrator, region, organ, quick)
         for axis in axes
@@ -114,7 +153,7 @@ def cells_of(axes: list[str], organ: str, quick: bool, regions: Sequence[str] = 
 
 
 def values_of(axis: Axis, integrator: str, quick: bool) -> tuple[float, ...]:
-    """Values of an axis; for the explicit integrator those of --quick, and with --quick every second of these."""
+    """Return the values of an axis; the explicit integrator has those of --quick, or every second of these."""
     if integrator == "explicit":
         return axis.quick[::2] if quick else axis.quick
     return axis.quick if quick else axis.values

@@ -1,4 +1,4 @@
-"""Loads of the sweep: forces on a point, a patch or ten points, and a sphere driven through the organ."""
+"""Loads of the sweep: forces on a point, a patch or ten points, and a sphere moved through the organ."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ FOUND_EVERY = 0.004  # s between two contact sets, as in the node
 
 
 class Loading(Protocol):
-    """What acts on the organ for a number of ticks."""
+    """Load that acts on the organ for a number of ticks."""
 
     ticks: int
 
     def act(self, simulation: Simulation, tick: int) -> None:
-        """Hand over what acts in the coming tick."""
+        """Apply what acts in the coming tick."""
 
     def over(self, tick: int) -> bool:
-        """True from the tick on at which it is being taken away, or is gone."""
+        """Return whether it is being removed, or is gone."""
 
 
 class NodalLoad:
@@ -45,19 +45,19 @@ class NodalLoad:
         self.ticks = ramp + hold
 
     def act(self, simulation: Simulation, tick: int) -> None:
-        """Hand over the forces of the coming tick."""
+        """Apply the forces of the coming tick."""
         simulation.apply_force(self.nodes, min(1.0, (tick + 1) / self.ramp) * self.forces)
 
     def over(self, tick: int) -> bool:
-        """True in the last tick: nothing acts after it."""
+        """Return whether this is the last tick: nothing acts after it."""
         return tick == self.ticks - 1
 
 
 class Poke:
-    """The probe led along the line into the organ, held, drawn back and away, one pose a tick.
+    """Probe that is moved along a line into the organ, held, drawn back and away, one pose per tick.
 
-    start (3,) m on the surface, inward (3,) unit vector, depth m of the probe's front below the surface,
-    hold ticks there, speed m/s.
+    start (3,) m on the surface, inward (3,) unit vector, depth m of the probe's front below the surface, hold ticks
+    there, speed m/s.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Poke:
         self._margins = np.full(1, self._every * speed * tick_time)
 
     def act(self, simulation: Simulation, tick: int) -> None:
-        """Hand over the pose, and now and then the contacts found with it."""
+        """Apply the pose, and now and then the contacts found with it."""
         state = simulation.state
         simulation.take_pose(0, np.concatenate([self.path[tick], [0.0, 0.0, 0.0, 1.0]]), tick + 1)
         if tick % self._every == 0 or tick == self.ticks - 1:
@@ -84,35 +84,35 @@ class Poke:
             simulation.take_contacts(found, tick + 1)
 
     def over(self, tick: int) -> bool:
-        """True while the probe is drawn back; whether it still touches is seen from its wrench."""
+        """Return whether the probe is drawn back; its wrench shows whether it still touches."""
         return tick >= self._withdrawn
 
 
 def far_node(organ: Organ) -> int:
-    """The surface node farthest from the held ones along the line from them through the organ's middle."""
+    """Return the surface node farthest from the held ones along the line from them through the organ's centre."""
     surface = organ.surface_positions
     below = _held(organ).mean(axis=0)
     return int(np.argmax((surface - below) @ (surface.mean(axis=0) - below)))
 
 
 def _held(organ: Organ) -> Floats:
-    """Positions of the held nodes (k, 3) m, or of the lowest node where none is held."""
+    """Return positions of the held nodes (k, 3) m, or of the lowest node where none is held."""
     surface = organ.surface_positions
     return surface[organ.fixed] if len(organ.fixed) else surface[[np.argmin(surface[:, 2])]]
 
 
 def inward_at(organ: Organ, nodes: Longs) -> Floats:
-    """Inward unit normals of surface nodes at rest, (k, 3)."""
+    """Return inward unit normals of surface nodes at rest, (k, 3)."""
     return -np.asarray(mesh_of(organ).vertex_normals)[nodes]
 
 
 def mesh_of(organ: Organ) -> trimesh.Trimesh:
-    """The surface at rest."""
+    """Return the surface at rest."""
     return trimesh.Trimesh(organ.surface_positions, organ.surface_triangles, process=False)
 
 
 def patch_around(organ: Organ, node: int, count: int = PATCH_NODES) -> Longs:
-    """The node and the nearest others by hops, then by distance: `count` in all."""
+    """Return the node and the nearest others by hops, then by distance: `count` in total."""
     neighbours = mesh_of(organ).vertex_neighbors
     patch, ring = [node], [node]
     while len(patch) < count and ring:
@@ -125,7 +125,7 @@ def patch_around(organ: Organ, node: int, count: int = PATCH_NODES) -> Longs:
 
 
 def ten_points(organ: Organ) -> Longs:
-    """Ten surface nodes spread over the organ, far from the held ones (farthest point sampling)."""
+    """Return ten surface nodes spread over the organ, far from the held ones (farthest point sampling)."""
     surface = organ.surface_positions
     room = np.linalg.norm(surface[:, None] - _held(organ), axis=2).min(axis=1)
     chosen: list[int] = []
@@ -136,7 +136,7 @@ def ten_points(organ: Organ) -> Longs:
 
 
 def thickness(organ: Organ, start: Floats, inward: Floats) -> float:
-    """Length of the line through the organ from a surface point, m, with the probe's radius around it."""
+    """Return the length of the line through the organ from a surface point, m, with the probe's radius around it."""
     offset = organ.surface_positions - start
     along = offset @ inward
     near = np.linalg.norm(offset - along[:, None] * inward, axis=1) < 2.0 * PROBE.radius
@@ -144,7 +144,7 @@ def thickness(organ: Organ, start: Floats, inward: Floats) -> float:
 
 
 class Pace(NamedTuple):
-    """How long a load takes; 0.15 m/s is a quick hand."""
+    """Durations of a load; 0.15 m/s is a quick hand."""
 
     ramp: float  # s
     hold: float  # s
@@ -155,7 +155,28 @@ FULL, QUICK, BRIEF = Pace(0.05, 0.15, 0.15), Pace(0.03, 0.05, 0.4), Pace(0.01, 0
 
 
 def load_on(organ: Organ, where: str, newtons: float, depth: float, tick_time: float, pace: Pace) -> Loading:
-    """The load of a cell: `newtons` in all, or a poke to `depth` thicknesses; `where` is one of LOADS."""
+    """Return the load of a cell.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    where : str
+        One of LOADS.
+    newtons : float, N
+        Sum of the forces.
+    depth : float
+        Depth of a poke in thicknesses.
+    tick_time : float, s
+        Duration of a tick.
+    pace : Pace
+        Durations.
+
+    Returns
+    -------
+    Loading
+        The load.
+    """
     ramp_ticks, hold_ticks = max(1, round(pace.ramp / tick_time)), max(1, round(pace.hold / tick_time))
     far = where in ("point", "far", "tool_far")
     node = far_node(organ) if far else press_node(organ)

@@ -1,4 +1,4 @@
-"""The map of a sweep: one panel an axis, one row an integrator and local region, one column a value."""
+"""Map of a sweep: one panel per axis, one row per integrator and local region, one column per value."""
 
 from __future__ import annotations
 
@@ -14,7 +14,22 @@ _RECOVERED = "////"
 
 
 def draw_map(records: Sequence[Record], title: str, path: Path) -> None:
-    """Write the map of the records as a PNG; raises UserError when it can't be written."""
+    """Write the map of the records as a PNG.
+
+    Parameters
+    ----------
+    records : Sequence[Record]
+        The records.
+    title : str
+        Title.
+    path : Path
+        The file.
+
+    Raises
+    ------
+    UserError
+        Where it can't be written.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D

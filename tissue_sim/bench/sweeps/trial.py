@@ -1,4 +1,4 @@
-"""One cell of the sweep: load the organ, hold, let go, watch, judge. A pure function of its cell."""
+"""One cell of the sweep: load the organ, hold, release, watch, assess; a pure function of its cell."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from tissue_sim.model.tick import steps_implicitly
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
 
-LEFT = 0.01  # of the peak displacement, that may be left
+LEFT = 0.01  # fraction of the peak displacement that may remain
 QUIET_SPEED = 1e-4  # m/s, of the fastest node
-MOST_GAIN = 0.05  # of the energy at release
+MOST_GAIN = 0.05  # fraction of the energy at release
 # The far field of a modal region takes up a changed load in some milliseconds, without inertia, and the energy of the
 # shape that it shows is no conserved one: it is compared with that at the release, later and more loosely.
 MOST_MODAL_GAIN, MODAL_TIME = 0.1, 0.01  # s
-# Time constants of the slowest mode that the organ is given to come to rest: a swinging one has speed to lose.
+# Time constants of the slowest mode in which the organ has to come to rest: more where it oscillates.
 SWINGING, CREEPING = 9.0, 6.0
 LEAST_WATCHED, MOST_WATCHED = 3.0, 150.0  # s
 QUICK_WATCHED = 1.5  # s, the most with --quick
@@ -44,14 +44,14 @@ BRIEFLY_WATCHED = 0.03  # s
 # Substeps in a millisecond of the explicit integrator, at most; what would need more goes wrong, and is shown so.
 MOST_SUBSTEPS, QUICK_SUBSTEPS = 400, 100
 ROUNDING = 1e-9  # m: an organ that is nearer to its rest shape holds the energy of rounded coordinates
-LATER_EVERY = 20  # ticks between two looks after the least time watched
-ENERGY_EVERY = 2  # ticks between two looks at the energy before that
-LOOK_EVERY = 20  # ticks between two looks at what is turned over
+LATER_EVERY = 20  # ticks between two checks after the least time watched
+ENERGY_EVERY = 2  # ticks between two checks of the energy before that
+LOOK_EVERY = 20  # ticks between two checks of inverted cells
 
 
 @dataclass(frozen=True)
 class Record:
-    """What happened in a cell."""
+    """Results of a cell."""
 
     axis: str
     value: float
@@ -62,21 +62,21 @@ class Record:
     judged: bool  # a fault here breaks the requirement on the default settings
     settled: bool  # False when the organ was too slow to come to rest in the time that was watched
     faults: int
-    snaps: int  # times that the organ had to be led back to rest
+    snaps: int  # number of recoveries to rest
     peak: float  # m, largest displacement of a node
     left: float  # largest displacement at the end, over the peak
     quiet_after: float | None  # s from the release until asleep
     energy_gain: float  # largest rise after the release over the energy at the release
-    energy_caught: float  # the same, of what the guard took back
-    turned_most: int  # cells turned over under the load
-    turned: Turned  # what is turned over at the end
+    energy_caught: float  # the same, of what the guard undid
+    turned_most: int  # inverted cells under the load
+    turned: Turned  # what is inverted at the end
     substeps: int  # in a tick, at most
     ticks: int
     newtons: float  # in all; 0 for the tool
     seconds: float  # of computing
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; None where a number isn't finite."""
+        """Return plain values; None where a number isn't finite."""
         plain = {key: _plain(value) for key, value in asdict(self).items()}
         plain["turned"] = {key: _plain(value) for key, value in self.turned._asdict().items()}
         return plain
@@ -90,14 +90,25 @@ def _plain(value: Any) -> Any:
 
 @lru_cache(maxsize=2)
 def organ_of(organ: str) -> Organ:
-    """The organ of a cell, read once in a worker; SMALL_ORGAN is made up."""
+    """Return the organ of a cell, read once in a worker; SMALL_ORGAN is synthetic.
+
+    Parameters
+    ----------
+    organ : str
+        Organ file, or SMALL_ORGAN.
+
+    Returns
+    -------
+    Organ
+        The organ.
+    """
     return small_organ() if organ == SMALL_ORGAN else Organ.load(organ)
 
 
 def small_organ() -> Organ:
-    """An ellipsoid of 100 x 60 x 50 mm with 162 surface nodes and nine medial atoms, held below."""
+    """Return an ellipsoid of 100 x 60 x 50 mm with 162 surface nodes and nine medial atoms, held below."""
     mesh = trimesh.creation.icosphere(2)
-    # Turned a little, so that nothing lies along an axis by accident.
+    # Slightly rotated, so that nothing lies along an axis by accident.
     mesh.apply_transform(trimesh.transformations.euler_matrix(0.3, 0.2, 0.1))
     half = np.array([0.05, 0.03, 0.025])
     surface = np.asarray(mesh.vertices) * half
@@ -116,7 +127,7 @@ def small_organ() -> Organ:
 
 
 def with_mass_ratio(organ: Organ, ratio: float) -> Organ:
-    """The organ with its mass shared between surface and atoms as ratio to 1; damping over mass stays."""
+    """Return the organ with its mass divided between surface and atoms as ratio to 1; damping over mass stays."""
     surface, total = organ.mass[: organ.n_surface].sum(), organ.mass.sum()
     factor = np.full(organ.n_nodes, total / (1.0 + ratio) / (total - surface))
     factor[: organ.n_surface] = ratio * total / (1.0 + ratio) / surface
@@ -125,13 +136,13 @@ def with_mass_ratio(organ: Organ, ratio: float) -> Organ:
 
 @lru_cache(maxsize=2)
 def witness_of(organ: str) -> Witness:
-    """The witness of an organ, made once in a worker."""
+    """Return the witness of an organ, made once in a worker."""
     return Witness(organ_of(organ))
 
 
 @lru_cache(maxsize=2)
 def slowest_of(organ: str) -> tuple[float, float]:
-    """Lowest frequency, rad/s, and damping over mass, 1/s, of an organ."""
+    """Return the lowest frequency, rad/s, and damping over mass, 1/s, of an organ."""
     model = assemble(organ_of(organ))
     return float(lowest_modes(model, 1).frequency[0]), model.damping_rate
 
@@ -140,7 +151,7 @@ def slowest_of(organ: str) -> tuple[float, float]:
 def _simulation(
     organ: str, integrator: str, local_region: str, mass_ratio: float, tool: bool
 ) -> tuple[Simulation, Settings, Longs]:
-    """A simulation to be used again, with its settings and the words of its state as they were when new."""
+    """Return a reusable simulation, with its settings and the words of its state as they were when new."""
     made = organ_of(organ)
     if mass_ratio > 0.0:
         made = with_mass_ratio(made, mass_ratio)
@@ -153,13 +164,35 @@ def _simulation(
 
 
 def made_for(cell: Cell) -> tuple[str, str, str, float, bool]:
-    """What the cell's simulation is made for; cells that agree in it can use one after another."""
+    """Return what a cell's simulation depends on; cells that agree in it can use one after another.
+
+    Parameters
+    ----------
+    cell : Cell
+        The cell.
+
+    Returns
+    -------
+    tuple[str, str, str, float, bool]
+        The key.
+    """
     tool = AXES[cell.axis].load.startswith("tool")
     return cell.organ, cell.integrator, cell.local_region, cell.at("mass_ratio", 0.0), tool
 
 
 def simulation_of(cell: Cell) -> Simulation:
-    """The cell's simulation, as if it were new."""
+    """Return the cell's simulation, as if it were new.
+
+    Parameters
+    ----------
+    cell : Cell
+        The cell.
+
+    Returns
+    -------
+    Simulation
+        The simulation.
+    """
     simulation, settings, words = _simulation(*made_for(cell))
     settings = copy_of(settings)
     rate, substeps = cell.at("rate", DEFAULT_RATE), 0
@@ -185,13 +218,13 @@ def simulation_of(cell: Cell) -> Simulation:
 
 @lru_cache(maxsize=4)
 def critical_step_of(organ: str, integrator: str) -> float:
-    """Critical step of an integrator with an organ as it is, s."""
+    """Return the critical step of an integrator with an organ as it is, s."""
     model = assemble(organ_of(organ))
     return model_step(model, largest_frequency(model), integrator=integrator)
 
 
 def watched(cell: Cell) -> tuple[float, bool]:
-    """Seconds to watch after the release, and whether the organ comes to rest within them by its slowest mode."""
+    """Return seconds to watch after the release, and whether the organ's slowest mode decays within them."""
     frequency, damping = slowest_of(cell.organ)
     half, square = 0.5 * cell.at("damping", 1.0) * damping, cell.at("stiffness", 1.0) * frequency**2
     if half**2 > square:
@@ -204,7 +237,7 @@ def watched(cell: Cell) -> tuple[float, bool]:
 
 
 class _Watch:
-    """What is seen of a simulation, tick by tick."""
+    """Observations of a simulation, tick by tick."""
 
     def __init__(self, simulation: Simulation, witness: Witness) -> None:
         self.simulation, self.witness = simulation, witness
@@ -217,7 +250,7 @@ class _Watch:
         self._implicit, self._plain_energy = False, 0.0
 
     def look(self) -> None:
-        """Look at the state after a tick: is it finite, how far did nodes go, what is turned over."""
+        """Observe the state after a tick: whether it is finite, how far nodes went, what is inverted."""
         state = self.simulation.state
         positions = self.simulation.positions
         reach = self.reach()
@@ -230,19 +263,19 @@ class _Watch:
             self.turned_most = max(self.turned_most, self.witness.look(positions).cells)
 
     def reach(self) -> float:
-        """Largest displacement of a node, m."""
+        """Return the largest displacement of a node, m."""
         offset = self.simulation.positions - self.simulation.model.rest
         return math.sqrt(float(np.einsum("ij,ij->i", offset, offset).max()))
 
     def look_at_energy(self) -> None:
-        """Where nothing acts: note the largest rise over the least energy since, as a share of that at the release.
+        """Note the largest rise over the least energy so far without loads, relative to that at the release.
 
-        What the guard took back counts apart.
+        What the guard undid is counted separately.
         """
         state = self.simulation.state
         status, count = state.status, state.count
         if np.any(state.wrench) or status.snapped or status.collapsing:
-            self._least_energy = math.nan  # a tool does work; and led back, an organ goes along a line that may climb
+            self._least_energy = math.nan  # a tool does work, and a recovery may pass through higher energy
             return
         plain, implicit = (
             self.simulation.energy.total,
@@ -270,11 +303,11 @@ class _Watch:
             self.gained = self.gained or gain > (MOST_MODAL_GAIN if modal else MOST_GAIN)
 
     def _held_besides(self, implicit: bool) -> float:
-        """What the integrator keeps besides kinetic and elastic energy where nothing is damped, J.
+        """Return what the integrator keeps besides kinetic and elastic energy where nothing is damped, J.
 
-        Symplectic Euler keeps E + h/2 v.f (of a linear model exactly); E alone ripples by as much as the fastest
-        modes hold, which near the critical step is no growth. The implicit step with S in place of the stiffness K is
-        backward Euler of a body that has the mass M + h^2 (S - K), whose swing holds energy too.
+        Symplectic Euler keeps E + h/2 v.f (of a linear model exactly); E alone ripples by as much as the fastest modes
+        hold, which near the critical step is not growth. The implicit step with S in place of the stiffness K is
+        backward Euler of a body of the mass M + h^2 (S - K), whose oscillation holds energy, too.
         """
         simulation, state = self.simulation, self.simulation.state
         nodes, velocity = simulation.model.moving, state.velocity
@@ -294,14 +327,25 @@ class _Watch:
         return bounding_stiffness(self.simulation.model)
 
     def _push(self, position: Floats) -> Floats:
-        """Elastic forces (n, 3) N at a position, the tissue's stiffness scaled by 1."""
+        """Return elastic forces (n, 3) N at a position, with the tissue's stiffness scaled by 1."""
         force = np.zeros_like(position)
         elastic_forces(self.simulation.model, position, force)
         return force
 
 
 def run_cell(cell: Cell) -> Record:
-    """Load, hold, release and watch one cell."""
+    """Load, hold, release and watch one cell.
+
+    Parameters
+    ----------
+    cell : Cell
+        The cell.
+
+    Returns
+    -------
+    Record
+        The results.
+    """
     start = time.perf_counter()
     simulation = simulation_of(cell)
     axis = AXES[cell.axis]
@@ -368,10 +412,10 @@ def run_cell(cell: Cell) -> Record:
 def problems_of(
     finite: bool, energy_gain: float, left: float, speed: float, asleep: bool, turned: Turned, enough: bool
 ) -> list[str]:
-    """Why a cell counts as diverged; empty when it doesn't.
+    """Return why a cell counts as diverged; empty when it doesn't.
 
-    energy_gain: over that at release, 0 when it is none to speak of; left: displacement over its peak;
-    speed m/s; enough: the time watched suffices to come to rest.
+    energy_gain: over that at release, 0 when it is negligible; left: displacement over its peak; speed m/s; enough: the
+    time watched suffices to come to rest.
     """
     if not finite:
         return ["not finite"]

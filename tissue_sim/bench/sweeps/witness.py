@@ -1,4 +1,4 @@
-"""Inside from outside: what of an organ is turned over, looked at from its geometry alone."""
+"""Inversion of an organ, judged by its geometry alone."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.organ.organ import Organ, signed_volume
 
-_FLAT = 1e-3  # of the median, below which a volume at rest says nothing of its sign
+_FLAT = 1e-3  # of the median, below which the sign of a volume at rest means nothing
 _FOLDED = -0.5  # cosine between the normals of two neighbours that lie on each other
 
 
 class Turned(NamedTuple):
-    """What is turned over."""
+    """Inverted parts."""
 
     cells: int  # tetrahedra of a surface triangle and its nearest inner node, with the opposite sign
     folds: int  # edges whose two triangles lie folded on each other, and didn't at rest
-    volume: float  # enclosed volume over that at rest; negative: inside out
+    volume: float  # enclosed volume over that at rest; negative: inverted
 
 
 class Witness:
-    """Knows how an organ's cells lie at rest."""
+    """Orientation of an organ's cells at rest."""
 
     def __init__(self, organ: Organ) -> None:
         rest = organ.rest_positions
@@ -39,7 +39,18 @@ class Witness:
         self._volume = signed_volume(rest, triangles)
 
     def look(self, positions: Floats) -> Turned:
-        """What is turned over at positions (n, 3) m."""
+        """Return what is inverted at positions (n, 3) m.
+
+        Parameters
+        ----------
+        positions : Floats, shape (n, 3), m
+            Positions of the nodes.
+
+        Returns
+        -------
+        Turned
+            The inverted parts.
+        """
         return Turned(
             cells=int(np.count_nonzero(_volumes(positions, self._cells) <= 0.0)),
             folds=int(np.count_nonzero(_cosines(positions, self._triangles, self._pairs) <= _FOLDED)),
@@ -48,13 +59,13 @@ class Witness:
 
 
 def _volumes(positions: Floats, cells: Longs) -> Floats:
-    """Six times the signed volumes (c,) m^3: positive where the apex lies on the inner side."""
+    """Return six times the signed volumes (c,) m^3: positive where the apex lies on the inner side."""
     a, b, c, apex = (positions[cells[:, k]] for k in range(4))
     return np.einsum("ij,ij->i", np.cross(b - a, c - a), a - apex)
 
 
 def _neighbours(triangles: Ints) -> Longs:
-    """Pairs (e, 2) of triangles that share an edge."""
+    """Return pairs (e, 2) of triangles that share an edge."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(triangles), dtype=np.int64), 3)
     order = np.lexsort(edges.T)

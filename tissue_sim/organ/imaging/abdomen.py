@@ -1,4 +1,4 @@
-"""Four organs of a synthetic upper abdomen in one patient frame (LPS), each GAP from the next: of no patient.
+"""Synthetic upper abdomen: four organs in one patient frame (LPS), each GAP from the next.
 
 Shapes are signed distances as the phantom's; the left kidney is the phantom's own, the right one its mirror image,
 lower by half a vertebra, as it lies under the liver.
@@ -20,7 +20,13 @@ WALL = 16.0  # mm between the skin and an organ
 
 
 def make_abdomen() -> dict[str, Volume]:
-    """Masks of the organs on one grid, by name: liver, kidney_left, kidney_right, spleen. The same every time."""
+    """Return the masks of the organs on one grid; they are the same every time.
+
+    Returns
+    -------
+    dict[str, Volume]
+        Masks by name: liver, kidney_left, kidney_right, spleen.
+    """
     low, high = np.array(LOWEST), np.array(HIGHEST)
     spacing = np.full(3, SPACING)
     size = np.round((high - low) / spacing).astype(int) + 1
@@ -31,7 +37,7 @@ def make_abdomen() -> dict[str, Volume]:
 
 
 def organ_distances(grid: Grid) -> dict[str, Singles]:
-    """Signed distances (approximate, mm) of the organs, by name."""
+    """Return the approximate signed distances (mm) of the organs, by name."""
     x, y, z = grid
     left, right = kidney_distance(grid), kidney_distance((-x, y, z + np.float32(LOWER)))
     inside = body_distance(grid, WALL)
@@ -44,7 +50,7 @@ def organ_distances(grid: Grid) -> dict[str, Singles]:
 
 
 def _liver(grid: Grid) -> Singles:
-    """A large right and a small left lobe, flat below, hollow in front of the spine."""
+    """Return a large right and a small left lobe, flat below, hollow in front of the spine."""
     x, y, z = grid
     right = ellipsoid(x + 58.0, y - 2.0, z - 70.0, (62.0, 62.0, 72.0))
     left = ellipsoid(x - 14.0, y + 28.0, z - 98.0, (66.0, 36.0, 36.0))
@@ -55,7 +61,7 @@ def _liver(grid: Grid) -> Singles:
 
 
 def _spleen(grid: Grid) -> Singles:
-    """An ellipsoid that the stomach dents from the middle."""
+    """Return an ellipsoid that is dented by the stomach on its medial side."""
     x, y, z = grid
     whole = ellipsoid(x - 97.0, y - 28.0, z - 68.0, (22.0, 40.0, 52.0))
     stomach = ellipsoid(x - 60.0, y - 8.0, z - 78.0, (26.0, 38.0, 46.0))
@@ -63,5 +69,5 @@ def _spleen(grid: Grid) -> Singles:
 
 
 def _cut_free(shape: Singles, neighbour: Singles) -> Singles:
-    """A shape without what is nearer than GAP to its neighbour."""
+    """Return a shape without what is nearer than GAP to its neighbour."""
     return smooth_cut(shape, neighbour - np.float32(GAP), 6.0)

@@ -1,4 +1,4 @@
-"""DICOM folders: one stack of slices, by the geometry in their headers; refused where it isn't whole or upright.
+"""Readers of DICOM: one stack of slices, placed by their headers, refused where it is incomplete or tilted.
 
 Slices are ordered by their positions along the normal, whatever their files or numbers say. GDCM (in SimpleITK) decodes
 them and applies rescale slope and intercept, slice by slice.
@@ -39,7 +39,21 @@ SEGMENTATIONS = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """A whole series: array (nz, ny, nx) float32 HU; spacing, origin (3,) mm, direction (3, 3) in LPS; remarks."""
+    """Complete series of slices in the patient frame (LPS).
+
+    Attributes
+    ----------
+    array : NDArray[np.float32], shape (nz, ny, nx), HU
+        Voxels.
+    spacing : Floats, shape (3,), mm
+        Distance of voxels along x, y, z.
+    origin : Floats, shape (3,), mm
+        Centre of the first voxel.
+    direction : Floats, shape (3, 3)
+        Columns are the voxel axes.
+    notes : tuple[str, ...]
+        Remarks on how it was read, one line each.
+    """
 
     array: NDArray[np.float32]
     spacing: Floats
@@ -63,7 +77,7 @@ class _Slice:
     pixel: Floats | None  # (2,) mm: along a row, along a column
 
     def like(self, other: _Slice) -> bool:
-        """Whether the two can lie in one stack."""
+        """Return whether the two can lie in one stack."""
         if self.size != other.size or self.components != other.components:
             return False
         if (self.axes is None) != (other.axes is None) or (self.pixel is None) != (other.pixel is None):
@@ -74,11 +88,27 @@ class _Slice:
 
 
 def read_stack(folder: Path, series: str | None = None) -> Stack:
-    """Read the series of a DICOM folder; series: its UID, or its number in the list that a refusal shows.
+    """Read the series of a DICOM folder.
 
-    Localizers and scraps beside a stack are left out and noted, within a series and beside it. Raises UserError naming
-    the folder when it holds no series or several stacks, when slices are missing, doubled, tilted or without
-    a position, or can't be decoded.
+    Localizers, and stacks of too few slices, are left out and noted, within a series and beside it.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder that holds the slices.
+    series : str | None, optional
+        UID of the series, or its number in the list that a refusal shows.
+
+    Returns
+    -------
+    Stack
+        The voxels and where they lie.
+
+    Raises
+    ------
+    UserError
+        Where the folder holds no series or several stacks, where slices are missing, duplicated, tilted or without a
+        position, and where one can't be decoded.
     """
     found: dict[str, list[list[_Slice]]] = {}
     for file in sorted(path for path in folder.iterdir() if path.is_file()):
@@ -108,7 +138,7 @@ def read_stack(folder: Path, series: str | None = None) -> Stack:
 
 
 def _read_header(file: str) -> _Slice | None:
-    """The header of an image; None for any other file."""
+    """Return the header of an image; None for any other file."""
     reader = sitk.ImageFileReader()
     reader.SetImageIO("GDCMImageIO")
     reader.SetFileName(file)
@@ -160,7 +190,7 @@ def _below(folder: Path) -> str:
 
 
 def _is_scrap(stack: Sequence[_Slice]) -> bool:
-    """Whether it is a localizer or too few slices for a volume."""
+    """Return whether a stack is a localizer, or has too few slices for a volume."""
     frames = len(stack) * (stack[0].size[2] if len(stack[0].size) > 2 else 1)
     return frames < _FEW or "LOCALIZER" in stack[0].kind or stack[0].components != 1
 
@@ -190,7 +220,7 @@ def _series_line(uid: str, stacks: list[list[_Slice]]) -> str:
 
 
 def _choose_stack(folder: Path, stacks: list[list[_Slice]]) -> tuple[list[_Slice], list[str]]:
-    """The only stack of a series; several of different geometry are refused, but for localizers."""
+    """Return the only stack of a series; several of different geometry are refused, except for localizers."""
     whole = [stack for stack in stacks if not _is_scrap(stack)]
     if len(stacks) == 1 or not whole:
         return stacks[0], []
@@ -202,7 +232,7 @@ def _choose_stack(folder: Path, stacks: list[list[_Slice]]) -> tuple[list[_Slice
 
 
 def _without_copies(slices: list[_Slice]) -> tuple[list[_Slice], list[str]]:
-    """Each instance once: exports put the same slice into two files."""
+    """Return each instance once: exports put the same slice into two files."""
     seen: dict[tuple[str, bytes], _Slice] = {}
     for k, one in enumerate(slices):
         place = b"" if one.position is None else one.position.tobytes()
@@ -236,7 +266,7 @@ def _read_slices(folder: Path, slices: Sequence[_Slice], notes: tuple[str, ...])
 
 
 def _checked_step(folder: Path, position: Floats, normal: Floats, pixel: float) -> float:
-    """The slice distance, mm, of positions (n, 3) in order; refuses gaps, doubles and a tilted gantry."""
+    """Return the slice distance, mm, of sorted positions (n, 3); refuse gaps, duplicates and a tilted gantry."""
     depth = position @ normal
     step = np.diff(depth)
     doubled = int(np.count_nonzero(np.abs(step) < 1e-4))
@@ -262,9 +292,9 @@ def _checked_step(folder: Path, position: Floats, normal: Floats, pixel: float) 
 
 
 def _room(file: str, voxels: int = 0) -> int:
-    """Bytes that GDCM may need for a file, and for voxels that it decodes, in doubles and as they are handed over.
+    """Return the bytes that GDCM may need for a file and for voxels, in double precision and converted.
 
-    A damaged element may say that it is 4 GB long.
+    A damaged element may claim to be 4 GB long.
     """
     return _SPARE + 4 * os.path.getsize(file) + 32 * voxels
 
@@ -281,10 +311,24 @@ def _decoded(file: str, voxels: int) -> Any:
 
 
 class FrameGrid(NamedTuple):
-    """Where the frames of a DICOM file lie.
+    """Positions of the frames of a DICOM file.
 
-    image: what highdicom reads of the file; size: voxels along x, y, z; spacing, origin (3,) mm and direction (3, 3) in
-    LPS; place: the slice of each frame; rescales: different rescale slopes and intercepts of frames.
+    Attributes
+    ----------
+    image : Any
+        The file as highdicom reads it.
+    size : tuple[int, int, int]
+        Voxels along x, y, z.
+    spacing : Floats, shape (3,), mm
+        Distance of voxels along x, y, z.
+    origin : Floats, shape (3,), mm
+        Centre of the first voxel in LPS.
+    direction : Floats, shape (3, 3)
+        Columns are the voxel axes in LPS.
+    place : list[int]
+        Slice index of each frame.
+    rescales : int
+        Number of different rescale slopes and intercepts among the frames.
     """
 
     image: Any
@@ -297,7 +341,13 @@ class FrameGrid(NamedTuple):
 
 
 def is_dicom(file: Path) -> bool:
-    """Return whether a file has the mark that a DICOM file begins with."""
+    """Return whether a file begins with the DICOM mark.
+
+    Parameters
+    ----------
+    file : Path
+        The file.
+    """
     if not file.is_file():
         return False
     with file.open("rb") as opened:
@@ -306,14 +356,42 @@ def is_dicom(file: Path) -> bool:
 
 @contextmanager
 def decoding(file: Path, voxels: int = 0) -> Iterator[None]:
-    """While entered, nothing is printed or warned of, and there is as much room as a DICOM file can need."""
+    """Suppress output and warnings, and limit memory to what a DICOM file can need, while entered.
+
+    Parameters
+    ----------
+    file : Path
+        File that is decoded.
+    voxels : int, optional
+        Number of voxels that are decoded.
+    """
     with silenced(), warnings.catch_warnings(), limited(_room(str(file), voxels)):
         warnings.simplefilter("ignore")
         yield
 
 
 def functional_group(image: Any, frame: int, name: str) -> Any:
-    """Return what a DICOM file of many frames says about one of them, or about all; KeyError where it says nothing."""
+    """Return what a DICOM file of many frames says about one of them, or about all of them.
+
+    Parameters
+    ----------
+    image : Any
+        The file as highdicom reads it.
+    frame : int
+        Index of the frame.
+    name : str
+        Keyword of the sequence.
+
+    Returns
+    -------
+    Any
+        First item of the sequence.
+
+    Raises
+    ------
+    KeyError
+        Where the file has no such sequence.
+    """
     for groups in (
         image.get("PerFrameFunctionalGroupsSequence", ())[frame : frame + 1],
         image.get("SharedFunctionalGroupsSequence", ())[:1],
@@ -324,10 +402,26 @@ def functional_group(image: Any, frame: int, name: str) -> Any:
 
 
 def read_frame_grid(file: Path, *, whole: bool) -> FrameGrid:
-    """Read where the frames of a DICOM file lie, from their positions: GDCM takes the spacing of some kinds for 1 mm.
+    """Read where the frames of a DICOM file lie.
 
-    whole: whether each slice must have one frame; otherwise it may have several or none. Raises UserError naming the
-    file where it can't be read, or its frames don't lie on one regular stack.
+    Their positions are read, because GDCM assumes a spacing of 1 mm for some kinds of files.
+
+    Parameters
+    ----------
+    file : Path
+        The DICOM file.
+    whole : bool
+        Whether each slice must have exactly one frame; otherwise it may have several or none.
+
+    Returns
+    -------
+    FrameGrid
+        The grid on which the frames lie.
+
+    Raises
+    ------
+    UserError
+        Where the file can't be read, or its frames don't form one regular stack.
     """
     import highdicom
 
@@ -363,7 +457,7 @@ def read_frame_grid(file: Path, *, whole: bool) -> FrameGrid:
 
 
 def _rescale(image: Any, frame: int) -> tuple[str, str]:
-    """The slope and intercept of a frame, as they are written; empty where it has none."""
+    """Return the rescale slope and intercept of a frame as they are written; empty strings where it has none."""
     try:
         found = functional_group(image, frame, "PixelValueTransformationSequence")
     except KeyError:
@@ -372,9 +466,24 @@ def _rescale(image: Any, frame: int) -> tuple[str, str]:
 
 
 def read_frames(file: Path, notes: tuple[str, ...] = ()) -> Stack:
-    """Read a DICOM file that holds a volume in many frames; notes: remarks that go on to the result.
+    """Read a DICOM file that holds a volume in many frames.
 
-    Raises UserError naming the file when it holds no whole upright volume, can't be decoded, or is a segmentation.
+    Parameters
+    ----------
+    file : Path
+        The DICOM file.
+    notes : tuple[str, ...], optional
+        Remarks that are passed on to the result.
+
+    Returns
+    -------
+    Stack
+        The voxels and where they lie.
+
+    Raises
+    ------
+    UserError
+        Where the file holds no complete upright volume, can't be decoded, or is a segmentation.
     """
     header = _read_header(str(file))
     if header is None:

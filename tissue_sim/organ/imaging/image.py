@@ -1,4 +1,4 @@
-"""CT volumes and masks: reading, refusing, cropping, and the way between voxels and points.
+"""Volumes of CT images and masks: reading, refusing, cropping, and conversion between voxels and points.
 
 One frame for every format: the patient frame as ITK defines it, LPS (x towards the patient's left,
 y towards the back, z towards the head), right-handed. NIfTI headers speak RAS; ITK turns
@@ -45,11 +45,22 @@ sitk.ProcessObject.SetGlobalWarningDisplay(False)  # ITK's multi-line warnings; 
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """A 3-D image in the patient frame.
+    """Three-dimensional image in the patient frame.
 
-    array (nz, ny, nx): float32 HU, or bool for a mask. spacing (3,) mm along x, y, z voxel axes;
-    origin (3,) mm: centre of voxel (0, 0, 0); direction (3, 3): columns are the voxel axes in LPS, of either
-    handedness. notes: remarks on how it was read, one line each.
+    Attributes
+    ----------
+    array : NDArray[Any], shape (nz, ny, nx)
+        float32 HU, or bool for a mask.
+    spacing : Floats, shape (3,), mm
+        Distance of voxels along their axes x, y, z.
+    origin : Floats, shape (3,), mm
+        Centre of voxel (0, 0, 0).
+    direction : Floats, shape (3, 3)
+        Columns are the voxel axes in LPS, of either handedness.
+    name : str
+        Name for messages.
+    notes : tuple[str, ...]
+        Remarks on how it was read, one line each.
     """
 
     array: NDArray[Any]
@@ -61,7 +72,7 @@ class Volume:
 
     @property
     def size(self) -> tuple[int, int, int]:
-        """Voxels along x, y, z."""
+        """Number of voxels along x, y, z."""
         nz, ny, nx = self.array.shape
         return nx, ny, nz
 
@@ -71,20 +82,66 @@ class Volume:
         return float(np.prod(self.spacing)) * 1e-3
 
     def to_points(self, index: ArrayLike) -> Floats:
-        """Points (..., 3) mm in the patient frame of continuous voxel indices (..., 3) in order x, y, z."""
+        """Return the points of voxel indices.
+
+        Parameters
+        ----------
+        index : ArrayLike, shape (..., 3)
+            Continuous voxel indices in order x, y, z.
+
+        Returns
+        -------
+        Floats, shape (..., 3), mm
+            Points in the patient frame.
+        """
         return self.origin + (np.asarray(index, dtype=np.float64) * self.spacing) @ self.direction.T
 
     def to_index(self, points: ArrayLike) -> Floats:
-        """Continuous voxel indices (..., 3), order x, y, z, of points (..., 3) mm."""
+        """Return the voxel indices of points.
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (..., 3), mm
+            Points in the patient frame.
+
+        Returns
+        -------
+        Floats, shape (..., 3)
+            Continuous voxel indices in order x, y, z.
+        """
         return ((np.asarray(points, dtype=np.float64) - self.origin) @ np.linalg.inv(self.direction).T) / self.spacing
 
     def contains(self, index: ArrayLike) -> bool:
-        """Whether a continuous voxel index (3,) lies within the image, to the outer voxels' faces."""
+        """Return whether a place lies within the image, up to the outer voxels' faces.
+
+        Parameters
+        ----------
+        index : ArrayLike, shape (3,), voxels
+            Continuous voxel index.
+        """
         i = np.asarray(index, dtype=np.float64)
         return bool(np.all(np.isfinite(i)) and np.all(i >= -0.5) and np.all(i <= np.array(self.size) - 0.5))
 
     def crop(self, lower: Sequence[int], upper: Sequence[int]) -> Volume:
-        """The part from voxel `lower` to `upper` (both x, y, z, inclusive, clipped to the image)."""
+        """Return the part between two voxels.
+
+        Parameters
+        ----------
+        lower : Sequence[int], x, y, z
+            First voxel, clipped to the image.
+        upper : Sequence[int], x, y, z
+            Last voxel, inclusive, clipped to the image.
+
+        Returns
+        -------
+        Volume
+            The cropped image.
+
+        Raises
+        ------
+        UserError
+            Where the part lies outside the image.
+        """
         low = np.maximum(np.asarray(lower, dtype=int), 0)
         high = np.minimum(np.asarray(upper, dtype=int), np.array(self.size) - 1)
         if np.any(low > high):
@@ -93,9 +150,10 @@ class Volume:
         return replace(self, array=np.ascontiguousarray(part), origin=self.to_points(low))
 
     def upright(self) -> Volume:
-        """The same image with its voxel axes in the order and sense nearest to x, y, z of the patient; a view, no copy.
+        """Return the image with its voxel axes in the order and direction nearest to x, y, z of the patient.
 
-        What is computed on voxels then doesn't depend on the order in which the file stored them.
+        Results computed on voxels then don't depend on the order in which the file stored them. The array is a view,
+        not a copy.
         """
         along = max(itertools.permutations(range(3)), key=lambda order: np.abs(self.direction[range(3), order]).sum())
         axes = list(along)
@@ -113,11 +171,17 @@ class Volume:
         )
 
     def with_array(self, array: NDArray[Any]) -> Volume:
-        """Another image on the same grid."""
+        """Return an image of another array on the same grid.
+
+        Parameters
+        ----------
+        array : NDArray[Any], shape (nz, ny, nx)
+            The array.
+        """
         return replace(self, array=array)
 
     def to_sitk(self) -> sitk.Image:
-        """The same image as SimpleITK has it (bool becomes uint8)."""
+        """Return the image as a SimpleITK image; bool becomes uint8."""
         array = self.array.astype(np.uint8) if self.array.dtype == bool else self.array
         image = sitk.GetImageFromArray(array)
         image.SetSpacing(self.spacing.tolist())
@@ -127,7 +191,22 @@ class Volume:
 
 
 def from_sitk(image: sitk.Image, name: str = "", *, mask: bool = False) -> Volume:
-    """Volume of a 3-D SimpleITK image: float32, or bool (non-zero) for a mask."""
+    """Return a 3-D SimpleITK image as a Volume.
+
+    Parameters
+    ----------
+    image : sitk.Image
+        The image.
+    name : str, optional
+        Name for messages.
+    mask : bool, optional
+        Whether the result is bool, True for non-zero voxels; float32 otherwise.
+
+    Returns
+    -------
+    Volume
+        The volume, placed as the image is.
+    """
     view = sitk.GetArrayViewFromImage(image)  # one copy less than an array of its own
     with np.errstate(over="ignore", invalid="ignore"):  # infinity and NaN, which are looked for
         array = view != 0 if mask else view.astype(np.float32)
@@ -135,7 +214,24 @@ def from_sitk(image: sitk.Image, name: str = "", *, mask: bool = False) -> Volum
 
 
 def placed(array: NDArray[Any], image: sitk.Image, name: str, notes: tuple[str, ...] = ()) -> Volume:
-    """Return an array (nz, ny, nx) as a Volume that lies where a SimpleITK image does."""
+    """Return an array as a Volume that is placed as a SimpleITK image is.
+
+    Parameters
+    ----------
+    array : NDArray[Any], shape (nz, ny, nx)
+        Voxels.
+    image : sitk.Image
+        The image that gives spacing, origin and direction.
+    name : str
+        Name for messages.
+    notes : tuple[str, ...], optional
+        Remarks, one line each.
+
+    Returns
+    -------
+    Volume
+        The volume.
+    """
     direction = np.array(image.GetDirection()).reshape(3, 3)
     return Volume(array, np.array(image.GetSpacing()), np.array(image.GetOrigin()), direction, name, notes)
 
@@ -143,10 +239,26 @@ def placed(array: NDArray[Any], image: sitk.Image, name: str, notes: tuple[str, 
 def read_image(path: str | Path, series: str | None = None) -> Volume:
     """Read a CT: a NIfTI, NRRD or MHA file, or a folder that holds one DICOM series.
 
-    series: the series to take when a folder holds several, by UID or number. Rescale slope and intercept are
-    applied, so the values are HU. Voxels that are no numbers (outside the scanned field) are read as air and noted.
-    Raises UserError naming the file when it is missing, unreadable, not 3-D, of skewed axes, or holds no finite
-    values, and when DICOM slices are missing.
+    Rescale slope and intercept are applied, so the values are HU. Voxels that are not numbers (outside the scanned
+    field) are read as air and noted.
+
+    Parameters
+    ----------
+    path : str | Path
+        File or folder.
+    series : str | None, optional
+        Series to take when a folder holds several, by UID or number.
+
+    Returns
+    -------
+    Volume
+        The image.
+
+    Raises
+    ------
+    UserError
+        Where the image is missing, unreadable, not 3-D, of skewed axes, or without finite values, and where DICOM
+        slices are missing.
     """
     source = Path(path)
     if not source.exists():
@@ -173,15 +285,42 @@ def read_image(path: str | Path, series: str | None = None) -> Volume:
 
 
 def of_stack(stack: Stack, name: str) -> Volume:
-    """Return a DICOM series, or the frames of a DICOM file, as a Volume."""
+    """Return a DICOM series, or the frames of a DICOM file, as a Volume.
+
+    Parameters
+    ----------
+    stack : Stack
+        The series.
+    name : str
+        Name for messages.
+
+    Returns
+    -------
+    Volume
+        The volume.
+    """
     return Volume(stack.array, stack.spacing, stack.origin, stack.direction, name, stack.notes)
 
 
 def read_file(path: Path, *, layers: bool = False) -> tuple[sitk.Image, tuple[str, ...]]:
-    """Read a 3-D image file: its voxels, placed in mm in LPS as its header says, and remarks, one line each.
+    """Read a 3-D image file, placed in mm in LPS as its header says.
 
-    layers: whether voxels may hold several values, as segmentations whose segments overlap do. Raises UserError naming
-    the file when it can't be read, isn't 3-D, or has axes that are not at right angles, to within a thousandth.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    layers : bool, optional
+        Whether voxels may hold several values, as in segmentations whose segments overlap.
+
+    Returns
+    -------
+    tuple[sitk.Image, tuple[str, ...]]
+        The image, and remarks, one line each.
+
+    Raises
+    ------
+    UserError
+        Where the file can't be read, isn't 3-D, or has axes that deviate from right angles by more than a thousandth.
     """
     if path.suffix.lower() in _UNSCALED:
         raise UserError(f"{path} is a TIFF, which doesn't state the distance of its slices; save it as NRRD or MHA")
@@ -223,7 +362,7 @@ def read_file(path: Path, *, layers: bool = False) -> tuple[sitk.Image, tuple[st
 
 
 def _place(path: Path, image: sitk.Image, header: Header) -> None:
-    """Put an image where its header says, in mm. Raises UserError as _check_axes does."""
+    """Place an image where its header says, in mm. Raises UserError as _check_axes does."""
     axes = np.array(image.GetDirection()).reshape(3, 3) * image.GetSpacing() * header.unit
     origin = np.array(image.GetOrigin()) * header.unit
     if header.affine is not None:
@@ -235,7 +374,7 @@ def _place(path: Path, image: sitk.Image, header: Header) -> None:
 
 
 def _check_axes(path: Path, axes: Floats) -> Floats:
-    """The lengths (3,) of the columns of axes (3, 3); raises UserError where they are huge, or not at right angles."""
+    """Return the lengths (3,) of the columns of axes (3, 3); raises UserError where they are huge or skewed."""
     if not np.all(np.abs(axes) <= _LARGEST_AXIS):
         raise UserError(f"{path} has a damaged header: its axes contain numbers that are not finite, or too large")
     length = np.linalg.norm(axes, axis=0)
@@ -246,7 +385,7 @@ def _check_axes(path: Path, axes: Floats) -> Floats:
 
 
 def _header(path: Path) -> Header | None:
-    """What an image's header says; None where it is packed in an unknown way. Raises UserError as the readers do."""
+    """Return what an image's header says; None for an unknown format. Raises UserError as the readers do."""
     if not path.is_file():
         return None
     name = path.name.lower()
@@ -265,7 +404,7 @@ def _header(path: Path) -> Header | None:
 
 
 def _reason(error: BaseException) -> str:
-    """The telling line of an ITK exception."""
+    """Return the informative line of an ITK exception."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     telling = [line for line in lines if "ERROR" in line or "rror:" in line] or lines or [type(error).__name__]
     text = telling[-1].split("):")[-1].strip()

@@ -1,4 +1,4 @@
-"""The separate parts of a mask: refused, one taken, or all joined; what is left out is told with its volume."""
+"""Separate parts of a mask: refused, one taken, or all joined; what is left out is reported with its volume."""
 
 from __future__ import annotations
 
@@ -20,12 +20,28 @@ _SHOWN = 8  # parts named in a message
 
 
 def one_part(mask: Volume, part: int | None = None, *, merge: bool = False) -> Volume:
-    """Return the mask with one part that holds together, with a note on what was left out, or filled.
+    """Return the mask reduced to one connected part, with a note on what was left out or filled.
 
-    part: the part to take, 1 is the largest; merge: join all parts of a hundredth of the volume and more by filling the
-    gaps between them. With neither, the largest is taken where it holds nine tenths of the volume. Raises UserError
-    naming the parts and their volumes, mL, where it doesn't, where there is no such part, and where parts lie too far
-    apart to be joined.
+    Without `part` and `merge` the largest part is taken where it holds nine tenths of the volume.
+
+    Parameters
+    ----------
+    mask : Volume
+        The voxels of the organ.
+    part : int | None, optional
+        Number of the part to take; 1 is the largest.
+    merge : bool, optional
+        Join all parts of more than a hundredth of the volume by filling the gaps between them.
+
+    Returns
+    -------
+    Volume
+        The mask with one part.
+
+    Raises
+    ------
+    UserError
+        Where no part dominates, where there is no such part, and where the parts lie too far apart to be joined.
     """
     labels, count = ndimage.label(mask.array, structure=np.ones((3, 3, 3)))
     if count < 2 and not merge:
@@ -55,10 +71,20 @@ def one_part(mask: Volume, part: int | None = None, *, merge: bool = False) -> V
 
 
 def joined_parts(mask: Volume) -> tuple[Mask, list[str]] | tuple[None, str]:
-    """Return the mask with its parts in one, and lines that tell how; without a mask why they can't be joined.
+    """Return the mask with its parts joined.
 
     Parts of less than a hundredth of the volume are left out. The others are joined one by one, the nearest first, by a
-    closing with a ball a voxel larger than the widest gap, so that the bridges are no threads.
+    closing with a ball one voxel larger than the widest gap, so that the bridges are not too thin.
+
+    Parameters
+    ----------
+    mask : Volume
+        The voxels of the organ.
+
+    Returns
+    -------
+    tuple[Mask, list[str]] | tuple[None, str]
+        The joined mask and lines that describe it; None and the reason where the parts can't be joined.
     """
     labels, count = ndimage.label(mask.array)
     voxels = np.bincount(labels.ravel())[1:]
@@ -88,7 +114,7 @@ def joined_parts(mask: Volume) -> tuple[Mask, list[str]] | tuple[None, str]:
 
 
 def _closed(solid: Mask, radius: float, sampling: Floats) -> Mask:
-    """The solid after a closing by a ball of `radius` mm; sampling: mm along z, y, x."""
+    """Return the solid after a closing by a ball of `radius` mm; sampling: mm along z, y, x."""
     margin = [(m, m) for m in (int(np.ceil(radius / step)) + 2 for step in sampling)]
     grown = ndimage.distance_transform_edt(~np.pad(solid, margin), sampling) <= radius
     closed = ndimage.distance_transform_edt(grown, sampling) > radius

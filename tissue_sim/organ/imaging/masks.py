@@ -1,4 +1,4 @@
-"""Segmentations: the parts that a file names, by number or name, and one of them as a mask.
+"""Readers of segmentations: the parts that a file names, by number or name, and one of them as a mask.
 
 Label images have a value for each part; 3D Slicer's .seg.nrrd has names beside them, and layers where parts overlap;
 a DICOM segmentation has frames for each segment.
@@ -26,7 +26,19 @@ _SHOWN = 20  # labels named in a message
 
 
 class Label(NamedTuple):
-    """One part that a segmentation names: its key and name as --label takes them, and what makes its voxels."""
+    """One part that a segmentation names.
+
+    Attributes
+    ----------
+    key : str
+        Key as --label takes it.
+    number : float
+        Value of its voxels.
+    name : str
+        Name, or an empty string.
+    voxels : Callable[[], Mask]
+        Makes its mask.
+    """
 
     key: str
     number: float
@@ -38,18 +50,50 @@ class Label(NamedTuple):
 
 
 def read_mask(path: str | Path, label: int | str | None = None) -> Volume:
-    """Read a segmentation as a bool Volume: the part of that number or name, or the only one that there is.
+    """Read one part of a segmentation as a bool Volume.
 
-    Raises UserError naming the file and the labels it holds when the choice isn't clear.
+    Parameters
+    ----------
+    path : str | Path
+        The file.
+    label : int | str | None, optional
+        Number or name of the part; None for the only one.
+
+    Returns
+    -------
+    Volume
+        The mask.
+
+    Raises
+    ------
+    UserError
+        Where the choice is ambiguous or there is no such label; the message lists the labels.
     """
     return read_masks(path, label, ())[0]
 
 
 def read_masks(path: str | Path, label: int | str | None, parts: Sequence[int | str]) -> list[Volume]:
-    """Read an organ's segmentation with further labels for parts of it: the whole organ, then each part.
+    """Read an organ's segmentation with further labels for parts of it.
 
-    label, parts: numbers or names; LAYER:N where a number comes in several layers of a file. Raises UserError as
-    read_mask does.
+    Parameters
+    ----------
+    path : str | Path
+        The file.
+    label : int | str | None
+        Number or name of the organ, LAYER:N where a number occurs in several layers of a file; None for the only one
+        that `parts` doesn't name.
+    parts : Sequence[int | str]
+        Numbers or names of the further parts.
+
+    Returns
+    -------
+    list[Volume]
+        The whole organ, parts included, then each part.
+
+    Raises
+    ------
+    UserError
+        As in read_mask.
     """
     source = Path(path)
     if not source.exists():
@@ -71,7 +115,7 @@ def read_masks(path: str | Path, label: int | str | None, parts: Sequence[int | 
 
 
 def _find(source: Path, labels: Sequence[Label], wanted: int | str) -> Label:
-    """The label of that key, number or name."""
+    """Return the label of a key, number or name."""
     text = str(wanted).strip()
     numbered = [one for one in labels if text == f"{one.number:g}"]
     for found in (
@@ -92,7 +136,7 @@ def _listed(labels: Sequence[Label]) -> str:
 
 
 def _read_labels(source: Path) -> tuple[Volume, list[Label]]:
-    """The grid of a segmentation, its array of any content, and its labels in order."""
+    """Return the grid of a segmentation, with an array of arbitrary content, and its labels in order."""
     dicom = segmentation_in(source)
     if dicom is not None:
         grid, segments = read_segments(dicom)
@@ -113,7 +157,7 @@ def _read_labels(source: Path) -> tuple[Volume, list[Label]]:
 
 
 def _names(image: sitk.Image) -> dict[tuple[int, float], str]:
-    """Names that 3D Slicer gives segments, by layer and value."""
+    """Return the names that 3D Slicer gives segments, by layer and value."""
     found: dict[tuple[int, float], str] = {}
     for key in image.GetMetaDataKeys():
         segment, _, field = key.partition("_")
@@ -128,7 +172,7 @@ def _names(image: sitk.Image) -> dict[tuple[int, float], str]:
 
 
 def _values(array: NDArray[Any], prefix: str, names: dict[float, str], source: str) -> Iterator[Label]:
-    """A label for each value other than 0, in order."""
+    """Yield a label for each value other than 0, in order."""
     found: set[float] = set()
     for layer in array:
         found.update(float(value) for value in np.unique(layer) if value != 0 and np.isfinite(value))

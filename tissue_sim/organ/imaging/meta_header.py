@@ -1,4 +1,4 @@
-"""What a MetaImage's header (.mha, .mhd) says that ITK takes at its word, and dies of, or opens."""
+"""Checks of a MetaImage's header (.mha, .mhd) that ITK leaves out, although it crashes or opens other files."""
 
 from __future__ import annotations
 
@@ -24,9 +24,22 @@ _SPACINGS = ("ElementSpacing", "ElementSize")  # ITK takes the second where the 
 
 
 def read_meta_header(path: Path) -> Header:
-    """Read the files of voxels beside a MetaImage, and its unit of length, which ITK has no regard to.
+    """Read the voxel files beside a MetaImage and its unit of length, which ITK ignores.
 
-    Raises UserError naming the line of its header that no image has, the file that isn't in its folder, or the unit.
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Header
+        What ITK leaves out.
+
+    Raises
+    ------
+    UserError
+        Where a line of the header is invalid, the data file isn't in the folder, or the unit is unknown.
     """
     with path.open("rb") as file:
         text = file.read(LONGEST_HEADER).decode("latin-1")

@@ -1,4 +1,4 @@
-"""Where a NIfTI's header places its voxels: numbers that ITK never comes to an end with, and forms that disagree."""
+"""Placement of the voxels by a NIfTI's header: numbers on which ITK never ends, and forms that disagree."""
 
 from __future__ import annotations
 
@@ -27,8 +27,21 @@ _RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 def read_nifti_header(path: Path) -> Header:
     """Read where a NIfTI's header places its voxels: by its sform, or by its qform where that is alone.
 
-    Raises UserError where a transform holds numbers that are not finite, or huge, and where both are there and place
-    a corner of the image more than half a voxel apart: some programs take the one, and some the other.
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Header
+        The affine and the unit of length.
+
+    Raises
+    ------
+    UserError
+        Where a transform holds numbers that are huge or not finite, and where sform and qform place a corner of the
+        image more than half a voxel apart, because programs differ in which they use.
     """
     data = _head(path)
     for kind in _KINDS:

@@ -1,4 +1,4 @@
-"""What a NRRD's header says about the file of its voxels, how they are written, and their unit of length."""
+"""What a NRRD's header says about its voxel file, its encoding, and its unit of length."""
 
 from __future__ import annotations
 
@@ -13,10 +13,22 @@ _AS_TEXT = ("ascii", "text", "txt")  # ITK dies of one that breaks off
 
 
 def read_nrrd_header(path: Path) -> Header:
-    """Read the files of voxels beside a NRRD, and its unit of length, which ITK has no regard to.
+    """Read the voxel files beside a NRRD and its unit of length, which ITK ignores.
 
-    Raises UserError where a file isn't in its folder or holds text, where the unit is unknown, and where the header has
-    no end.
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Header
+        What ITK leaves out.
+
+    Raises
+    ------
+    UserError
+        Where a file isn't in the folder or holds text, where the unit is unknown, and where the header has no end.
     """
     beside: list[Path] = []
     fields: dict[str, str] = {}
@@ -30,7 +42,7 @@ def read_nrrd_header(path: Path) -> Header:
                 unit, notes = _unit(path, fields)
                 return Header(tuple(one for one in beside if one.is_file()), unit, notes=notes)
             field, colon, value = text.partition(":")
-            name, value = " ".join(field.lower().split()), value.strip()  # readers have no regard to case
+            name, value = " ".join(field.lower().split()), value.strip()  # readers ignore case
             if not colon or value.startswith("="):  # a comment, or a key of the user's own
                 continue
             fields[name] = value
@@ -42,7 +54,7 @@ def read_nrrd_header(path: Path) -> Header:
 
 
 def _unit(path: Path, fields: dict[str, str]) -> tuple[float, tuple[str, ...]]:
-    """The mm in the header's unit of length, and remarks on it."""
+    """Return the mm in the header's unit of length, and remarks on it."""
     if "space directions" in fields:
         field = "space units"
     elif re.search(r"\d", fields.get("spacings", "")):

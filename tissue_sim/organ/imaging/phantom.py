@@ -1,4 +1,4 @@
-"""A synthetic abdominal CT with known truth: a left kidney among organs that touch it.
+"""Synthetic abdominal CT with known ground truth: a left kidney among organs that touch it.
 
 Shapes are signed distances (mm, negative inside) in the patient frame (LPS), painted with soft edges,
 then blurred and made noisy. The same parameters give the same voxels.
@@ -33,7 +33,7 @@ KIDNEY_SEMI_AXES: Triple = (28.0, 20.5, 57.0)  # mm across, front to back, along
 
 @dataclass(frozen=True)
 class PhantomParameters:
-    """What varies between phantoms; lengths in mm, noise in HU."""
+    """Parameters that vary between phantoms; lengths in mm, noise in HU."""
 
     spacing: Triple = (1.5, 1.5, 2.5)
     extent: Triple = (288.0, 204.0, 170.0)
@@ -45,7 +45,17 @@ class PhantomParameters:
 
 @dataclass(frozen=True, eq=False)
 class Phantom:
-    """A CT (HU), its true kidney mask on the same grid, and a seed point (3,) mm inside the kidney."""
+    """CT with its ground truth.
+
+    Attributes
+    ----------
+    ct : Volume, HU
+        The image.
+    kidney : Volume
+        Mask of the kidney on the same grid.
+    seed_point : NDArray[np.float64], shape (3,), mm
+        Point inside the kidney.
+    """
 
     ct: Volume
     kidney: Volume
@@ -53,7 +63,18 @@ class Phantom:
 
 
 def make_phantom(parameters: PhantomParameters | None = None) -> Phantom:
-    """Paint the abdomen described by `parameters`."""
+    """Paint the abdomen that the parameters describe.
+
+    Parameters
+    ----------
+    parameters : PhantomParameters | None, optional
+        Parameters; None for the usual ones.
+
+    Returns
+    -------
+    Phantom
+        The image, the kidney's mask and a seed point.
+    """
     p = parameters or PhantomParameters()
     spacing = np.array(p.spacing)
     size = np.maximum(np.round(np.array(p.extent) / spacing).astype(int), 8)
@@ -76,7 +97,18 @@ def make_phantom(parameters: PhantomParameters | None = None) -> Phantom:
 
 
 def kidney_distance(grid: Grid) -> Singles:
-    """Signed distance (approximate, mm) of the bean: a bent ellipsoid with a hilum cut into its inner side."""
+    """Return the approximate signed distance of the kidney: a bent ellipsoid with a hilum on its medial side.
+
+    Parameters
+    ----------
+    grid : Grid, three arrays of shape (nz, ny, nx), mm
+        Coordinates x, y, z of the voxels.
+
+    Returns
+    -------
+    Singles, shape (nz, ny, nx), mm
+        Signed distance, negative inside.
+    """
     u, v, w = _local(grid)
     bean = ellipsoid(u + np.float32(0.0035) * w * w - np.float32(3.0), v, w, KIDNEY_SEMI_AXES)
     hilum = ellipsoid(u + 26.0, v + 2.0, w, (17.0, 9.0, 16.0))
@@ -84,13 +116,26 @@ def kidney_distance(grid: Grid) -> Singles:
 
 
 def body_distance(grid: Grid, within: float = 0.0) -> Singles:
-    """Signed distance (approximate, mm) of the trunk, or of what lies so many mm within its skin."""
+    """Return the approximate signed distance of the trunk, or of a shape inside it.
+
+    Parameters
+    ----------
+    grid : Grid, three arrays of shape (nz, ny, nx), mm
+        Coordinates x, y, z of the voxels.
+    within : float, mm, optional
+        Distance of the shape from the skin.
+
+    Returns
+    -------
+    Singles, shape (nz, ny, nx), mm
+        Signed distance, negative inside.
+    """
     x, y, z = grid
     return ellipsoid(x, y - 5.0, 0.0 * z, (138.0 - within, 97.0 - within, 1e6))
 
 
 def _scene(grid: Grid, kidney: Singles, gap: float) -> list[tuple[Singles, float]]:
-    """Shapes in painting order with their HU. Neighbours are cut along the kidney's surface."""
+    """Return the shapes in painting order with their HU; neighbours are cut along the kidney's surface."""
     x, y, z = grid
     body = body_distance(grid)
     wall = np.maximum(body + 12.0, -body - 24.0)
@@ -123,7 +168,22 @@ def _scene(grid: Grid, kidney: Singles, gap: float) -> list[tuple[Singles, float
 
 
 def grid_of(size: NDArray[np.int_], spacing: NDArray[np.float64], origin: NDArray[np.float64]) -> Grid:
-    """Coordinates x, y, z, mm, of the middles of voxels, (nz, ny, nx) each."""
+    """Return the coordinates of the centres of voxels.
+
+    Parameters
+    ----------
+    size : NDArray[np.int_], shape (3,)
+        Number of voxels along x, y, z.
+    spacing : NDArray[np.float64], shape (3,), mm
+        Distance of voxels.
+    origin : NDArray[np.float64], shape (3,), mm
+        Centre of the first voxel.
+
+    Returns
+    -------
+    Grid
+        Coordinates x, y, z, mm, of shape (nz, ny, nx) each.
+    """
     x, y, z = (origin[k] + spacing[k] * np.arange(size[k]) for k in range(3))
     shape = (size[2], size[1], size[0])
     return tuple(  # type: ignore[return-value]
@@ -133,7 +193,7 @@ def grid_of(size: NDArray[np.int_], spacing: NDArray[np.float64], origin: NDArra
 
 
 def _rotation() -> NDArray[np.float64]:
-    """Columns: the kidney's axes across (to the side), front to back, along; its upper pole leans in and back."""
+    """Return the kidney's axes as columns: lateral, front to back, longitudinal; its upper pole leans in and back."""
     inward, back = np.deg2rad(12.0), np.deg2rad(8.0)
     about_y = np.array([[np.cos(inward), 0.0, -np.sin(inward)], [0.0, 1.0, 0.0], [np.sin(inward), 0.0, np.cos(inward)]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(back), np.sin(back)], [0.0, -np.sin(back), np.cos(back)]])
@@ -147,7 +207,24 @@ def _local(grid: Grid) -> Grid:
 
 
 def ellipsoid(x: Singles, y: Singles, z: Singles, semi_axes: Triple) -> Singles:
-    """First-order distance to an ellipsoid: f (f - 1) / |grad f| with f the scaled radius."""
+    """Return the first-order distance to an ellipsoid: f (f - 1) / |grad f| with f the scaled radius.
+
+    Parameters
+    ----------
+    x : Singles, mm
+        Coordinate from the centre.
+    y : Singles, mm
+        Coordinate from the centre.
+    z : Singles, mm
+        Coordinate from the centre.
+    semi_axes : Triple, mm
+        Semi-axes along x, y, z.
+
+    Returns
+    -------
+    Singles, mm
+        Distance, negative inside.
+    """
     a, b, c = (np.float32(s) for s in semi_axes)
     f = np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)
     slope = np.sqrt((x / a**2) ** 2 + (y / b**2) ** 2 + (z / c**2) ** 2)
@@ -155,7 +232,7 @@ def ellipsoid(x: Singles, y: Singles, z: Singles, semi_axes: Triple) -> Singles:
 
 
 def _tube(grid: Grid, points: tuple[Triple, ...], radius: float) -> Singles:
-    """Distance to a polyline thickened to `radius`."""
+    """Return the distance to a polyline, thickened to `radius`."""
     best = np.full(grid[0].shape, np.inf, dtype=np.float32)
     for start, end in itertools.pairwise(points):
         a, d = np.array(start, dtype=np.float32), np.array(end, dtype=np.float32) - np.array(start, dtype=np.float32)
@@ -166,13 +243,28 @@ def _tube(grid: Grid, points: tuple[Triple, ...], radius: float) -> Singles:
 
 
 def smooth_cut(shape: Singles, tool: Singles, radius: float) -> Singles:
-    """`shape` without `tool`, the edge rounded over `radius` mm (polynomial smooth maximum)."""
+    """Return the distance of `shape` without `tool`, its edge rounded by a polynomial smooth maximum.
+
+    Parameters
+    ----------
+    shape : Singles, mm
+        Signed distance of the shape.
+    tool : Singles, mm
+        Signed distance of what is cut off.
+    radius : float, mm
+        Width over which the edge is rounded.
+
+    Returns
+    -------
+    Singles, mm
+        Signed distance of the difference.
+    """
     h = np.clip(0.5 + 0.5 * (shape + tool) / radius, 0.0, 1.0)
     return (-tool) * (1.0 - h) + shape * h + radius * h * (1.0 - h)
 
 
 def _noise(shape: tuple[int, ...], p: PhantomParameters) -> Singles:
-    """Grainy noise as a scanner leaves it: correlated over a voxel, standard deviation as asked."""
+    """Return grainy noise as of a scanner: correlated over a voxel, of the standard deviation asked for."""
     white = np.random.default_rng(p.seed).standard_normal(shape, dtype=np.float32)
     grain = gaussian_filter(white, 0.5)
     return np.float32(p.noise) * grain / max(float(grain.std()), 1e-9)

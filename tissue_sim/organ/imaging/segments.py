@@ -1,4 +1,4 @@
-"""DICOM segmentations: the segments of one file, each a mask on the grid that its frames lie on."""
+"""Readers of DICOM segmentations: the segments of one file, each a mask on the grid of its frames."""
 
 from __future__ import annotations
 
@@ -16,7 +16,17 @@ from tissue_sim.organ.imaging.image import Volume
 
 
 class Segment(NamedTuple):
-    """One segment of a DICOM segmentation: its number and label, and what makes its voxels (nz, ny, nx)."""
+    """One segment of a DICOM segmentation.
+
+    Attributes
+    ----------
+    number : int
+        Segment number.
+    name : str
+        Segment label.
+    voxels : Callable[[], Mask]
+        Makes its mask, shape (nz, ny, nx).
+    """
 
     number: int
     name: str
@@ -24,9 +34,22 @@ class Segment(NamedTuple):
 
 
 def segmentation_in(source: Path) -> Path | None:
-    """Return the DICOM segmentation that a path is, or the only one in a folder; None where there is none.
+    """Return the DICOM segmentation that a path names, or the only one in a folder.
 
-    Raises UserError for a folder that holds several.
+    Parameters
+    ----------
+    source : Path
+        File or folder.
+
+    Returns
+    -------
+    Path | None
+        The file; None where there is none.
+
+    Raises
+    ------
+    UserError
+        Where a folder holds several.
     """
     files = sorted(source.iterdir()) if source.is_dir() else [source]
     found = [file for file in files if is_dicom(file) and _class_of(file) in SEGMENTATIONS]
@@ -47,10 +70,25 @@ def _class_of(file: Path) -> str:
 
 
 def read_segments(file: Path) -> tuple[Volume, list[Segment]]:
-    """Read the grid of a DICOM segmentation, its array of no content, and its segments in order.
+    """Read the grid of a DICOM segmentation and its segments.
 
-    Segments may overlap, and leave frames without voxels out. Of fractional ones, voxels of half and more are taken.
-    Raises UserError naming the file when it can't be decoded, or its frames lie on no regular stack.
+    Segments may overlap, and frames without voxels may be missing. Of fractional ones, voxels of at least one half are
+    taken.
+
+    Parameters
+    ----------
+    file : Path
+        The DICOM file.
+
+    Returns
+    -------
+    tuple[Volume, list[Segment]]
+        A volume of arbitrary content that gives the grid, and the segments in order.
+
+    Raises
+    ------
+    UserError
+        Where the file can't be decoded, or its frames don't form a regular stack.
     """
     grid = read_frame_grid(file, whole=False)
     nx, ny, nz = grid.size
@@ -82,5 +120,5 @@ def read_segments(file: Path) -> tuple[Volume, list[Segment]]:
 
 
 def _number(image: Any, frame: int) -> int:
-    """The number of the segment that a frame belongs to."""
+    """Return the number of the segment that a frame belongs to."""
     return int(functional_group(image, frame, "SegmentIdentificationSequence").ReferencedSegmentNumber)

@@ -1,4 +1,4 @@
-"""Keeps what libraries below Python print about a damaged image from users, who get one line of ours."""
+"""Suppression of what libraries below Python print about a damaged image; users get one line of ours instead."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _STREAMS = 1, 2  # the process's own
 
 @contextmanager
 def silenced() -> Iterator[None]:
-    """While entered, nothing that this process prints is seen; not for use beside threads that print."""
+    """Discard everything that this process prints while entered; not for use beside threads that print."""
     kept = [(number, os.dup(number)) for number in _STREAMS if _is_open(number)]
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:

@@ -1,4 +1,4 @@
-"""The file that an image's header names for its voxels, and whether files can hold what a header says."""
+"""Voxel files that an image's header names, and checks whether files can hold what a header claims."""
 
 from __future__ import annotations
 
@@ -14,16 +14,24 @@ from tissue_sim.organ.lengths import UNITS, metres
 
 MOST_VOXELS = 1 << 29  # of a volume: 512 x 512 x 2048, which take 2 GB as they are worked with
 LONGEST_HEADER = 1 << 20  # bytes of a text header
-_DEFLATE = 1032  # bytes that a byte of gzip unpacks to at the most
+_DEFLATE = 1032  # bytes that a byte of gzip unpacks to at most
 _SPARE = 1 << 16  # bytes for which that doesn't matter
 _UNSPOKEN = ("", "?", "???", "none", "unknown")  # units that say none: millimetres, as everywhere in the field
 
 
 class Header(NamedTuple):
-    """What a header says that ITK leaves out, or doesn't check.
+    """Information of a header that ITK leaves out, or doesn't check.
 
-    beside: files of voxels next to the image; unit: mm in the header's unit of length; affine: (4, 4) from voxel
-    indices x, y, z to mm in LPS, None where ITK's is right; notes: remarks, one line each.
+    Attributes
+    ----------
+    beside : tuple[Path, ...]
+        Voxel files next to the image.
+    unit : float
+        Millimetres in the header's unit of length.
+    affine : Floats | None, shape (4, 4)
+        Transform from voxel indices x, y, z to mm in LPS; None where ITK's is right.
+    notes : tuple[str, ...]
+        Remarks, one line each.
     """
 
     beside: tuple[Path, ...] = ()
@@ -33,9 +41,26 @@ class Header(NamedTuple):
 
 
 def millimetres(path: Path, units: Sequence[str], field: str) -> float:
-    """Return the mm in the unit of length that an image's header gives for its axes.
+    """Return the millimetres in the unit of length that an image's header gives for its axes.
 
-    Raises UserError naming the header's field for units that differ between axes, or that are no units of length.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    units : Sequence[str]
+        Unit of each axis, as the header spells it.
+    field : str
+        Field of the header, for messages.
+
+    Returns
+    -------
+    float
+        Millimetres in the unit; 1 where none is given.
+
+    Raises
+    ------
+    UserError
+        Where units differ between axes, or are not units of length.
     """
     said = {unit.strip() for unit in units} - set(_UNSPOKEN)
     if not said:
@@ -51,12 +76,36 @@ def millimetres(path: Path, units: Sequence[str], field: str) -> float:
 
 
 def unscaled(path: Path) -> str:
-    """Return the note on an image whose header gives no size of its voxels."""
+    """Return the note on an image whose header gives no voxel size.
+
+    Parameters
+    ----------
+    path : Path
+        File of the image.
+    """
     return f"warning: {path.name} doesn't state the size of its voxels: 1 mm was assumed; write their size into it"
 
 
 def data_file(path: Path, name: str) -> Path:
-    """The file of voxels that the header of the image `path` names; raises UserError where it isn't in its folder."""
+    """Return the voxel file that the header of an image names.
+
+    Parameters
+    ----------
+    path : Path
+        The image with the header.
+    name : str
+        Name in the header.
+
+    Returns
+    -------
+    Path
+        The file, which may be missing.
+
+    Raises
+    ------
+    UserError
+        Where the file isn't in the image's folder, or is none.
+    """
     if name.split(None, 1)[:1] == ["LIST"] or "%" in name:
         raise UserError(f"{path} has its voxels in several files; save it as one, as NRRD or MHA")
     inside = os.path.normpath(name)
@@ -72,10 +121,25 @@ def data_file(path: Path, name: str) -> Path:
 
 
 def check_room(path: Path, beside: Sequence[Path], size: Sequence[int], voxel: int) -> None:
-    """Raise UserError where an image says that it holds more than a volume may, or than its files can.
+    """Raise UserError where an image claims more voxels than a volume may have, or than its files can hold.
 
-    beside: files of voxels next to `path`. size: voxels along each axis, of so many bytes. To be called before room for
-    them is asked for.
+    To be called before memory for the voxels is requested.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    beside : Sequence[Path]
+        Voxel files next to `path`.
+    size : Sequence[int]
+        Number of voxels along each axis.
+    voxel : int
+        Bytes of a voxel.
+
+    Raises
+    ------
+    UserError
+        Where the image claims too many voxels.
     """
     check_count(path, size)
     held = sum(os.path.getsize(file) for file in (path, *beside) if file.is_file())
@@ -87,7 +151,20 @@ def check_room(path: Path, beside: Sequence[Path], size: Sequence[int], voxel: i
 
 
 def check_count(path: Path, size: Sequence[int]) -> None:
-    """Raise UserError where a volume has more voxels than are worked with."""
+    """Check that a volume has no more voxels than can be processed.
+
+    Parameters
+    ----------
+    path : Path
+        File of the image.
+    size : Sequence[int], voxels
+        Its size along each axis.
+
+    Raises
+    ------
+    UserError
+        When it has more.
+    """
     if math.prod(size) > MOST_VOXELS:
         raise UserError(
             f"{path} has {_axes(size)} voxels, more than {MOST_VOXELS / 1e6:.0f} million; crop it around the organ, or"

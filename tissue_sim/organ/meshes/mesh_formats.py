@@ -24,7 +24,7 @@ from tissue_sim.memory import limited
 from tissue_sim.organ.imaging.silence import silenced
 from tissue_sim.organ.meshes import cell_surface, vtk_xml_input
 
-logging.getLogger("trimesh").addHandler(logging.NullHandler())  # else it prints what it puts up with
+logging.getLogger("trimesh").addHandler(logging.NullHandler())  # otherwise trimesh prints what it tolerates
 
 _TRIMESH = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 # glTF 2.0, 3.4: +Y up, +Z forward, -X right; so these rows take it to LPS (x left, y back, z up).
@@ -33,7 +33,17 @@ GLTF_TO_LPS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One named piece of a file: positions (n, 3) in the file's unit, triangles (t, 3)."""
+    """One named piece of a file.
+
+    Attributes
+    ----------
+    name : str
+        Name in the file, or an empty string.
+    positions : Floats, shape (n, 3), in the file's unit
+        Points.
+    triangles : Longs, shape (t, 3)
+        Corner indices.
+    """
 
     name: str
     positions: Floats
@@ -42,7 +52,15 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class MeshFile:
-    """What a mesh file holds, and remarks on how it was read, one line each."""
+    """Content of a mesh file.
+
+    Attributes
+    ----------
+    pieces : tuple[Piece, ...]
+        Its named pieces.
+    notes : tuple[str, ...]
+        Remarks on how it was read, one line each.
+    """
 
     pieces: tuple[Piece, ...]
     notes: tuple[str, ...] = ()
@@ -51,16 +69,30 @@ class MeshFile:
 def read_pieces(source: Path) -> MeshFile:
     """Read a mesh file of one of `FORMATS` by its suffix; the points keep their order.
 
-    Polygons become fans of triangles, tetrahedra their surface. glTF is turned from its own axes (y up, z forward)
-    into the patient frame, and so is VTK that says `SPACE=RAS`. Raises ValueError when the file doesn't hold
-    what its format asks for, and whatever trimesh raises on damaged files.
+    Polygons become fans of triangles, tetrahedra their surface. glTF is turned from its own axes (y up, z forward) into
+    the patient frame, and so is VTK that says `SPACE=RAS`.
+
+    Parameters
+    ----------
+    source : Path
+        The file.
+
+    Returns
+    -------
+    MeshFile
+        Its pieces and remarks.
+
+    Raises
+    ------
+    ValueError
+        Where the file doesn't hold what its format requires; trimesh raises other errors on damaged files.
     """
     suffix = source.suffix.lower()
     return _READERS[suffix](source)
 
 
 def _read_trimesh(source: Path) -> MeshFile:
-    # Numbers that are none are looked for later.
+    # NaN and infinity are checked later.
     with np.errstate(all="ignore"):
         return _pieces(_load_trimesh(source), source.suffix.lower())
 
@@ -69,7 +101,7 @@ def _load_trimesh(source: Path) -> Any:
     options: dict[str, Any] = {"process": False, "maintain_order": True}
     if source.suffix.lower() != ".glb":
         return trimesh.load(source, **options)
-    # From memory: of a file it would ask for room for as much as a chunk says that it is long.
+    # Read from memory: from a file, trimesh would request as much memory as a chunk claims to hold.
     resolver = trimesh.resolvers.FilePathResolver(str(source))
     return trimesh.load(BytesIO(source.read_bytes()), file_type="glb", resolver=resolver, **options)
 
@@ -102,13 +134,13 @@ def _piece(mesh: Any, name: str, transform: Floats) -> Piece:
 
 
 class _Words:
-    """A cursor over a file of words and numbers, text or (VTK) big-endian binary."""
+    """Cursor over a file of words and numbers, as text or (VTK) big-endian binary."""
 
     def __init__(self, data: bytes, at: int = 0) -> None:
         self.data, self.at, self.binary = data, at, False
 
     def line(self) -> str:
-        """The rest of the line."""
+        """Return the rest of the line."""
         end = self.data.find(b"\n", self.at)
         end = len(self.data) if end < 0 else end
         text = self.data[self.at : end].decode("ascii", "replace").strip()
@@ -116,7 +148,7 @@ class _Words:
         return text
 
     def word(self) -> str:
-        """The next word; empty at the end."""
+        """Return the next word; empty at the end."""
         match = _WORD.match(self.data, self.at)
         if match is None:
             self.at = len(self.data)
@@ -125,14 +157,14 @@ class _Words:
         return match[1].decode("ascii", "replace")
 
     def count(self) -> int:
-        """The next word as a number of things."""
+        """Return the next word as a count."""
         value = int(self.word())
         if value < 0:
             raise ValueError("a negative count")
         return value
 
     def numbers(self, count: int, kind: str) -> NDArray[Any]:
-        """The next `count` numbers of a numpy type like `f4`."""
+        """Return the next `count` numbers of a numpy type such as `f4`."""
         if self.binary:
             self.at += 1  # the line's end
             found = np.frombuffer(self.data, ">" + kind, count, self.at)
@@ -145,7 +177,7 @@ class _Words:
         return _cast(np.array(parts[:count], dtype="f8"), kind)
 
     def skip_strings(self, count: int) -> None:
-        """Go past strings of VTK's: one a line, or in binary each after its length."""
+        """Skip VTK strings: one per line, or in binary each after its length."""
         self.line()
         for _ in range(count):
             if self.binary:
@@ -157,7 +189,7 @@ class _Words:
 
 
 def _cast(values: Floats, kind: str) -> NDArray[Any]:
-    """Numbers as a numpy type; raises ValueError where they are none of it, and makes infinity of what is too large."""
+    """Return numbers as a numpy type; raises ValueError for invalid ones, turns those too large into infinity."""
     if np.dtype(kind).kind in "iu":
         limits = np.iinfo(kind)
         if not np.all((values >= float(limits.min)) & (values < float(limits.max) + 1.0)):
@@ -170,7 +202,7 @@ _WORD = re.compile(rb"\s*(\S+)")
 
 
 def _read_trian(source: Path) -> MeshFile:
-    """SOFA's .trian: number of points, their coordinates, number of triangles, their corners (and neighbours)."""
+    """Read SOFA's .trian: number of points, coordinates, number of triangles, corners (and neighbours)."""
     words = _Words(source.read_bytes())
     n = words.count()
     positions = words.numbers(3 * n, "f8").reshape(n, 3)
@@ -199,7 +231,7 @@ _ROOM, _ROOM_PER_BYTE = 1 << 28, 64  # bytes that reading a file may need, whate
 
 
 def _read_gmsh(source: Path) -> MeshFile:
-    """Gmsh's .msh: text of version 1, text and binary of versions 2 and 4."""
+    """Read Gmsh's .msh: text of version 1, text and binary of versions 2 and 4."""
     text = source.read_bytes()
     if text.lstrip()[:4].upper() == b"$NOD":
         positions, cells = _gmsh_1(text)
@@ -216,7 +248,7 @@ def _read_gmsh(source: Path) -> MeshFile:
 
 
 def _gmsh_1(text: bytes) -> tuple[Floats, dict[str, Longs]]:
-    """Points, and their numbers by kind of element, of lines `number type region region count nodes`."""
+    """Return points, and corner indices by kind of element, of lines `number type region region count nodes`."""
     sections = {m[1].upper(): m[2] for m in re.finditer(rb"\$(\w+)\s(.*?)\$End\1", text, re.DOTALL | re.IGNORECASE)}
     if not {b"NOD", b"ELM"} <= sections.keys():
         raise ValueError("no nodes and elements")
@@ -262,7 +294,7 @@ _VTK_LINES = ("string", "variant")  # written one a line
 
 
 def _read_vtk(source: Path) -> MeshFile:
-    """Legacy VTK, text or binary, versions 1 to 5.1: polygons and strips of POLYDATA or cells of UNSTRUCTURED_GRID."""
+    """Read legacy VTK, text or binary, versions 1 to 5.1: polygons, strips, or cells of UNSTRUCTURED_GRID."""
     words = _Words(source.read_bytes())
     if "vtk datafile" not in words.line().lower():
         raise ValueError("not a VTK file")
@@ -322,7 +354,7 @@ _VTK_CELLS = {
 def _vtk_surface(
     positions: Floats, cells: Mapping[str, tuple[Longs, Longs]], kinds: Longs | None, is_ras: bool
 ) -> MeshFile:
-    """The surface of faces or cells, by the names of their sections; kinds: of CELLS."""
+    """Return the surface of faces or cells, by the names of their sections; kinds: of CELLS."""
     if is_ras:
         positions = positions * np.array([-1.0, -1.0, 1.0])
     if kinds is not None and "CELLS" in cells:
@@ -344,14 +376,14 @@ def _vtk_surface(
 
 
 def _vtk_type(word: str) -> str:
-    """A type of VTK's as numpy has it."""
+    """Return the numpy type of a VTK type."""
     if word.lower() not in _VTK_TYPES:
         raise ValueError(f"numbers of the type {shown(word)}")
     return _VTK_TYPES[word.lower()]
 
 
 def _vtk_cells(words: _Words) -> tuple[Longs, Longs]:
-    """Offsets (cells + 1,) and corners of a cell section, in the layout of version 5 or the one before."""
+    """Return the offsets (cells + 1,) and corners of a cell section, in the layout of version 5 or the one before."""
     first, second = words.count(), words.count()
     start = words.at
     if words.word().upper() == "OFFSETS":
@@ -393,12 +425,12 @@ def _skip_metadata(words: _Words) -> None:
 
 
 def _fans(offsets: Longs, corners: Longs) -> Longs:
-    """Triangles (t, 3) of polygons: each a fan around its first corner."""
+    """Return the triangles (t, 3) of polygons: each a fan around its first corner."""
     return _split(offsets, corners, lambda k: [0, k + 1, k + 2])
 
 
 def _strips(offsets: Longs, corners: Longs) -> Longs:
-    """Triangles (t, 3) of strips: each corner from the third on makes one with the two before, every other turned."""
+    """Return the triangles (t, 3) of strips: each corner from the third on joins the two before, alternately turned."""
     return _split(offsets, corners, lambda k: [k, k + 1, k + 2] if k % 2 == 0 else [k + 1, k, k + 2])
 
 
@@ -406,7 +438,7 @@ _VTK_FACES = {"POLYGONS": _fans, "TRIANGLE_STRIPS": _strips}
 
 
 def _split(offsets: Longs, corners: Longs, triangle: Callable[[int], list[int]]) -> Longs:
-    """The triangles of faces of any number of corners; triangle: which corners of a face its k-th has."""
+    """Return the triangles of faces of any number of corners; triangle: which corners of a face its k-th has."""
     size = np.diff(offsets)
     if np.any(size < 3):
         raise ValueError("polygons with fewer than three corners")
@@ -422,7 +454,7 @@ def _rows(offsets: Longs, corners: Longs, chosen: NDArray[np.bool_], width: int)
 
 
 def _surface_of_cells(positions: Floats, cells: Mapping[str, Longs]) -> MeshFile:
-    """The surface of cells by meshio's names, see `cell_surface`."""
+    """Return the surface of cells by meshio's names, see `cell_surface`."""
     points, triangles, notes = cell_surface.surface_of(positions, cells)
     return MeshFile((Piece("", points, triangles),), notes)
 

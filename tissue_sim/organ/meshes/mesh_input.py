@@ -1,4 +1,4 @@
-"""Organs from triangle meshes: reading, refusing or repairing, and voxels of what they enclose."""
+"""Triangle meshes as the source of an organ: reading, refusing or repairing, and voxels of what they enclose."""
 
 from __future__ import annotations
 
@@ -32,7 +32,19 @@ _FEW_TRIANGLES = 2000  # of about 1000 points: walls thinner than their edges ar
 
 @dataclass(frozen=True, eq=False)
 class SurfaceMesh:
-    """A closed outward surface: positions (n, 3) m, triangles (t, 3); what was repaired and remarks, one line each."""
+    """Closed outward surface of an organ.
+
+    Attributes
+    ----------
+    positions : Floats, shape (n, 3), m
+        Points.
+    triangles : Ints, shape (t, 3)
+        Corner indices, outward.
+    repairs : tuple[str, ...]
+        What was repaired, one line each.
+    notes : tuple[str, ...]
+        Remarks, one line each.
+    """
 
     positions: Floats
     triangles: Ints
@@ -41,7 +53,7 @@ class SurfaceMesh:
 
     @property
     def genus(self) -> int:
-        """Handles of the surface: 0 for a ball, 1 for a ring."""
+        """Number of handles of the surface: 0 for a ball, 1 for a ring."""
         edges = len(self.triangles) * 3 // 2
         return (2 - len(np.unique(self.triangles)) + edges - len(self.triangles)) // 2
 
@@ -56,15 +68,33 @@ def read_mesh(
 ) -> SurfaceMesh:
     """Read the closed surface of one organ from OBJ, STL, PLY, OFF, glTF, VTK, Gmsh or SOFA's .trian.
 
-    unit: one of `UNITS`, needed for every format but glTF, which is in metres; or longest: the longest side in metres,
-    for files without a unit. part: the part to take where the mesh falls into several, by number (1 is the
-    largest) or by its name in the file; merge_parts: join all that the parts enclose, with new points.
+    The points keep their order. Coinciding points and narrow seams are merged where the surface is open, duplicated
+    triangles and scraps left out, holes up to a tenth of the longest side filled, inward or mixed winding corrected;
+    all of it is reported in `repairs`. glTF is turned from y up into the patient frame.
 
-    The points keep their order. Coinciding points and narrow seams are merged where the surface is open, doubled
-    triangles and scraps left out, holes up to a tenth of the longest side filled, inward or mixed winding turned: told
-    in `repairs`. glTF is turned from y up into the patient frame.
-    Raises UserError naming the file when it is missing, unreadable, wider open (with the width), of several parts
-    none of which dominates (with their volumes), a hollow shell, or no organ in size.
+    Parameters
+    ----------
+    path : str | Path
+        The file.
+    unit : str | None, optional
+        One of `UNITS`; needed for every format but glTF, which is in metres, unless `longest` is given.
+    longest : float | None, m, optional
+        Longest side of the organ, for files without a unit.
+    part : int | str | None, optional
+        Part to take where the mesh falls into several, by number (1 is the largest) or by its name in the file.
+    merge_parts : bool, optional
+        Whether everything that the parts enclose is joined, with new points.
+
+    Returns
+    -------
+    SurfaceMesh
+        The surface.
+
+    Raises
+    ------
+    UserError
+        Where the file is missing, unreadable, too wide open, of several parts none of which dominates, a hollow shell,
+        or of a size that is not an organ's.
     """
     source = Path(path)
     _check_source(source, unit, longest)
@@ -223,10 +253,27 @@ def _check_size(name: str, size: float, unit: str | None) -> None:
 
 
 def voxelize(surface: SurfaceMesh, name: str, longest_axis: int = _LONGEST_AXIS) -> Volume:
-    """Bool Volume of the voxels whose centre the surface encloses, on an isotropic grid in the mesh's frame.
+    """Return the voxels whose centre the surface encloses, on an isotropic grid in the mesh's frame.
 
-    Raises UserError for a thin shell: when the mean thickness of its walls is less than the distance between about 1000
-    points on it, or when the grid misses more than a tenth of the volume.
+    Parameters
+    ----------
+    surface : SurfaceMesh
+        The surface.
+    name : str
+        Name for messages.
+    longest_axis : int, optional
+        Number of voxels along the longest side.
+
+    Returns
+    -------
+    Volume
+        The bool volume.
+
+    Raises
+    ------
+    UserError
+        For a thin shell, whose walls are on average thinner than the distance of about 1000 points spread over it, and
+        where the grid misses more than a tenth of the volume.
     """
     points = surface.positions / MM
     low, high = points.min(axis=0), points.max(axis=0)
@@ -253,5 +300,5 @@ def voxelize(surface: SurfaceMesh, name: str, longest_axis: int = _LONGEST_AXIS)
 
 
 def _wall_thickness(solid: NDArray[np.bool_]) -> float:
-    """Four times the mean depth, voxels: the thickness of a sheet, two thirds of a tube's, half of a ball's."""
+    """Return four times the mean depth, voxels: the thickness of a sheet, two thirds of a tube's, half a ball's."""
     return 4.0 * (float(ndimage.distance_transform_edt(solid)[solid].mean()) - 0.5)

@@ -1,4 +1,4 @@
-"""The parts that a mesh falls into: finding them, choosing the organ among them, joining them into one solid."""
+"""Parts that a mesh falls into: finding them, choosing the organ among them, joining them into one solid."""
 
 from __future__ import annotations
 
@@ -33,10 +33,26 @@ _SHOWN = 8  # parts named in a message
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A part of a mesh: positions (n, 3) m, triangles (t, 3) wound alike, holes, enclosed volume m^3 (holes capped).
+    """One part of a mesh.
 
-    flaw: why it can't be an organ whatever is filled, or empty. repairs: what was done to it. number: place among the
-    file's parts, 1 is the largest.
+    Attributes
+    ----------
+    name : str
+        Its name in the file, or an empty string.
+    positions : Floats, shape (n, 3), m
+        Points.
+    triangles : Longs, shape (t, 3)
+        Corner indices, consistently wound.
+    gaps : tuple[Hole, ...]
+        Its holes.
+    volume : float
+        Enclosed volume, m^3, its holes capped.
+    flaw : str
+        Why it can't be an organ even with its holes filled, or an empty string.
+    repairs : tuple[str, ...]
+        What was repaired, one line each.
+    number : int
+        Rank among the file's parts; 1 is the largest.
     """
 
     name: str
@@ -50,9 +66,21 @@ class Part:
 
 
 def split(pieces: Sequence[Piece], scale: float) -> list[Part]:
-    """The parts of a file's pieces, largest volume first; coinciding points and seams are closed where it is open.
+    """Return the parts of a file's pieces, largest volume first; open parts have coinciding points and seams closed.
 
-    scale: metres in the file's unit. Pieces that meet in the same points (a surface cut into regions) are one part.
+    Pieces that meet in the same points (a surface cut into regions) are one part.
+
+    Parameters
+    ----------
+    pieces : Sequence[Piece]
+        Pieces of the file.
+    scale : float
+        Metres in the file's unit.
+
+    Returns
+    -------
+    list[Part]
+        The parts.
     """
     first = np.cumsum([0, *(len(piece.positions) for piece in pieces)])
     positions = np.concatenate([piece.positions for piece in pieces]) * scale
@@ -96,7 +124,7 @@ def _part(names: Sequence[str], positions: Floats, triangles: Longs, crowd: int,
 
 
 def _seamless(part: Part) -> Part:
-    """One part of several, with the seams in itself closed."""
+    """Return a part, one of several, with its own seams closed."""
     if not part.gaps or part.flaw:
         return part
     closed, told = close_seams(part.positions, part.triangles, across=True)
@@ -115,10 +143,28 @@ def _seamless(part: Part) -> Part:
 
 
 def choose(parts: Sequence[Part], name: str, wanted: int | str | None) -> Part:
-    """The part that is the organ: the one of the given number or name, else the one that clearly dominates.
+    """Return the part that is the organ: the one of the given number or name, else the one that clearly dominates.
 
-    Small parts beside it and cavities inside it are left out and told in its repairs. Raises UserError naming the parts
-    where none dominates, and for a hollow shell.
+    Small parts beside it and cavities inside it are left out and reported in its repairs.
+
+    Parameters
+    ----------
+    parts : Sequence[Part]
+        The parts, largest first.
+    name : str
+        Name for messages.
+    wanted : int | str | None
+        Number or name of the part; None for the one that dominates.
+
+    Returns
+    -------
+    Part
+        The part.
+
+    Raises
+    ------
+    UserError
+        Where there is no such part, where none dominates, and for a hollow shell.
     """
     if isinstance(wanted, str) and wanted.isdigit():
         wanted = int(wanted)
@@ -179,9 +225,24 @@ def _listed(parts: Sequence[Part]) -> str:
 
 
 def closed_part(part: Part, name: str) -> Part:
-    """The part without holes: those up to a tenth of its longest side are filled, without new points, and told.
+    """Return the part with its holes filled, up to a tenth of its longest side, without new points.
 
-    Raises UserError naming what can't be repaired and the widest hole's width.
+    Parameters
+    ----------
+    part : Part
+        The part.
+    name : str
+        Name for messages.
+
+    Returns
+    -------
+    Part
+        The part without holes; the filling is reported in its repairs.
+
+    Raises
+    ------
+    UserError
+        Where it can't be repaired, or its widest hole is too wide.
     """
     if part.flaw:
         raise UserError(f"surface {name} {part.flaw}; make it a simple closed surface first")

@@ -1,4 +1,4 @@
-"""Repairs of triangle surfaces: coinciding points, seams, doubled triangles, winding, small holes."""
+"""Repairs of triangle surfaces: coinciding points, seams, duplicated triangles, winding, small holes."""
 
 from __future__ import annotations
 
@@ -24,31 +24,72 @@ _LONGEST_RIM = 1500  # points: the triangulation takes their cube
 
 @dataclass(frozen=True, eq=False)
 class Hole:
-    """A hole: its rim (k,) point indices in the order that closes it, and its width (largest distance on the rim)."""
+    """Hole of a surface.
+
+    Attributes
+    ----------
+    rim : Longs, shape (k,)
+        Point indices in the order that closes it.
+    width : float
+        Largest distance of two points of the rim.
+    """
 
     rim: Longs
     width: float
 
 
 def longest_side(positions: Floats) -> float:
-    """Longest side of the points' bounding box."""
+    """Return the longest side of the points' bounding box.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+
+    Returns
+    -------
+    float
+        Length, in the unit of the points.
+    """
     return float(np.ptp(positions, axis=0).max()) if len(positions) else 0.0
 
 
 def once_used_edges(triangles: Longs) -> Longs:
-    """Directed edges (k, 2) whose undirected edge belongs to one triangle only."""
+    """Return the directed edges whose undirected edge belongs to one triangle only.
+
+    Parameters
+    ----------
+    triangles : Longs, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    Longs, shape (k, 2)
+        Point indices.
+    """
     edges, _, count = _edges(triangles)
     return edges[count == 1]
 
 
 def crowded_edges(triangles: Longs) -> int:
-    """Number of edges with more than two triangles."""
+    """Return the number of edges with more than two triangles.
+
+    Parameters
+    ----------
+    triangles : Longs, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    int
+        The number.
+    """
     _, keys, count = _edges(triangles)
     return len(np.unique(keys[count > 2]))
 
 
 def _edges(triangles: Longs) -> tuple[Longs, Longs, Longs]:
-    """All directed edges (k, 2), a key (k,) for each that its opposite shares, and how many triangles use it."""
+    """Return all directed edges (k, 2), a key (k,) that opposite edges share, and how many triangles use each."""
     directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     n = int(triangles.max()) + 1 if len(triangles) else 1
     keys = directed.min(axis=1) * n + directed.max(axis=1)
@@ -57,10 +98,23 @@ def _edges(triangles: Longs) -> tuple[Longs, Longs, Longs]:
 
 
 def close_seams(positions: Floats, triangles: Longs, across: bool) -> tuple[Longs, tuple[str, ...]]:
-    """Merge coinciding points where the surface is open, and says what was done.
+    """Merge coinciding points where the surface is open.
 
-    across: merge rim points across narrow seams too. positions (n, 3), triangles (t, 3); a closed surface keeps
-    every point. Triangles that lose a corner go.
+    A closed surface keeps every point. Triangles that lose a corner are dropped.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Longs, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    across : bool
+        Whether rim points are also merged across narrow seams.
+
+    Returns
+    -------
+    tuple[Longs, tuple[str, ...]]
+        The triangles, and lines that describe what was done.
     """
     told: list[str] = []
     triangles = triangles[_three_corners(triangles)]
@@ -90,7 +144,7 @@ def _three_corners(triangles: Longs) -> NDArray[np.bool_]:
 
 
 def _merge_equal(positions: Floats, triangles: Longs) -> tuple[int, Longs]:
-    """Let triangles use the first of all points with equal coordinates; and how many points lost their use."""
+    """Return how many points fall out of use, and triangles that use the first of all points of equal coordinates."""
     before = len(np.unique(triangles))
     order = np.lexsort((np.arange(len(positions)), *positions.T))
     fresh = np.ones(len(positions), dtype=bool)
@@ -103,7 +157,7 @@ def _merge_equal(positions: Floats, triangles: Longs) -> tuple[int, Longs]:
 
 
 def _merge(positions: Floats, triangles: Longs, among: Longs, reach: float) -> tuple[int, Longs]:
-    """Let triangles use the first of all points within `reach`; and the number of points that lost their use."""
+    """Return how many points fall out of use, and triangles that use the first of all points within `reach`."""
     pairs = cKDTree(positions[among]).query_pairs(reach, output_type="ndarray")
     if not len(pairs):
         return 0, triangles
@@ -120,7 +174,18 @@ def _merge(positions: Floats, triangles: Longs, among: Longs, reach: float) -> t
 
 
 def without_doubles(triangles: Longs) -> tuple[Longs, int]:
-    """Each triangle once, whatever its winding; and how many were left out."""
+    """Return each triangle once, whatever its winding.
+
+    Parameters
+    ----------
+    triangles : Longs, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    tuple[Longs, int]
+        The triangles, and how many were left out.
+    """
     corners = np.sort(triangles, axis=1)
     order = np.lexsort((np.arange(len(corners)), *corners.T[::-1]))
     fresh = np.ones(len(corners), dtype=bool)
@@ -129,7 +194,20 @@ def without_doubles(triangles: Longs) -> tuple[Longs, int]:
 
 
 def wound_alike(positions: Floats, triangles: Longs) -> Longs | None:
-    """The triangles with one winding in each part (trimesh.repair.fix_winding); None where there is none."""
+    """Return the triangles with one winding in each part (trimesh.repair.fix_winding).
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Longs, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    Longs | None, shape (t, 3)
+        The triangles; None where no winding is consistent.
+    """
     mesh = trimesh.Trimesh(positions, triangles, process=False)
     if mesh.is_winding_consistent:
         return triangles
@@ -142,7 +220,18 @@ def wound_alike(positions: Floats, triangles: Longs) -> Longs | None:
 
 
 def components(triangles: Longs) -> list[Longs]:
-    """Triangle indices of the parts that hang together over edges of two triangles, in order of the first."""
+    """Return the parts that are connected by edges of two triangles, in order of their first triangle.
+
+    Parameters
+    ----------
+    triangles : Longs, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    list[Longs]
+        Triangle indices of each part.
+    """
     mesh = trimesh.Trimesh(np.zeros((int(triangles.max()) + 1, 3)), triangles, process=False)
     label = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(triangles))
     order = np.argsort(label, kind="stable")
@@ -151,7 +240,20 @@ def components(triangles: Longs) -> list[Longs]:
 
 
 def holes(positions: Floats, triangles: Longs) -> list[Hole]:
-    """The holes of a consistently wound surface, widest first."""
+    """Return the holes of a consistently wound surface, widest first.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Longs, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    list[Hole]
+        The holes.
+    """
     found = []
     for rim in _rims(once_used_edges(triangles)):
         points = positions[rim]
@@ -161,7 +263,7 @@ def holes(positions: Floats, triangles: Longs) -> list[Hole]:
 
 
 def _rims(edges: Longs) -> list[Longs]:
-    """Simple closed loops of the reversed edges; where rims touch in a point they are cut apart."""
+    """Return simple closed loops of the reversed edges; rims that touch in a point are separated there."""
     onward: dict[int, list[int]] = {}
     for a, b in edges.tolist():
         onward.setdefault(b, []).append(a)
@@ -184,10 +286,27 @@ def _rims(edges: Longs) -> list[Longs]:
 
 
 def fill(positions: Floats, triangles: Longs, gaps: Sequence[Hole]) -> Longs | None:
-    """The triangles with the holes closed by the triangulation of least area, without new points.
+    """Return the triangles with the holes closed by the triangulation of least area, without new points.
 
-    After Barequet and Sharir (1995): dynamic programming over the rim; edges that the surface has already are not
-    used again. None where a rim is too long or allows no such triangulation.
+    Dynamic programming over the rim; edges that the surface already has are not used again.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Longs, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    gaps : Sequence[Hole]
+        Its holes.
+
+    Returns
+    -------
+    Longs | None, shape (t, 3)
+        The triangles; None where a rim is too long or allows no such triangulation.
+
+    References
+    ----------
+    Barequet & Sharir 1995: Filling gaps in the boundary of a polyhedron.
     """
     n = len(positions)
     patches = [triangles]
@@ -209,7 +328,7 @@ def fill(positions: Floats, triangles: Longs, gaps: Sequence[Hole]) -> Longs | N
 
 @kernel
 def _least_area(points: Floats, taken: NDArray[np.bool_]) -> Longs:
-    """Triangles (k - 2, 3) of the polygon points (k, 3) with the least area; chords that are `taken` are not used."""
+    """Return the triangles (k - 2, 3) of least area of the polygon points (k, 3), without the chords `taken`."""
     k = points.shape[0]
     cost = np.full((k, k), np.inf)
     best = np.full((k, k), -1, dtype=np.int64)
@@ -252,7 +371,22 @@ def _least_area(points: Floats, taken: NDArray[np.bool_]) -> Longs:
 
 
 def capped_volume(positions: Floats, triangles: Longs, gaps: Sequence[Hole]) -> float:
-    """Signed volume of a wound surface whose holes are capped by fans around their rims' middles."""
+    """Return the signed volume of a wound surface whose holes are capped by fans around their rims' centres.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Longs, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    gaps : Sequence[Hole]
+        Its holes.
+
+    Returns
+    -------
+    float
+        Volume, in the cube of the points' unit.
+    """
     centre = positions[triangles[:, 0]].mean(axis=0)
     a, b, c = (positions[triangles[:, k]] - centre for k in range(3))
     total = float(np.einsum("ij,ij->", a, np.cross(b, c)))
@@ -263,6 +397,19 @@ def capped_volume(positions: Floats, triangles: Longs, gaps: Sequence[Hole]) -> 
 
 
 def area_of(positions: Floats, triangles: Longs) -> float:
-    """Area of the triangles."""
+    """Return the area of the triangles.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Longs, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    float
+        Area, in the square of the points' unit.
+    """
     a, b, c = (positions[triangles[:, k]] for k in range(3))
     return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())

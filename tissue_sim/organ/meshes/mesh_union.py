@@ -1,4 +1,4 @@
-"""Organs made of parts that touch (a heart's walls): one solid around all that they enclose, by voxels."""
+"""Union of parts that touch, as the walls of a heart: one solid around all that they enclose, by voxels."""
 
 from __future__ import annotations
 
@@ -25,13 +25,30 @@ _SMOOTHING = 0.7  # voxels
 
 
 def merged(parts: Sequence[Part], name: str) -> Part:
-    """One part around all that the parts enclose: their voxels, without chambers, and marching cubes on those.
+    """Return one part around all that the parts enclose: their voxels, without chambers, then marching cubes.
 
     Every part is closed first, whatever the width of its holes: inside a union a cap does no harm. Chambers whose
     openings (vessels, valves) let no ball with a radius of a tenth of the longest side through are filled. Parts that
     can't be closed, sheets thinner than three voxels and loose pieces are left out where they hold less than a tenth of
-    the volume; larger loose pieces are joined across their gaps. All is told. The points are new. Raises UserError
-    where more can't be closed, where pieces lie too far apart, and where nothing is left.
+    the volume; larger loose pieces are joined across their gaps. All of it is reported in the repairs. The points are
+    new.
+
+    Parameters
+    ----------
+    parts : Sequence[Part]
+        The parts, largest first.
+    name : str
+        Name for messages.
+
+    Returns
+    -------
+    Part
+        The part.
+
+    Raises
+    ------
+    UserError
+        Where too much can't be closed, where pieces lie too far apart, and where nothing is left.
     """
     points = np.concatenate([part.positions for part in parts])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -94,12 +111,11 @@ def merged(parts: Sequence[Part], name: str) -> Part:
 
 
 def without_chambers(solid: Mask, radius: float) -> Mask:
-    """The solid (nz, ny, nx) with its chambers filled: hollows wider than their openings.
+    """Return the solid (nz, ny, nx) with its chambers filled: hollows wider than their openings.
 
-    An opening is what no ball of `radius` voxels passes.
-
-    For balls of growing radius: a closing by the ball shuts the openings, and what it then shuts off from the outside
-    is a chamber, filled up to the plugs in its openings. Grooves, as wide as they open, stay.
+    An opening is what no ball of `radius` voxels passes. For balls of growing radius, a closing by the ball shuts the
+    openings; what it then separates from the outside is a chamber, filled up to the plugs in its openings. Grooves,
+    which are as wide as their opening, stay.
     """
     margin = int(radius) + 2
     found = np.pad(solid, margin)
@@ -131,7 +147,7 @@ def _largest(solid: Mask) -> Mask:
 
 
 def _outermost(positions: Floats, triangles: Longs) -> tuple[Floats, Longs]:
-    """The part that encloses most."""
+    """Return the part that encloses most."""
     parts = components(triangles)
     volumes = [abs(capped_volume(positions, triangles[part], ())) for part in parts]
     used, inverse = np.unique(triangles[parts[int(np.argmax(volumes))]], return_inverse=True)

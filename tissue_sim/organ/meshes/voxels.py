@@ -11,10 +11,22 @@ from tissue_sim.jit import kernel
 
 @kernel
 def enclosed(points: Floats, triangles: Ints, size: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Voxels whose centre the surface winds around, by signed crossings along z.
+    """Return the voxels whose centre the surface winds around, by signed crossings along z.
 
-    points (n, 3) in voxels, order x, y, z, centres at whole numbers; triangles (t, 3) outward; size: voxels along
-    x, y, z. Points and edges should not lie exactly on columns of centres. Returns (nz, ny, nx) bool.
+    Parameters
+    ----------
+    points : Floats, shape (n, 3), voxels
+        Points in order x, y, z; voxel centres are at whole numbers. Points and edges should not lie exactly on columns
+        of centres.
+    triangles : Ints, shape (t, 3)
+        Corner indices, outward.
+    size : NDArray[np.int64], shape (3,)
+        Number of voxels along x, y, z.
+
+    Returns
+    -------
+    NDArray[np.bool_], shape (nz, ny, nx)
+        The enclosed voxels.
     """
     nx, ny, nz = size[0], size[1], size[2]
     winding = np.zeros((nz + 1, ny, nx), dtype=np.int16)
@@ -47,5 +59,16 @@ def enclosed(points: Floats, triangles: Ints, size: NDArray[np.int64]) -> NDArra
 
 
 def off_grid(points: Floats) -> Floats:
-    """The points shifted by a few thousandths of a voxel, off the columns of centres that meshes like to lie on."""
+    """Return the points shifted by a few thousandths of a voxel, off the columns of centres on which meshes often lie.
+
+    Parameters
+    ----------
+    points : Floats, shape (n, 3), voxels
+        Points.
+
+    Returns
+    -------
+    Floats, shape (n, 3), voxels
+        The shifted points.
+    """
     return points + np.array([0.00137, 0.00731, 0.00353])

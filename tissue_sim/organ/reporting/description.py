@@ -1,4 +1,4 @@
-"""What an organ holds: its figures, and those as lines of text."""
+"""Figures of an organ, and their presentation as lines of text."""
 
 from __future__ import annotations
 
@@ -23,10 +23,21 @@ UNITS = "SI: m, kg, s, N, Pa"
 
 
 def describe(organ: Organ) -> dict[str, Any]:
-    """All figures of an organ, nested, ready for JSON; units stand in the names: mm, mL, g, N/m, Pa, kg/m^3, degrees.
+    """Return all figures of an organ, nested, ready for JSON.
 
-    A range is an object of `least`, `median` and `largest`. `variation` is the standard deviation over the mean;
-    `least_ball_radius` that of the smallest ball whose force the surface is fine enough for.
+    Units stand in the names: mm, mL, g, N/m, Pa, kg/m^3, degrees. A range is an object of `least`, `median` and
+    `largest`. `variation` is the standard deviation over the mean; `least_ball_radius` is the radius of the smallest
+    ball for whose force the surface is fine enough.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    dict[str, Any]
+        The figures by name.
     """
     surface = organ.surface_positions
     quality = measure(surface, organ.surface_triangles)
@@ -87,7 +98,7 @@ def _skeleton(organ: Organ) -> dict[str, Any]:
 
 
 def _branches(neighbours: NDArray[np.int64]) -> int:
-    """Lines between tips and junctions of a tree, from every atom's number of neighbours."""
+    """Return the number of lines between tips and junctions of a tree, from every atom's number of neighbours."""
     return int(neighbours[neighbours != 2].sum()) // 2
 
 
@@ -151,7 +162,23 @@ def _range(values: Floats) -> dict[str, float]:
 
 
 def file_header(path: str | Path) -> dict[str, Any]:
-    """Schema version and units as the file states them; the file has been checked by Organ.load."""
+    """Return the schema version and units as the file states them; the file has been checked by Organ.load.
+
+    Parameters
+    ----------
+    path : str | Path
+        The file.
+
+    Returns
+    -------
+    dict[str, Any]
+        The stated values by name.
+
+    Raises
+    ------
+    UserError
+        Where the file changed in the meantime.
+    """
     try:
         with np.load(Path(path), allow_pickle=False) as stored:
             header = json.loads(str(stored["header"]))
@@ -172,7 +199,20 @@ _NAMES = {
 
 
 def text_lines(found: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
-    """The figures of `describe`, or a provenance, as lines of text, nested by indentation."""
+    """Yield the figures of `describe`, or a provenance, as lines of text, nested by indentation.
+
+    Parameters
+    ----------
+    found : Mapping[str, Any]
+        The figures by name.
+    indent : int, optional
+        Level of indentation.
+
+    Yields
+    ------
+    Iterator[str]
+        One line.
+    """
     pad = "  " * indent
     for key, value in found.items():
         if is_nested(value):
@@ -184,19 +224,41 @@ def text_lines(found: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
 
 
 def is_nested(value: Any) -> bool:
-    """Whether a value needs lines of its own: a mapping that is no range, or a list that holds one or a list."""
+    """Return whether a value needs lines of its own: a mapping that is no range, or a list of lists or mappings.
+
+    Parameters
+    ----------
+    value : Any
+        The value.
+
+    Returns
+    -------
+    bool
+        True where it is nested.
+    """
     if isinstance(value, Mapping):
         return not is_range(value)
     return isinstance(value, list | tuple) and any(isinstance(item, Mapping | list | tuple) for item in value)
 
 
 def is_range(value: Any) -> bool:
-    """Whether a value is a range as `describe` makes it."""
+    """Return whether a value is a range as `describe` makes it."""
     return isinstance(value, Mapping) and value.keys() == {"least", "median", "largest"}
 
 
 def label(key: str) -> str:
-    """A key as words, its unit in parentheses: `edge_mean_mm` reads `edge mean (mm)`; `tissue_sim` keeps its name."""
+    """Return a key as words, its unit in parentheses: `edge_mean_mm` gives `edge mean (mm)`; `tissue_sim` is kept.
+
+    Parameters
+    ----------
+    key : str
+        The key.
+
+    Returns
+    -------
+    str
+        The words.
+    """
     if key in _NAMES:
         return _NAMES[key]
     for suffix, unit in _UNITS.items():
@@ -206,7 +268,18 @@ def label(key: str) -> str:
 
 
 def shown(value: Any) -> str:
-    """A plain value as text: numbers to four digits that count, `least to largest, median m` for a range."""
+    """Return a plain value as text: four significant digits, `least to largest, median m` for a range.
+
+    Parameters
+    ----------
+    value : Any
+        The value.
+
+    Returns
+    -------
+    str
+        The text.
+    """
     if is_range(value):
         return f"{shown(value['least'])} to {shown(value['largest'])}, median {shown(value['median'])}"
     if isinstance(value, list | tuple):

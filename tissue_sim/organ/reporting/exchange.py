@@ -1,7 +1,7 @@
-"""An organ's surface, its skeleton and its cells as files of other programs.
+"""Export of an organ's surface, its skeleton and its cells to files of other programs.
 
-Positions stand in the frame and order of the organ file, in metres or millimetres; no format here has a field for
-the unit, so every file names it in a comment. OBJ, VTP and VTU keep double precision, PLY and STL surfaces single.
+Positions are in the frame and order of the organ file, in metres or millimetres; no format here has a field for the
+unit, so every file names it in a comment. OBJ, VTP and VTU keep double precision, PLY and STL surfaces single.
 """
 
 from __future__ import annotations
@@ -24,13 +24,24 @@ _OBJ_DIGITS = 12  # after the point: a millionth of a micrometre
 
 
 def bones(organ: Organ) -> Ints:
-    """Pairs (m, 2) of neighbouring atoms: each and its neighbour towards the root."""
+    """Return the pairs of neighbouring atoms: each atom and its neighbour towards the root.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Returns
+    -------
+    Ints, shape (m, 2)
+        Atom indices.
+    """
     child = np.flatnonzero(organ.atom_parent >= 0)
     return np.stack([child, organ.atom_parent[child]], axis=1).astype(np.int32)
 
 
 def _comment(organ: Organ, unit: str, what: str = "surface") -> str:
-    """One line of plain ASCII; without the word that some readers of PLY take for the header's end wherever it is."""
+    """Return a line of plain ASCII, without the word that some PLY readers take for the header's end anywhere."""
     name = " ".join(organ.name.encode("ascii", "replace").decode().replace("end_header", "end header").split())
     words = {"m": "metres", "mm": "millimetres"}[unit]
     return f"tissue_sim organ {name}: {what}, positions in {words}"
@@ -40,7 +51,7 @@ def _comment(organ: Organ, unit: str, what: str = "surface") -> str:
 
 
 def surface_obj(organ: Organ, unit: str) -> bytes:
-    """The surface as Wavefront OBJ."""
+    """Return the surface as Wavefront OBJ."""
     from trimesh.exchange.obj import export_obj
 
     text = export_obj(
@@ -55,7 +66,7 @@ def surface_obj(organ: Organ, unit: str) -> bytes:
 
 
 def surface_ply(organ: Organ, unit: str) -> bytes:
-    """The surface as binary PLY."""
+    """Return the surface as binary PLY."""
     from trimesh.exchange.ply import export_ply
 
     content = export_ply(_mesh(organ, unit), vertex_normal=False)
@@ -64,14 +75,14 @@ def surface_ply(organ: Organ, unit: str) -> bytes:
 
 
 def surface_stl(organ: Organ, unit: str) -> bytes:
-    """The surface as binary STL; the order of the points is lost, as STL has only triangles."""
+    """Return the surface as binary STL; the order of the points is lost, as STL has only triangles."""
     from trimesh.exchange.stl import export_stl
 
     return _comment(organ, unit).encode()[:80].ljust(80) + export_stl(_mesh(organ, unit))[80:]
 
 
 def surface_vtp(organ: Organ, unit: str) -> bytes:
-    """The surface as VTK XML PolyData with what the model knows of each point."""
+    """Return the surface as VTK XML PolyData with the model's data of each point."""
     n = organ.n_surface
     held = np.zeros(n, dtype=np.uint8)
     held[organ.fixed] = 1
@@ -96,7 +107,7 @@ def _mesh(organ: Organ, unit: str) -> Any:
 
 
 def skeleton_obj(organ: Organ, unit: str) -> bytes:
-    """The skeleton as Wavefront OBJ lines."""
+    """Return the skeleton as Wavefront OBJ lines."""
     points = organ.atom_positions * UNITS[unit]
     rows = [f"# {_comment(organ, unit, 'skeleton')}"]
     rows += [f"v {x:.{_OBJ_DIGITS}f} {y:.{_OBJ_DIGITS}f} {z:.{_OBJ_DIGITS}f}" for x, y, z in points]
@@ -105,7 +116,7 @@ def skeleton_obj(organ: Organ, unit: str) -> bytes:
 
 
 def skeleton_ply(organ: Organ, unit: str) -> bytes:
-    """The skeleton as ASCII PLY with edges; each point has its radius, in the same unit."""
+    """Return the skeleton as ASCII PLY with edges; each point has its radius, in the same unit."""
     scale, links = UNITS[unit], bones(organ)
     rows = ["ply", "format ascii 1.0", f"comment {_comment(organ, unit, 'skeleton')}"]
     rows += [f"element vertex {organ.n_atoms}"]
@@ -118,7 +129,7 @@ def skeleton_ply(organ: Organ, unit: str) -> bytes:
 
 
 def skeleton_vtp(organ: Organ, unit: str) -> bytes:
-    """The skeleton as VTK XML PolyData lines, with radius (in the same unit), mass and parent of each atom."""
+    """Return the skeleton as VTK XML PolyData lines, with radius (in the same unit), mass and parent of each atom."""
     first = organ.n_surface
     data: dict[str, NDArray[Any]] = {
         f"radius_{unit}": organ.atom_radius * UNITS[unit],
@@ -133,7 +144,7 @@ def skeleton_vtp(organ: Organ, unit: str) -> bytes:
 
 
 def cells_vtu(organ: Organ, unit: str) -> bytes:
-    """All nodes and the cells between them as a VTK XML UnstructuredGrid, with what the model knows of each."""
+    """Return all nodes and cells as a VTK XML UnstructuredGrid with the model's data."""
     held = np.zeros(organ.n_nodes, dtype=np.uint8)
     held[organ.fixed] = 1
     nodes: dict[str, NDArray[Any]] = {"held": held, "mass_kg": organ.mass, "damping_kg_per_s": organ.damping}
@@ -142,7 +153,7 @@ def cells_vtu(organ: Organ, unit: str) -> bytes:
     return tetrahedra(positions, organ.cell_nodes, nodes, moduli, comment=_comment(organ, unit, "cells"))
 
 
-# Writers by a file's ending: of the organ, in a unit of UNITS.
+# Writers by suffix; each takes the organ and one of UNITS.
 SURFACES: dict[str, Writer] = {".ply": surface_ply, ".obj": surface_obj, ".stl": surface_stl, ".vtp": surface_vtp}
 LINES: dict[str, Writer] = {".ply": skeleton_ply, ".obj": skeleton_obj, ".vtp": skeleton_vtp}
 CELLS: dict[str, Writer] = {".vtu": cells_vtu}

@@ -1,4 +1,4 @@
-"""The report of a build: one HTML page with pictures and figures of every stage, complete in itself."""
+"""Report of a build: one self-contained HTML page with pictures and figures of every stage."""
 
 from __future__ import annotations
 
@@ -63,7 +63,12 @@ footer { color: #77818d; font-size: .85rem; margin-top: 3rem; }
 class Surfaces:
     """Both surfaces of a build in mm of the organ's frame, and their figures.
 
-    raw: marching cubes on the mask as segmented; smooth: on the wall, the reference of `comparison`.
+    Attributes
+    ----------
+    raw : MarchingCubesReport
+        Marching cubes on the mask as segmented.
+    smooth : MarchingCubesReport
+        Marching cubes on the wall, the reference of `comparison`.
     """
 
     cubes: Surface
@@ -75,9 +80,21 @@ class Surfaces:
 
 
 def write_report(record: BuildRecord, path: str | Path, organ_file: str = "") -> None:
-    """Write the page of a finished build to `path`.
+    """Write the report of a finished build.
 
-    Raises UserError when the record is of no finished build, or the file can't be written.
+    Parameters
+    ----------
+    record : BuildRecord
+        Results of the stages.
+    path : str | Path
+        The HTML file.
+    organ_file : str, optional
+        Name of the organ file, for the heading.
+
+    Raises
+    ------
+    UserError
+        Where the build isn't finished, or the file can't be written.
     """
     page = report_page(record, organ_file)
     try:
@@ -87,7 +104,7 @@ def write_report(record: BuildRecord, path: str | Path, organ_file: str = "") ->
 
 
 def report_page(record: BuildRecord, organ_file: str = "") -> str:
-    """The page as HTML; every text that comes from outside is escaped. Raises UserError for an unfinished build."""
+    """Return the page as HTML; every text from outside is escaped. Raises UserError for an unfinished build."""
     organ, wall = record.organ, record.wall
     if organ is None or wall is None or record.mask is None:
         raise UserError("the report needs a finished build")
@@ -120,7 +137,7 @@ def report_page(record: BuildRecord, organ_file: str = "") -> str:
 
 
 def compared(organ: Organ, wall: Wall, record: BuildRecord) -> Surfaces:
-    """Marching cubes and the organ's surface, measured and compared as in the paper, in mm."""
+    """Return marching cubes and the organ's surface, measured and compared as in the paper, in mm."""
     positions, triangles = marching_cubes_surface(wall)
     cubes = wall.to_patient(positions) * 1e3, wall.outward(triangles)
     surface = organ.surface_positions * 1e3, organ.surface_triangles
@@ -299,7 +316,7 @@ def _provenance_part(record: BuildRecord, organ: Organ, figures: Mapping[str, An
 
 
 def flat(nested: Mapping[str, Any], before: str = "") -> list[tuple[str, str]]:
-    """Nested figures as rows of words and text."""
+    """Return nested figures as rows of words and text."""
     rows: list[tuple[str, str]] = []
     for key, value in nested.items():
         words = f"{before}{label(str(key))}"
@@ -312,7 +329,7 @@ def flat(nested: Mapping[str, Any], before: str = "") -> list[tuple[str, str]]:
 
 
 def _edges_and_angles(surface: Surface) -> tuple[Floats, Floats]:
-    """Length of every edge, mm, and every angle, degrees."""
+    """Return the length of every edge, mm, and every angle, degrees."""
     positions, t = surface
     edges = np.unique(np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1), axis=0)
     length = np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1)
@@ -336,7 +353,7 @@ def _row(*figures: str) -> str:
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """First column words, the others figures."""
+    """Return an HTML table whose first column holds words, the others figures."""
     top = "".join(f"<th{' class="n"' if k else ''}>{escape(text)}</th>" for k, text in enumerate(head))
     body = "".join(
         "<tr>" + "".join(f'<td class="{"n" if k else "k"}">{escape(text)}</td>' for k, text in enumerate(row)) + "</tr>"

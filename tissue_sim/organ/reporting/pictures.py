@@ -22,7 +22,7 @@ from tissue_sim.organ.reporting.render import Solid, View, balls, draw, rods, vi
 
 Surface = tuple[Floats, Ints]
 
-# Okabe and Ito's colours, told apart by every eye.
+# Okabe and Ito's colours, which colour-blind readers can tell apart.
 MASK, CUBES, BALLOON, ATOMS = "#f0e442", "#56b4e9", "#d55e00", "#cc79a7"
 _CUBES_SKIN, _BALLOON_SKIN = (0.52, 0.76, 0.92), (0.95, 0.66, 0.46)
 _GLASS, _ATOM, _BONE, _SPOKE = (0.45, 0.55, 0.70), (0.78, 0.18, 0.12), (0.30, 0.30, 0.34), (0.55, 0.62, 0.72)
@@ -43,9 +43,22 @@ _STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Plane:
-    """A slice: its name, the axis that it is across, the axes to the right and up (-1: reversed), its border letters.
+    """Slice plane of the patient frame.
 
-    letters: left, right, top, bottom of the picture, for the patient frame LPS.
+    Attributes
+    ----------
+    name : str
+        Name for the title.
+    across : int
+        Axis perpendicular to the plane.
+    right : int
+        Axis that points right in the picture.
+    up : int
+        Axis that is vertical in the picture.
+    up_sign : int
+        -1 where that axis points down.
+    letters : str
+        Letters at the left, right, top and bottom border, for the frame LPS.
     """
 
     name: str
@@ -56,7 +69,7 @@ class Plane:
     letters: str
 
 
-# As radiologists look: axial from the feet, coronal from the front, sagittal from the patient's left.
+# Views as in radiology: axial from the feet, coronal from the front, sagittal from the patient's left.
 PLANES = (
     Plane("axial", 2, 0, 1, -1, "RLAP"),
     Plane("coronal", 1, 0, 2, +1, "RLHF"),
@@ -74,10 +87,29 @@ def slices(
     patient: bool,
     seed: Floats | None = None,
 ) -> bytes:
-    """PNG of three slices through `centre` (3,) of the CT (or the mask): the mask's outline and those of surfaces.
+    """Return a PNG of three slices through the CT (or the mask), with the outlines of the mask and of surfaces.
 
-    outlines: (label, colour, surface). atoms (a, 3): shown where they lie near a slice. patient: the frame
-    is LPS, so the borders are named after it.
+    Parameters
+    ----------
+    ct : Volume | None
+        The image; None for none.
+    mask : Volume | None
+        The mask; None for none.
+    outlines : Sequence[tuple[str, str, Surface]]
+        Label, colour and surface (mm) of each outline.
+    atoms : Floats, shape (a, 3), mm
+        Medial atoms, shown where they lie near a slice.
+    centre : Floats, shape (3,), mm
+        Point through which the slices go.
+    patient : bool
+        Whether the frame is LPS, so that the borders are lettered.
+    seed : Floats | None, shape (3,), mm, optional
+        Seed point; None for none.
+
+    Returns
+    -------
+    bytes
+        The PNG file.
     """
     everything = np.concatenate([surface[0] for _, _, surface in outlines])
     low, high = everything.min(axis=0) - _MARGIN, everything.max(axis=0) + _MARGIN
@@ -138,7 +170,7 @@ def _slice(
 
 
 def _sampled(volume: Volume, points: Floats, outside: float) -> NDArray[np.float32]:
-    """Values of the image (linear) or the mask (of the nearest voxel, so that its steps show) at points (h, w, 3)."""
+    """Return values of the image (linear) or the mask (nearest voxel, so that its steps show) at points (h, w, 3)."""
     index = np.moveaxis(volume.to_index(points), -1, 0)[::-1]
     array, order = (volume.array.astype(np.uint8), 0) if volume.array.dtype == bool else (volume.array, 1)
     return map_coordinates(array, index, output=np.float32, order=order, mode="constant", cval=outside)
@@ -198,7 +230,17 @@ def _slice_legend(figure: Any, outlines: Sequence[tuple[str, str, Surface]], wit
 
 @dataclass(frozen=True)
 class Picture:
-    """A rendered picture: PNG, its width in pixels, and the length of its scale bar in mm."""
+    """Rendered picture.
+
+    Attributes
+    ----------
+    png : bytes
+        The PNG file.
+    width : int
+        Width in pixels.
+    bar : float
+        Length of its scale bar, mm.
+    """
 
     png: bytes
     width: int
@@ -206,9 +248,19 @@ class Picture:
 
 
 def views(positions: Floats) -> tuple[View, View]:
-    """Two views with z up that `positions` (n, 3) fill: from the front (-y) and from the side (+x), the broader first.
+    """Return two views with z up that the points fill: from the front (-y) and the side (+x), the broader first.
 
-    A little from above and beside, so that the shape shows.
+    Both look slightly from above and from beside, so that the shape shows.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3), mm
+        Points.
+
+    Returns
+    -------
+    tuple[View, View]
+        The views.
     """
     found = []
     for towards in ((0.35, -1.0, 0.22), (1.0, -0.35, 0.22)):
@@ -222,23 +274,73 @@ def views(positions: Floats) -> tuple[View, View]:
 
 
 def surface_picture(view: View, surface: Surface, *, cubes: bool) -> Picture:
-    """Shaded triangles with their edges, in the colour of marching cubes or of the balloon."""
+    """Return a picture of shaded triangles with their edges.
+
+    Parameters
+    ----------
+    view : View
+        The camera.
+    surface : Surface
+        The surface, mm.
+    cubes : bool
+        Whether it has the colour of marching cubes; otherwise that of the balloon.
+
+    Returns
+    -------
+    Picture
+        The picture.
+    """
     skin = _CUBES_SKIN if cubes else _BALLOON_SKIN
     edge = float(np.linalg.norm(surface[0][surface[1][:, 0]] - surface[0][surface[1][:, 1]], axis=1).mean())
-    # Thin where triangles are few pixels wide, or nothing but lines would be seen.
+    # Lines are thin where triangles are few pixels wide, or they would cover everything.
     lines = float(np.clip(0.06 * edge * view.scale, 0.25, 0.9))
     return _with_bar(view, draw(view, [Solid(*surface, skin, lines, smooth=False)]))
 
 
 def skeleton_picture(view: View, surface: Surface, atoms: Floats, links: Ints) -> Picture:
-    """The medial atoms (a, 3) and the links (m, 2) between them inside the translucent surface (Fig. 4 A)."""
+    """Return a picture of the medial atoms and their links inside the translucent surface (Fig. 4 A).
+
+    Parameters
+    ----------
+    view : View
+        The camera.
+    surface : Surface
+        The surface, mm.
+    atoms : Floats, shape (a, 3), mm
+        Medial atoms.
+    links : Ints, shape (m, 2)
+        Pairs of neighbouring atoms.
+
+    Returns
+    -------
+    Picture
+        The picture.
+    """
     return _with_bar(view, draw(view, _skeleton(view, atoms, links), Solid(*surface, _GLASS)))
 
 
 def spokes_picture(view: View, nodes: Floats, surface: int, atoms: Floats, links: Ints, spokes: Ints) -> Picture:
-    """The skeleton and the spokes (s, 2) between nodes (n, 3), without the surface (Fig. 4 B).
+    """Return a picture of the skeleton and the spokes, without the surface (Fig. 4 B).
 
-    surface: how many of the nodes lie on it; the other ends of spokes are atoms.
+    Parameters
+    ----------
+    view : View
+        The camera.
+    nodes : Floats, shape (n, 3), mm
+        All nodes.
+    surface : int
+        Number of nodes on the surface, which come first.
+    atoms : Floats, shape (a, 3), mm
+        Medial atoms.
+    links : Ints, shape (m, 2)
+        Pairs of neighbouring atoms.
+    spokes : Ints, shape (s, 2)
+        Pairs of nodes.
+
+    Returns
+    -------
+    Picture
+        The picture.
     """
     solids = [*_skeleton(view, atoms, links), rods(nodes, spokes, 0.45 / view.scale, _SPOKE, 4)]
     return _with_bar(view, draw(view, [*solids, balls(nodes[:surface], 1.2 / view.scale, _BALLOON_SKIN)]))
@@ -263,7 +365,7 @@ def _with_bar(view: View, pixels: NDArray[np.uint8]) -> Picture:
 
 
 def nice_length(most: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is no more than `most`."""
+    """Return the largest of 1, 2, 5 times a power of ten that is at most `most`."""
     power = 10.0 ** np.floor(np.log10(most))
     return float(power * max(k for k in (1, 2, 5) if k * power <= most * (1.0 + 1e-9)))
 
@@ -272,7 +374,18 @@ def nice_length(most: float) -> float:
 
 
 def histograms(sets: Sequence[tuple[str, str, Floats, Floats]]) -> bytes:
-    """PNG of two histograms, shares by set (label, colour, edge lengths (e,) mm, angles (a,) degrees)."""
+    """Return a PNG of two histograms, of edge lengths and of angles, as fractions of each set.
+
+    Parameters
+    ----------
+    sets : Sequence[tuple[str, str, Floats, Floats]]
+        Label, colour, edge lengths (e,) mm and angles (a,) degrees of each set.
+
+    Returns
+    -------
+    bytes
+        The PNG file.
+    """
     with _styled(9.0, 2.9) as figure:
         left, right = figure.subplots(1, 2)
         longest = max(float(np.quantile(edges, 0.999)) for _, _, edges, _ in sets)
@@ -293,7 +406,7 @@ def histograms(sets: Sequence[tuple[str, str, Floats, Floats]]) -> bytes:
 
 @contextmanager
 def _styled(width: float, height: float) -> Iterator[Any]:
-    """An empty figure, inches, in one style; without pyplot, which would keep state for the whole process."""
+    """Yield an empty figure, inches, in one style; without pyplot, which would keep state for the whole process."""
     import matplotlib
     from matplotlib.figure import Figure
 

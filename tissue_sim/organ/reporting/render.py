@@ -1,7 +1,7 @@
-"""Pictures of triangle surfaces: a z-buffer, shading by a lamp at the viewer's shoulder, wireframe, glass.
+"""Renderer of triangle surfaces: a z-buffer, shading by a lamp at the viewer's shoulder, wireframe, glass.
 
-Orthographic. Everything is drawn at twice the size and averaged, so edges are smooth and what lies behind
-is hidden exactly, pixel by pixel.
+The projection is orthographic. Everything is drawn at twice the size and averaged, so edges are smooth and hidden parts
+are resolved exactly, pixel by pixel.
 """
 
 from __future__ import annotations
@@ -22,10 +22,18 @@ _WHITE = np.ones(3)
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """An orthographic camera.
+    """Orthographic camera.
 
-    axes (3, 3): rows are right, up and towards the viewer in the frame of the points; centre (3,);
-    size (width, height) pixels; scale pixels a unit of length.
+    Attributes
+    ----------
+    axes : Floats, shape (3, 3)
+        Rows are right, up and towards the viewer in the frame of the points.
+    centre : Floats, shape (3,)
+        Point at the picture's centre.
+    size : tuple[int, int]
+        Width and height, pixels.
+    scale : float
+        Pixels per unit of length.
     """
 
     axes: Floats
@@ -34,7 +42,18 @@ class View:
     scale: float
 
     def project(self, points: ArrayLike) -> Floats:
-        """Points (n, 3) as supersampled pixel coordinates x, y (down) and height towards the viewer, in pixels."""
+        """Return supersampled pixel coordinates x, y (down) and height towards the viewer.
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (n, 3)
+            The points.
+
+        Returns
+        -------
+        Floats
+            shape (n, 3), pixels
+        """
         local = (np.asarray(points, dtype=np.float64) - self.centre) @ self.axes.T * self.scale
         width, height = self.size
         pixels = np.stack([0.5 * width + local[:, 0], 0.5 * height - local[:, 1], local[:, 2]], axis=1)
@@ -43,9 +62,20 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Triangles to draw: positions (n, 3), triangles (t, 3) outward, colour (3,) in 0..1.
+    """Triangles to draw.
 
-    lines: width of the wireframe, pixels; 0 for none. smooth: shade by the mean normals of the corners.
+    Attributes
+    ----------
+    positions : Floats, shape (n, 3)
+        Points.
+    triangles : Ints, shape (t, 3)
+        Corner indices, outward.
+    colour : tuple[float, float, float]
+        Red, green, blue in 0..1.
+    lines : float
+        Width of the wireframe, pixels; 0 for none.
+    smooth : bool
+        Whether it is shaded by the mean normals of the corners.
     """
 
     positions: Floats
@@ -56,9 +86,25 @@ class Solid:
 
 
 def view_of(points: ArrayLike, towards: ArrayLike, up: ArrayLike, size: tuple[int, int], margin: float = 0.06) -> View:
-    """The view in which `points` (n, 3) fill `size` (width, height) pixels but for a share `margin`.
+    """Return the view that points fill.
 
-    towards (3,): from the organ to the viewer; up (3,): what is up in the picture; not parallel.
+    Parameters
+    ----------
+    points : ArrayLike, shape (n, 3)
+        Points.
+    towards : ArrayLike, shape (3,)
+        Direction from the organ to the viewer.
+    up : ArrayLike, shape (3,)
+        Direction that is up in the picture; not parallel to `towards`.
+    size : tuple[int, int]
+        Width and height, pixels.
+    margin : float, optional
+        Fraction of the size that stays free at each border.
+
+    Returns
+    -------
+    View
+        The view.
     """
     forward = np.asarray(towards, dtype=np.float64) / np.linalg.norm(towards)
     right = np.cross(np.asarray(up, dtype=np.float64), forward)
@@ -72,9 +118,23 @@ def view_of(points: ArrayLike, towards: ArrayLike, up: ArrayLike, size: tuple[in
 
 
 def draw(view: View, solids: list[Solid], glass: Solid | None = None) -> NDArray[np.uint8]:
-    """Picture (height, width, 3) of opaque solids on white, with `glass`, a translucent closed surface, around them.
+    """Return a picture of opaque solids on white, with a translucent closed surface around them.
 
-    Of the glass its nearest front and its nearest back are seen; it is denser where it is seen along.
+    Of the translucent surface its nearest front and its nearest back are seen; it is denser where it is seen edge-on.
+
+    Parameters
+    ----------
+    view : View
+        The camera.
+    solids : list[Solid]
+        Opaque solids.
+    glass : Solid | None, optional
+        The translucent surface; None for none.
+
+    Returns
+    -------
+    NDArray[np.uint8], shape (height, width, 3)
+        Pixels.
     """
     width, height = (n * _SUPERSAMPLING for n in view.size)
     colour = np.broadcast_to(_WHITE, (height, width, 3)).copy()
@@ -85,7 +145,7 @@ def draw(view: View, solids: list[Solid], glass: Solid | None = None) -> NDArray
     if glass is not None:
         for side, least, most in ((-1, 0.10, 0.25), (+1, 0.14, 0.62)):
             hit, shaded, slope = _layer(view, glass, depth.copy(), side)
-            # Seen along its face, glass is denser: what makes its outline visible.
+            # Glass is denser where it is seen edge-on, which makes its outline visible.
             share = (least + (most - least) * (1.0 - slope) ** 2.5)[:, None]
             colour[hit] += share * (shaded - colour[hit])
     small = colour.reshape(view.size[1], _SUPERSAMPLING, view.size[0], _SUPERSAMPLING, 3).mean(axis=(1, 3))
@@ -93,10 +153,10 @@ def draw(view: View, solids: list[Solid], glass: Solid | None = None) -> NDArray
 
 
 def _layer(view: View, solid: Solid, depth: Floats, side: int) -> tuple[NDArray[np.bool_], Floats, Floats]:
-    """The nearest triangles in front of `depth` (height, width), which they change.
+    """Return pixels, colour and slope of the nearest triangles in front of `depth` (height, width), which is updated.
 
-    side: +1 for triangles that face the viewer, -1 for those that face away. Returns which pixels they cover, and of
-    these the colour (p, 3) and the slope (p,), 1 facing the viewer.
+    side: +1 for triangles that face the viewer, -1 for those that face away. The colour (p, 3) and the slope (p,), 1
+    facing the viewer, are of the covered pixels.
     """
     corner = solid.positions[solid.triangles] @ view.axes.T
     face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -120,11 +180,24 @@ def _layer(view: View, solid: Solid, depth: Floats, side: int) -> tuple[NDArray[
 
 @kernel
 def rasterize(pixels: Floats, triangles: Ints, depth: Floats, side: int) -> tuple[NDArray[np.int32], Floats, Floats]:
-    """Nearest triangle at every pixel centre, in front of what `depth` (height, width) holds; changes `depth`.
+    """Find the nearest triangle at every pixel centre, in front of what the depth buffer holds.
 
-    pixels (n, 3): x, y down, height towards the viewer. side +1: triangles that face the viewer, -1: away.
-    Returns the triangle (height, width), -1 for none; its weights of the three corners (height, width, 3); and the
-    distance to its nearest edge (height, width) in pixels.
+    Parameters
+    ----------
+    pixels : Floats, shape (n, 3)
+        Pixel coordinates x, y (down) and height towards the viewer.
+    triangles : Ints, shape (t, 3)
+        Corner indices.
+    depth : Floats, shape (height, width)
+        Depth buffer, updated.
+    side : int
+        +1 for triangles that face the viewer, -1 for those that face away.
+
+    Returns
+    -------
+    tuple[NDArray[np.int32], Floats, Floats]
+        Triangle at each pixel, -1 for none, shape (height, width); its weights of the three corners, shape (height,
+        width, 3); and the distance to its nearest edge, pixels, shape (height, width).
     """
     height, width = depth.shape
     owner = np.full((height, width), -1, dtype=np.int32)
@@ -164,7 +237,22 @@ def rasterize(pixels: Floats, triangles: Ints, depth: Floats, side: int) -> tupl
 
 
 def balls(points: Floats, radius: float, colour: tuple[float, float, float]) -> Solid:
-    """Balls of one radius at points (n, 3)."""
+    """Return balls of one radius.
+
+    Parameters
+    ----------
+    points : Floats, shape (n, 3)
+        Centres.
+    radius : float
+        Radius, in the unit of the points.
+    colour : tuple[float, float, float]
+        Red, green, blue in 0..1.
+
+    Returns
+    -------
+    Solid
+        The triangles of the balls.
+    """
     import trimesh
 
     unit = trimesh.creation.icosphere(subdivisions=2)
@@ -175,7 +263,26 @@ def balls(points: Floats, radius: float, colour: tuple[float, float, float]) -> 
 
 
 def rods(points: Floats, links: Ints, radius: float, colour: tuple[float, float, float], sides: int = 8) -> Solid:
-    """Open prisms of one radius along links (m, 2) between points (n, 3)."""
+    """Return open prisms of one radius along links.
+
+    Parameters
+    ----------
+    points : Floats, shape (n, 3)
+        Ends of the links.
+    links : Ints, shape (m, 2)
+        Pairs of points.
+    radius : float
+        Radius, in the unit of the points.
+    colour : tuple[float, float, float]
+        Red, green, blue in 0..1.
+    sides : int, optional
+        Number of sides of a prism.
+
+    Returns
+    -------
+    Solid
+        The triangles of the prisms.
+    """
     start, end = points[links[:, 0]], points[links[:, 1]]
     along = end - start
     helper = np.eye(3)[np.argmin(np.abs(along), axis=1)]

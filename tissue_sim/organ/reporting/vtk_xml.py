@@ -1,4 +1,4 @@
-"""VTK's XML files as ParaView and Slicer read them: points, lines and polygons (.vtp), and tetrahedra (.vtu).
+"""Writers of VTK's XML files for ParaView and Slicer: points, lines and polygons (.vtp), and tetrahedra (.vtu).
 
 Arrays are stored inline in base64, uncompressed, so nothing is rounded (VTK file formats, XML, "binary").
 """
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _TYPES = {"f8": "Float64", "f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}
-_TETRAHEDRON = 10  # VTK's number of it
+_TETRAHEDRON = 10  # VTK's cell type
 
 
 def polydata(
@@ -26,7 +26,26 @@ def polydata(
     lines: NDArray[np.int32] | None = None,
     comment: str = "",
 ) -> bytes:
-    """A .vtp file: positions (n, 3), arrays (n,) of point data by name, polygons (p, k) and lines (l, 2) of indices."""
+    """Return a .vtp file.
+
+    Parameters
+    ----------
+    positions : NDArray[np.float64], shape (n, 3)
+        Points.
+    point_data : Mapping[str, NDArray[Any]]
+        Arrays of point data, shape (n,), by name.
+    polygons : NDArray[np.int32] | None, shape (p, k), optional
+        Point indices of polygons.
+    lines : NDArray[np.int32] | None, shape (l, 2), optional
+        Point indices of lines.
+    comment : str, optional
+        Comment in the file.
+
+    Returns
+    -------
+    bytes
+        The file.
+    """
     root, piece = _begun("PolyData", positions, {"PointData": point_data}, comment)
     for name, index in {"Verts": None, "Lines": lines, "Strips": None, "Polys": polygons}.items():
         piece.set(f"NumberOf{name}", str(0 if index is None else len(index)))
@@ -43,7 +62,26 @@ def tetrahedra(
     *,
     comment: str = "",
 ) -> bytes:
-    """A .vtu file: positions (n, 3), cells (c, 4) of indices, arrays by name, (n,) of points and (c,) of cells."""
+    """Return a .vtu file.
+
+    Parameters
+    ----------
+    positions : NDArray[np.float64], shape (n, 3)
+        Points.
+    cells : NDArray[np.int32], shape (c, 4)
+        Point indices of tetrahedra.
+    point_data : Mapping[str, NDArray[Any]]
+        Arrays of point data, shape (n,), by name.
+    cell_data : Mapping[str, NDArray[Any]]
+        Arrays of cell data, shape (c,), by name.
+    comment : str, optional
+        Comment in the file.
+
+    Returns
+    -------
+    bytes
+        The file.
+    """
     root, piece = _begun("UnstructuredGrid", positions, {"PointData": point_data, "CellData": cell_data}, comment)
     piece.set("NumberOfCells", str(len(cells)))
     group = ElementTree.SubElement(piece, "Cells")
@@ -55,7 +93,7 @@ def tetrahedra(
 def _begun(
     kind: str, positions: NDArray[np.float64], data: Mapping[str, Mapping[str, NDArray[Any]]], comment: str
 ) -> tuple[ElementTree.Element, ElementTree.Element]:
-    """The file's root, and its piece with points and data."""
+    """Return the file's root, and its piece with points and data."""
     root = ElementTree.Element("VTKFile", type=kind, version="1.0", byte_order="LittleEndian")
     root.set("header_type", "UInt64")
     if comment:

@@ -1,4 +1,4 @@
-"""What an adult's organ may measure, and whether a segmentation can be that organ.
+"""Size, shape and intensity of adult organs, and whether a segmentation can be such an organ.
 
 The bounds are wide: they let small, large and moderately diseased organs pass and refuse what can only be a
 region that leaked into a neighbour or missed most of the organ. Sources of the usual sizes:
@@ -30,15 +30,25 @@ if TYPE_CHECKING:
 Range = tuple[float, float]
 
 _COARSE = 2.0  # mm, fine enough to see a neck that matters
-_NECK, _BODY = 0.5, 0.1  # shares of the depth and of the volume
+_NECK, _BODY = 0.5, 0.1  # fractions of the depth and of the volume
 
 
 @dataclass(frozen=True)
 class Anatomy:
     """Bounds of one adult organ.
 
-    volume mL; longest: greatest distance of two of its points, mm; intensity: mean HU, the upper bound with
-    contrast agent; solidity: least share of the convex hull that the organ fills.
+    Attributes
+    ----------
+    name : str
+        Name of the organ.
+    volume : Range
+        Range, mL.
+    longest : Range
+        Range of the greatest distance of two of its points, mm.
+    intensity : Range
+        Range of the mean, HU; the upper bound is with contrast agent.
+    solidity : float
+        Least fraction of the convex hull that the organ fills.
     """
 
     name: str
@@ -65,7 +75,7 @@ ANY = Anatomy("organ", (10.0, 2500.0), (20.0, 340.0), (-30.0, 500.0), 0.42)  # s
 
 @dataclass(frozen=True)
 class Shape:
-    """Measures of a mask: volume mL, longest extent mm, solidity (share of the convex hull)."""
+    """Measures of a mask: volume mL, longest extent mm, solidity (fraction of the convex hull)."""
 
     volume: float
     longest: float
@@ -73,7 +83,23 @@ class Shape:
 
 
 def anatomy_of(organ: str | None) -> Anatomy:
-    """Bounds of the organ called `organ`; of any organ for None. Raises UserError naming the known ones."""
+    """Return the bounds of an organ.
+
+    Parameters
+    ----------
+    organ : str | None
+        Name of the organ; None for the bounds of any organ.
+
+    Returns
+    -------
+    Anatomy
+        The bounds.
+
+    Raises
+    ------
+    UserError
+        For an unknown organ; the message names the known ones.
+    """
     if organ is None or organ == ANY_NAME:
         return ANY
     if organ not in ORGANS:
@@ -82,7 +108,18 @@ def anatomy_of(organ: str | None) -> Anatomy:
 
 
 def measure_shape(mask: Volume) -> Shape:
-    """Measures of a bool mask, from the centres of its outermost voxels, moved out by half a voxel."""
+    """Return the measures of a mask, from the centres of its outermost voxels, moved out by half a voxel.
+
+    Parameters
+    ----------
+    mask : Volume
+        The voxels of the organ.
+
+    Returns
+    -------
+    Shape
+        The measures.
+    """
     surface = _outermost(mask.array)
     points = np.unique(mask.to_points(surface), axis=0)
     volume = float(np.count_nonzero(mask.array)) * mask.voxel_volume
@@ -97,15 +134,32 @@ def measure_shape(mask: Volume) -> Shape:
 
 
 def _outermost(mask: NDArray[np.bool_]) -> NDArray[np.int_]:
-    """Indices (n, 3), order x, y, z, of a mask's voxels with a neighbour outside."""
+    """Return the indices (n, 3), order x, y, z, of a mask's voxels with a neighbour outside."""
     inner = ndimage.binary_erosion(mask)
     return np.argwhere(mask & ~inner)[:, ::-1]
 
 
 def misfits(mask: Volume, mean: float, organ: str | None) -> tuple[str, ...]:
-    """What speaks against a mask of mean intensity `mean` HU being the organ; empty when nothing does.
+    """Return the reasons why a mask can't be the organ; empty where there are none.
 
-    Raises UserError for an unknown organ.
+    Parameters
+    ----------
+    mask : Volume
+        The voxels of the organ.
+    mean : float, HU
+        Mean intensity of the mask.
+    organ : str | None
+        Name of the organ; None for any organ.
+
+    Returns
+    -------
+    tuple[str, ...]
+        One reason per item.
+
+    Raises
+    ------
+    UserError
+        For an unknown organ.
     """
     bounds = anatomy_of(organ)
     shape = measure_shape(mask)
@@ -129,9 +183,9 @@ def misfits(mask: Volume, mean: float, organ: str | None) -> tuple[str, ...]:
 
 
 def narrowest(mask: Volume) -> float:
-    """Half-width, mm, of the widest neck that joins a second body to the mask's main one; 0 when it is one body.
+    """Return the half-width, mm, of the widest neck that joins a second body to the main one; 0 for one body.
 
-    A neck counts under half the depth of the smaller body, a body from a tenth of the whole.
+    A neck counts if it is under half the depth of the smaller body, a body if it has at least a tenth of the whole.
     """
     every = max(int(_COARSE / float(mask.spacing.min())), 1)
     array = np.pad(mask.array[::every, ::every, ::every], 1)

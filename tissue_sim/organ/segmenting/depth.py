@@ -10,10 +10,23 @@ _FARTHEST = 1e6  # voxels: no background in sight
 
 
 def depth_of(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Distance, voxels, of every voxel of `mask` (nz, ny, nx) to the nearest one outside it; 0 outside.
+    """Return the distance of every voxel of a mask to the nearest one outside it.
 
-    Maurer, Qi & Raghavan, IEEE Trans. PAMI 2003; 25: 265, as ITK has it, in single precision; the same as SciPy's
-    distance_transform_edt, but faster. 1e6 where nothing lies outside.
+    It is computed by ITK in single precision, with the same result as SciPy's distance_transform_edt, but faster.
+
+    Parameters
+    ----------
+    mask : NDArray[np.bool_], shape (nz, ny, nx)
+        The mask.
+
+    Returns
+    -------
+    NDArray[np.float64], shape (nz, ny, nx), voxels
+        Distance; 0 outside, 1e6 where nothing lies outside.
+
+    References
+    ----------
+    Maurer, Qi & Raghavan, IEEE Trans. PAMI 2003; 25: 265.
     """
     outside = sitk.GetImageFromArray((~mask).astype(np.uint8))
     signed = sitk.SignedMaurerDistanceMap(outside, insideIsPositive=False, squaredDistance=False, useImageSpacing=False)

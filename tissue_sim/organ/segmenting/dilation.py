@@ -1,10 +1,10 @@
-"""The last stage: the organ's core dilates back to the wall, against its neighbours.
+"""Last stage of the segmentation: the organ's core dilates back to the wall, against its neighbours.
 
-How far it may dilate is what the erosion took and a little more; where it stops is decided by the image: every
-voxel in reach is either organ or not, as its intensity fits the organ or what lies around, with the least wall
-between the two. That is a minimal cut in its convex form (Chan, Esedoglu & Nikolova, SIAM J Appl Math 2006;
-66: 1632), solved by Chambolle and Pock's primal-dual steps (J Math Imaging Vis 2011; 40: 120). Noise
-roughens no wall this way, and between neighbours of the same intensity the wall closes the neck.
+The reach of the dilation is what the erosion took and a little more; where it stops is decided by the image: every
+voxel in reach is either organ or not, as its intensity fits the organ or its surroundings, with the smallest wall
+between the two. That is a minimal cut in its convex form (Chan, Esedoglu & Nikolova, SIAM J Appl Math 2006; 66: 1632),
+solved by Chambolle and Pock's primal-dual steps (J Math Imaging Vis 2011; 40: 120). Noise then doesn't roughen the
+wall, and between neighbours of the same intensity the wall closes the neck.
 """
 
 from __future__ import annotations
@@ -20,21 +20,35 @@ from tissue_sim.organ.segmenting.region import Region
 
 _RIM = 6.0  # mm inwards of fat and gas to which an organ may be blurred darker
 _RIVAL = 2.0  # mL, from which a part of other intensity is a neighbour and no noise
-_BONE = 150.0  # HU above the organ from which it is surely something else
+_BONE = 150.0  # HU above the organ, from which tissue is surely something else
 _AROUND = 6.0  # mm over which the neighbours' intensity is averaged
-_FEW = 0.02  # weight under which no neighbour is near
+_FEW = 0.02  # weight below which no neighbour is near
 _FIRM = 0.7  # greatest cost of a voxel, in voxel faces
 _LIGHT = 1.0  # mm, erosion of what is brighter
 _RACE, _RACE_WIDTH = 1.5, 2.0  # mm: weight of who is nearer, organ or neighbour; lead at which it counts fully
 _STEP = 0.28  # of both variables; stable under 1 / sqrt(12)
-_SETTLED = 0.002  # mean change of the undecided voxels that counts as none
+_SETTLED = 0.002  # mean change of the undecided voxels that counts as converged
 _EVERY = 20  # steps between looks at the change
 
 
 def dilate(region: Region, core: Mask, stiffness: float, spur: float) -> Mask:
-    """Dilate the organ's core (nz, ny, nx) back to its wall, by no more than the region's reach.
+    """Dilate the organ's core back to its wall, by at most the region's reach.
 
-    stiffness: weight of the image against a small wall; spur: radius, mm, under which spurs are left out.
+    Parameters
+    ----------
+    region : Region
+        The region around the organ.
+    core : Mask, shape (nz, ny, nx)
+        The eroded organ.
+    stiffness : float
+        Weight of the image against a small wall.
+    spur : float, mm
+        Radius under which spurs are left out.
+
+    Returns
+    -------
+    Mask, shape (nz, ny, nx)
+        The organ.
     """
     sharp, smooth, level, others, h = region.sharp, region.smooth, region.level, region.others, region.h
     tissue = sharp > region.wall
@@ -60,7 +74,7 @@ def dilate(region: Region, core: Mask, stiffness: float, spur: float) -> Mask:
 
 
 def _sizeable(mask: Mask, voxels: float) -> Mask:
-    """The mask's connected parts of at least so many voxels."""
+    """Return the mask's connected parts of at least `voxels` voxels."""
     labels, _ = ndimage.label(mask)
     large = np.bincount(labels.ravel()) >= voxels
     large[0] = False
@@ -68,7 +82,7 @@ def _sizeable(mask: Mask, voxels: float) -> Mask:
 
 
 def _open(mask: Mask, radius: float) -> Mask:
-    """Opening by a ball of `radius` voxels, through exact distances."""
+    """Return the opening by a ball of `radius` voxels, through exact distances."""
     if radius <= 0.0:
         return mask
     kept = depth_of(mask) > radius
@@ -76,9 +90,23 @@ def _open(mask: Mask, radius: float) -> Mask:
 
 
 def local_mean(values: Singles, where: Mask, sigma: float) -> tuple[Singles, Singles]:
-    """Gaussian-weighted mean of `values` over the voxels `where`, and the weight found (0..1); sigma in voxels.
+    """Return the Gaussian-weighted local mean of values over some voxels.
 
-    Taken on every third voxel when sigma allows, as the mean is smooth.
+    It is computed on every third voxel where sigma allows, as the mean is smooth.
+
+    Parameters
+    ----------
+    values : Singles, shape (nz, ny, nx)
+        Values.
+    where : Mask, shape (nz, ny, nx)
+        Voxels that count.
+    sigma : float, voxels
+        Standard deviation of the Gaussian.
+
+    Returns
+    -------
+    tuple[Singles, Singles]
+        The mean and the total weight (0..1), of shape (nz, ny, nx) each.
     """
     if sigma > 6.0:
         every = 3
@@ -109,7 +137,7 @@ def _upsample(values: Singles, every: int, shape: tuple[int, ...]) -> Singles:
 
 
 def least_wall(cost: Singles, free: Mask, inside: Mask, steps: int = 400) -> Mask:
-    """The set that costs least: its wall's area plus `cost` over its voxels, both in voxels.
+    """Return the set of least cost: the area of its wall plus `cost` over its voxels, both in voxels.
 
     cost (nz, ny, nx): above 0 where a voxel fits the outside better. Only `free` voxels are decided;
     of the others `inside` belong to the set.
@@ -130,7 +158,7 @@ def least_wall(cost: Singles, free: Mask, inside: Mask, steps: int = 400) -> Mas
 
 @kernel
 def _raise_dual(lead: Singles, dual: NDArray[np.float32], step: float) -> None:
-    """The dual field follows the set's gradient, its length at most 1."""
+    """Move the dual field along the set's gradient, its length limited to 1."""
     nz, ny, nx = lead.shape
     for k in range(nz - 1):
         for j in range(ny - 1):
@@ -152,7 +180,7 @@ def _raise_dual(lead: Singles, dual: NDArray[np.float32], step: float) -> None:
 
 @kernel
 def _lower_set(u: Singles, lead: Singles, dual: NDArray[np.float32], cost: Singles, free: Mask, step: float) -> float:
-    """Free voxels follow the dual's divergence less their cost, within 0..1. Returns the summed change."""
+    """Move the free voxels along the dual's divergence minus their cost, within 0..1; return the summed change."""
     nz, ny, nx = u.shape
     change = 0.0
     for k in range(1, nz - 1):

@@ -1,4 +1,4 @@
-"""What can be tuned in the stages of the segmentation."""
+"""Parameters of the stages of the segmentation."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ def _option(default: Any, unit: str, text: str, bounds: tuple[float, float]) -> 
 
 @dataclass(frozen=True)
 class SegmentationParameters:
-    """What can be tuned at every stage. None: worked out from the image.
+    """Parameters of the stages of the segmentation; None: determined from the image.
 
-    Every field's metadata hold its unit, a line of help and its range; a value out of range raises UserError
-    that names the field as the command line has it.
+    Every field's metadata holds its unit, a line of help and its range.
+
+    Raises
+    ------
+    UserError
+        Where a value is out of range; the message names the field as on the command line.
     """
 
     smoothing: float | None = _option(

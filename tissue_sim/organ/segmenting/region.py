@@ -1,4 +1,4 @@
-"""A region of the image that an organ was found in, as one stage hands it to the next."""
+"""Region of the image in which an organ was found, as one stage hands it to the next."""
 
 from __future__ import annotations
 
@@ -15,12 +15,36 @@ Box = tuple[slice, slice, slice]
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The eroded organ and its surroundings on one isotropic grid; arrays (nz, ny, nx), lengths mm, intensities HU.
+    """Eroded organ and its surroundings on one isotropic grid; arrays (nz, ny, nx), lengths mm, intensities HU.
 
-    sharp, smooth: the image, smoothed little and much; inside: in the image; level: the organ's intensity, from place
-    to place; eroded: the organ after erosion; others: what surely is a neighbour; apex: the eroded organ's deepest
-    voxel. mean, deviation: of the organ's intensity; width: half of its window; dark: intensity of fat; reach: how far
-    the organ may dilate back; h: the grid's spacing.
+    Attributes
+    ----------
+    sharp : Singles
+        The image, slightly smoothed.
+    smooth : Singles
+        The image, strongly smoothed.
+    inside : Mask
+        Voxels within the image.
+    level : Singles
+        Local intensity of the organ.
+    eroded : Mask
+        The organ after erosion.
+    others : Mask
+        Voxels that surely belong to a neighbour.
+    apex : Index
+        Deepest voxel of the eroded organ.
+    mean : float
+        Mean intensity of the organ.
+    deviation : float
+        Standard deviation of the organ's intensity.
+    width : float
+        Half of the intensity window.
+    dark : float
+        Intensity of fat.
+    reach : float
+        How far the organ may dilate back.
+    h : float
+        Spacing of the grid.
     """
 
     sharp: Singles
@@ -43,7 +67,7 @@ class Region:
         return 0.5 * (self.mean + self.dark)
 
     def cropped(self, box: Box) -> Region:
-        """The part in a box of array indices, which holds the apex; arrays are views."""
+        """Return the part in a box of array indices that holds the apex; arrays are views."""
         arrays = {item.name: getattr(self, item.name) for item in fields(self)}
         parts: dict[str, Any] = {name: array[box] for name, array in arrays.items() if isinstance(array, np.ndarray)}
         z, y, x = (i - side.start for i, side in zip(self.apex, box, strict=True))

@@ -1,7 +1,7 @@
 """Multi-stage segmentation of one organ from one seed (Gu, Xu & Peters; Zhang, Gu et al. 2006, section 2).
 
-A survey of the seed's surroundings finds how far the organ reaches and which intensity window shows it best;
-then the stages (stages.py) run on a fine grid around it, and what comes out is compared with the anatomy.
+A survey of the seed's surroundings finds how far the organ reaches and which intensity window shows it best; then the
+stages (stages.py) run on a fine grid around it, and the result is compared with the anatomy.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ _MARGINS = (18.0, 45.0)  # mm around the surveyed organ in the second pass
 _FAT = (-160.0, -40.0)  # HU
 _SOFT_TISSUE = (-30.0, 400.0)  # HU at a seed that can be an organ
 _CALM = 2.0  # HU, of what the smoothing leaves of the noise
-_COMPACT = 0.9  # solidity that is as good as any more
-_GROSS = 2.0  # times the organ's greatest volume, from which a leak isn't worth a closer look
-_CHOICES = 2  # windows looked at closely, as long as the first doesn't fit
+_COMPACT = 0.9  # solidity beyond which more makes no difference
+_GROSS = 2.0  # times the organ's greatest volume, from which a leak isn't examined closely
+_CHOICES = 2  # windows examined closely, as long as the first doesn't fit
 
 
 def _quiet(_stage: str, _done: float) -> None:
@@ -63,12 +63,33 @@ def segment(
     accept: bool = False,
     progress: Progress | None = None,
 ) -> Segmentation:
-    """Segment the organ around `seed`, (3,) mm in the patient frame (LPS).
+    """Segment the organ around a seed point.
 
-    organ: whose bounds it must keep (see anatomy.ORGANS); None: any organ's. accept: pass on what is out of
-    bounds, cut by the image or leaked, with warnings. progress: called with the stage and the share done.
-    Raises UserError when the seed lies outside the image, in air, fat or bone, when nothing
-    organ-like is found around it, and, unless `accept`, when the result can't be the organ.
+    Parameters
+    ----------
+    ct : Volume
+        The image.
+    seed : ArrayLike, shape (3,), mm
+        Point in the organ, in the patient frame (LPS).
+    parameters : SegmentationParameters | None, optional
+        Parameters; None for the usual ones.
+    organ : str | None, optional
+        Name of the organ whose bounds are checked (see anatomy.ORGANS); None for the bounds of any organ.
+    accept : bool, optional
+        Whether a result that is out of bounds, cut by the image or leaked is passed on with warnings.
+    progress : Progress | None, optional
+        Called with the stage and the fraction done.
+
+    Returns
+    -------
+    Segmentation
+        The organ's mask and how it was found.
+
+    Raises
+    ------
+    UserError
+        Where the seed lies outside the image, in air, fat or bone, where nothing organ-like is found around it, and,
+        unless `accept`, where the result can't be the organ.
     """
     p, tell = parameters or SegmentationParameters(), progress or _quiet
     bounds = anatomy_of(organ)
@@ -101,7 +122,7 @@ def segment(
 
 
 class _Survey(NamedTuple):
-    """A rough segmentation by one window: whether it may be the organ, and whether it ran out of its surroundings."""
+    """Rough segmentation by one window: whether it may be the organ, and whether it ran out of its surroundings."""
 
     fits: bool
     ran_out: bool
@@ -118,7 +139,7 @@ def _surveys(
     organ: str | None,
     tell: Progress,
 ) -> list[_Survey]:
-    """Rough segmentations within `reach` mm of the seed, one for each intensity window, the likeliest first."""
+    """Return rough segmentations within `reach` mm of the seed, one per intensity window, the likeliest first."""
     around = np.array([start.point - reach, start.point + reach])
     crop = resample(ct, around, max(min(reach / _SURVEY_VOXELS, _SURVEY_GRID), working_grid(ct, p)))
     inside = within(ct, crop)
@@ -141,7 +162,7 @@ def _surveys(
 
 
 def _closely(ct: Volume, point: NDArray[np.float64], p: SegmentationParameters, survey: Segmentation) -> Segmentation:
-    """The stages on a fine grid around what the survey found, with more around it where that doesn't hold it."""
+    """Return the segmentation on a fine grid around the survey's result, on a larger one where that is too small."""
     found = survey.mask.to_points(np.argwhere(survey.mask.array)[:, ::-1])
     for margin in _MARGINS:
         around = np.array([found.min(axis=0) - margin, found.max(axis=0) + margin])
@@ -155,7 +176,7 @@ def _closely(ct: Volume, point: NDArray[np.float64], p: SegmentationParameters, 
 def _checked(
     ct: Volume, result: Segmentation, point: NDArray[np.float64], organ: str | None, accept: bool
 ) -> Segmentation:
-    """The result with its warnings, or UserError when it can't be passed on."""
+    """Return the result with its warnings; raises UserError where it can't be passed on."""
     name = organ or "organ"
     warnings = []
     clear = _clear_of_border(ct, result.mask)
@@ -181,18 +202,18 @@ def _checked(
 
 
 def _clear_of_border(ct: Volume, mask: Volume) -> Mask:
-    """Which voxels of a mask's grid lie clear of the image's border, whose last voxels show the organ cut."""
+    """Return which voxels of a mask's grid are clear of the image's border, whose last voxels show the organ cut."""
     return within(ct, mask, margin=0.5 * float(ct.spacing.max()) + 1.01 * float(mask.spacing[0]))
 
 
 def _ran_out(mask: Volume, clear: Mask) -> bool:
-    """Whether a mask reaches the faces of its grid where the image goes on."""
+    """Return whether a mask reaches the faces of its grid where the image continues."""
     inner = mask.array & clear
     return any(bool(np.take(inner, side, axis=axis).any()) for axis in range(3) for side in (0, -1))
 
 
 def working_grid(ct: Volume, p: SegmentationParameters) -> float:
-    """Spacing of the isotropic grid that the organ is segmented on, mm."""
+    """Return the spacing of the isotropic grid on which the organ is segmented, mm."""
     return p.grid or default_spacing(ct)
 
 
@@ -216,9 +237,9 @@ def check_seed(ct: Volume, point: NDArray[np.float64]) -> None:
 def _at_seed(
     ct: Volume, point: NDArray[np.float64], p: SegmentationParameters
 ) -> tuple[SegmentationParameters, float, float]:
-    """Parameters with their smoothing, and mean and deviation, HU, of the smoothed intensities around the seed.
+    """Return parameters with their smoothing, and mean and deviation, HU, of smoothed intensities around the seed.
 
-    Refuses what is no soft tissue.
+    Refuses what is not soft tissue.
     """
     reach = 2.0 * p.seed_radius + 3.0 * (p.smoothing or SMOOTHINGS[-1])
     crop = resample(ct, np.array([point - reach, point + reach]), working_grid(ct, p))
@@ -234,7 +255,7 @@ def _at_seed(
 
 
 def _calmest(smooth: Singles, at: Index, radius: float) -> tuple[float, float, Mask]:
-    """Median, robust deviation and voxels of the calmest ball of `radius` voxels that holds `at`.
+    """Return median, robust deviation and voxels of the most uniform ball of `radius` voxels that holds `at`.
 
     Near the wall the ball around the seed would mix the organ with what lies beyond (Kuwahara's idea).
     """
@@ -265,7 +286,7 @@ def _check_tissue(mean: float, point: NDArray[np.float64]) -> None:
 
 
 def dice(first: Volume, second: Volume) -> float:
-    """Dice overlap of two bool masks; the first is resampled onto the second's grid."""
+    """Return the Dice overlap of two bool masks; the first is resampled onto the second's grid."""
     image = first.with_array(first.array.astype(np.float32)).to_sitk()
     there = sitk.Resample(image, second.to_sitk(), sitk.Transform(), sitk.sitkLinear, 0.0, sitk.sitkFloat32)
     moved = sitk.GetArrayFromImage(there) >= 0.5

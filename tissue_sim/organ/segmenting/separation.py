@@ -1,4 +1,4 @@
-"""Where a region is to be parted: by the necks of its depth.
+"""Separation of a region at its necks.
 
 The depth of a region (distance to its border) rises to a peak in every lobe. Eroding step by step, two lobes part
 at the depth of the neck between them. A neck much narrower than either lobe joins two organs; a wide one
@@ -19,10 +19,16 @@ from tissue_sim.jit import kernel
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Bodies of a region, parted at their narrow necks.
+    """Bodies of a region, separated at their narrow necks.
 
-    labels (nz, ny, nx): 0 outside, else the body; volume (n + 1,) voxels and peak (n + 1,), greatest depth,
-    in the depth's unit, of every body.
+    Attributes
+    ----------
+    labels : Ints, shape (nz, ny, nx)
+        0 outside, else the body.
+    volume : NDArray[np.int64], shape (n + 1,), voxels
+        Volume of every body.
+    peak : NDArray[np.float64], shape (n + 1,)
+        Greatest depth of every body, in the depth's unit.
     """
 
     labels: Ints
@@ -31,7 +37,20 @@ class Parts:
 
 
 def part(depth: NDArray[np.float64], neck: float) -> Parts:
-    """Part the region where `depth` (nz, ny, nx) is positive at necks under `neck` times the smaller lobe's depth."""
+    """Separate a region into bodies at its narrow necks.
+
+    Parameters
+    ----------
+    depth : NDArray[np.float64], shape (nz, ny, nx)
+        Distance to the region's border, positive inside.
+    neck : float
+        Fraction of the smaller lobe's depth below which a neck separates.
+
+    Returns
+    -------
+    Parts
+        The bodies.
+    """
     padded = np.pad(depth, 1)
     flat = padded.ravel()
     inside = np.flatnonzero(flat > 0.0)
@@ -60,7 +79,22 @@ def part(depth: NDArray[np.float64], neck: float) -> Parts:
 
 
 def necks(parts: Parts, depth: NDArray[np.float64], body: int) -> NDArray[np.float64]:
-    """Depth of the neck from `body` to every other body, (n + 1,); 0 where they don't touch."""
+    """Return the depth of the neck from one body to every other.
+
+    Parameters
+    ----------
+    parts : Parts
+        Bodies of the region.
+    depth : NDArray[np.float64], shape (nz, ny, nx)
+        Distance to the region's border.
+    body : int
+        Label of the body.
+
+    Returns
+    -------
+    NDArray[np.float64], shape (n + 1,)
+        Depth; 0 where they don't touch.
+    """
     found = np.zeros(len(parts.volume))
     for axis in range(3):
         labels, deep = np.moveaxis(parts.labels, axis, 0), np.moveaxis(depth, axis, 0)
@@ -83,7 +117,7 @@ def _root(parent: NDArray[np.int64], at: int) -> int:
 def _flood(
     depth: NDArray[np.float64], order: NDArray[np.int64], steps: NDArray[np.int64], neck: float
 ) -> NDArray[np.int64]:
-    """Label of every voxel, 0 outside: lobes in order of falling depth, joined through wide necks."""
+    """Return the label of every voxel, 0 outside: lobes in order of falling depth, joined through wide necks."""
     label = np.zeros(len(depth), dtype=np.int64)
     parent = np.zeros(len(order) + 1, dtype=np.int64)
     peak = np.zeros(len(order) + 1)

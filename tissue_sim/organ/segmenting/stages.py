@@ -1,8 +1,8 @@
-"""The stages of the segmentation on one grid; segmentation.py runs them.
+"""Stages of the segmentation on one grid; segmentation.py runs them.
 
-Threshold, erosion until the organ is separate, fast marching, reconstruction, dilation (Zhang, Gu et al. 2006,
-section 2). Erosion and dilation by a ball are thresholds of the exact Euclidean distance, so depths are
-millimetres on any grid.
+Threshold, erosion until the organ is separate, fast marching, reconstruction, dilation (Zhang, Gu et al. 2006, section
+2). Erosion and dilation by a ball are thresholds of the exact Euclidean distance, so depths are millimetres on any
+grid.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ SMOOTHINGS = (2.5, 3.0)  # mm, tried until the tissue at the seed is calm
 WINDOWS = (2.5, 3.3, 4.3, 5.5)  # half-widths tried, in deviations
 _FAT = (-160.0, -40.0)  # HU
 _NEIGHBOURHOOD = 60.0  # mm around the seed in which the dark side (fat) is looked for
-_LIGHT_SHARE, _LIGHT = 0.15, (1.5, 3.0)  # of the depth; mm: least erosion, takes blurred rims and sheets off
-_LOBE = 0.03  # volume share from which a neighbouring body counts
+_LIGHT_SHARE, _LIGHT = 0.15, (1.5, 3.0)  # of the depth; mm: least erosion, removes rims and sheets
+_LOBE = 0.03  # fraction of the volume from which a neighbouring body counts
 _MAJORITY = 1.5  # mm
 _HOLE = 0.15  # mL, up to which a gap in the thresholded tissue is noise
 _DRIFT, _DRIFT_WIDTH = 10.0, 20.0  # HU, mm: how far the organ's intensity may wander, and over what distance
@@ -40,12 +40,30 @@ _CLEAR = 3.0  # deviations from the organ from which its surroundings are clearl
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """One organ: its mask on the working grid, and how it was found.
+    """Mask of one organ on the working grid, and how it was found.
 
-    mask: bool Volume. mean, deviation HU of the organ; wall HU: half-way to the fat; erosion mm;
-    volume mL; at_edge: the organ reaches the image's border, so part of it is missing; smoothing mm: as used;
-    clarity: share of its surroundings that differ clearly from it; warnings: what speaks against the organ that was
-    asked for.
+    Attributes
+    ----------
+    mask : Volume
+        The bool mask.
+    mean : float, HU
+        Mean of the organ.
+    deviation : float, HU
+        Standard deviation of the organ.
+    wall : float, HU
+        Intensity half-way to fat, at which the wall lies.
+    erosion : float, mm
+        Depth of the erosion.
+    volume : float, mL
+        Volume of the mask.
+    at_edge : bool
+        Whether the organ reaches the image's border, so that a part is missing.
+    smoothing : float, mm
+        Smoothing as used.
+    clarity : float
+        Fraction of its surroundings that differs clearly from it.
+    warnings : tuple[str, ...]
+        What speaks against the organ that was asked for.
     """
 
     mask: Volume
@@ -60,7 +78,7 @@ class Segmentation:
     warnings: tuple[str, ...] = ()
 
     def figures(self) -> dict[str, Any]:
-        """What goes into the provenance."""
+        """Return the figures for the provenance."""
         names = ("mean", "deviation", "wall", "erosion", "volume", "smoothing")
         figures = {key: round(getattr(self, key), 3) for key in names}
         more = {"at_edge": self.at_edge, "grid_mm": float(self.mask.spacing[0]), "warnings": list(self.warnings)}
@@ -68,28 +86,78 @@ class Segmentation:
 
 
 def point_text(point: NDArray[np.float64]) -> str:
-    """A point (3,) mm as the messages show it."""
+    """Return a point as messages show it.
+
+    Parameters
+    ----------
+    point : NDArray[np.float64], shape (3,), mm
+        The point.
+
+    Returns
+    -------
+    str
+        The text.
+    """
     return ",".join(f"{value:g}" for value in np.round(point, 1))
 
 
 def gaussian(volume: Volume, sigma: float) -> Singles:
-    """The image (nz, ny, nx), HU, smoothed by a Gaussian of deviation `sigma` mm."""
+    """Return the image smoothed by a Gaussian.
+
+    Parameters
+    ----------
+    volume : Volume
+        The image.
+    sigma : float, mm
+        Standard deviation.
+
+    Returns
+    -------
+    Singles, shape (nz, ny, nx), HU
+        The smoothed image.
+    """
     return sitk.GetArrayFromImage(sitk.SmoothingRecursiveGaussian(volume.to_sitk(), sigma))
 
 
 def voxel_at(crop: Volume, point: NDArray[np.float64]) -> Index:
-    """Array index (z, y, x) of the voxel nearest to a point, within the crop."""
+    """Return the array index (z, y, x) of the voxel nearest to a point, within the crop.
+
+    Parameters
+    ----------
+    crop : Volume
+        Image on the working grid.
+    point : NDArray[np.float64], shape (3,), mm
+        The point.
+
+    Returns
+    -------
+    Index
+        Array index.
+    """
     i, j, k = np.clip(np.round(crop.to_index(point)).astype(int), 0, np.array(crop.size) - 1)
     return int(k), int(j), int(i)
 
 
 def width_of(p: SegmentationParameters, deviation: float) -> float:
-    """Half of the intensity window, HU, of tissue with a deviation, HU."""
+    """Return half of the intensity window, HU, of tissue with a deviation, HU."""
     return float(p.window or WINDOWS[1]) * deviation
 
 
 def smooth_for(crop: Volume, p: SegmentationParameters) -> tuple[Singles, Singles]:
-    """The crop (nz, ny, nx), HU, smoothed to compare intensities, and to locate the wall."""
+    """Return the crop smoothed to compare intensities, and smoothed to locate the wall.
+
+    Parameters
+    ----------
+    crop : Volume
+        Image on the working grid.
+    p : SegmentationParameters
+        Parameters of the segmentation.
+
+    Returns
+    -------
+    tuple[Singles, Singles]
+        Two images of shape (nz, ny, nx), HU.
+    """
     return gaussian(crop, float(p.smoothing or SMOOTHINGS[0])), gaussian(crop, p.wall_smoothing)
 
 
@@ -109,12 +177,34 @@ def segment_crop(
     smoothed: tuple[Singles, Singles] | None = None,
     largest: float = np.inf,
 ) -> Segmentation:
-    """All stages on one isotropic crop, from a first mean; the deviation, both HU, is the seed's.
+    """Run all stages on one isotropic crop, from a first mean.
 
-    smoothed: what `smooth_for` gives, when several windows are tried on one crop. largest:
-    mL, a region that is more when eroded has leaked and isn't dilated.
+    The deviation may fall to the region's but doesn't grow with it: a small leak would widen the window and let in
+    more.
 
-    It may fall to the region's, but doesn't grow with it: a small leak would widen the window and let in more.
+    Parameters
+    ----------
+    crop : Volume
+        Image on the working grid.
+    inside : Mask, shape (nz, ny, nx)
+        Which voxels lie in the image.
+    point : NDArray[np.float64], shape (3,), mm
+        Seed point.
+    p : SegmentationParameters
+        Parameters of the segmentation.
+    mean : float, HU
+        First mean of the organ.
+    deviation : float, HU
+        Deviation at the seed.
+    smoothed : tuple[Singles, Singles] | None, optional
+        Result of `smooth_for`, when several windows are tried on one crop.
+    largest : float, mL, optional
+        Volume from which an eroded region has leaked and isn't dilated.
+
+    Returns
+    -------
+    Segmentation
+        The segmentation.
     """
     point, mean, deviation = start
     h = float(crop.spacing[0])
@@ -179,7 +269,7 @@ def segment_crop(
 
 
 def _clarity(smooth: Singles, mask: Mask, level: Singles, contrast: float, h: float) -> float:
-    """Share of the mask's surroundings, 3 to 6 mm off, that differ clearly from the organ."""
+    """Return the fraction of the mask's surroundings, 3 to 6 mm away, that differs clearly from the organ."""
     box = _box_around(mask, 8.0 / h)
     away = depth_of(~mask[box]) * h
     ring = (away > 3.0) & (away <= 6.0)
@@ -187,7 +277,7 @@ def _clarity(smooth: Singles, mask: Mask, level: Singles, contrast: float, h: fl
 
 
 def _regrown(region: Region, p: SegmentationParameters) -> Mask:
-    """The last three stages: front, reconstruction, dilation; then hollows are closed."""
+    """Return the region after the last three stages, front, reconstruction and dilation, with hollows closed."""
     box = _box_around(region.eroded, (region.reach + 8.0) / region.h)
     near = region.cropped(box)
     own = dilate(near, _reconstruct(_front(near, p.stop), near.eroded), p.stiffness, p.spur)
@@ -198,7 +288,7 @@ def _regrown(region: Region, p: SegmentationParameters) -> Mask:
 
 
 def _parted(depth: NDArray[np.float64], p: SegmentationParameters) -> Parts:
-    """The region's bodies: parted at their necks, or what an erosion by a given depth leaves, grown back."""
+    """Return the region's bodies: separated at their necks, or what an erosion by a given depth leaves, grown back."""
     if p.erosion is None:
         return part(depth, p.neck)
     markers, count = ndimage.label(depth > p.erosion)
@@ -207,7 +297,7 @@ def _parted(depth: NDArray[np.float64], p: SegmentationParameters) -> Parts:
 
 
 def _closed(mask: Mask, region: Region, radius: float) -> Mask:
-    """The mask with its holes filled, and its hollows of under `radius` voxels where they hold no fat or gas."""
+    """Return the mask with its holes filled, and its hollows of under `radius` voxels where they hold no fat or gas."""
     if radius > 0.0:
         around = np.pad(mask, int(np.ceil(radius)) + 1)
         grown = depth_of(~around) <= radius
@@ -218,13 +308,13 @@ def _closed(mask: Mask, region: Region, radius: float) -> Mask:
 
 
 def _majority(mask: Mask, sigma: float) -> Mask:
-    """What most of a voxel's surroundings say, sigma in voxels: noise would fray the region."""
+    """Return what most of a voxel's surroundings say, sigma in voxels: noise would fray the region."""
     share = sitk.SmoothingRecursiveGaussian(sitk.GetImageFromArray(mask.astype(np.float32)), sigma)
     return np.asarray(sitk.GetArrayFromImage(share) > 0.5)
 
 
 def _without_holes(mask: Mask, voxels: float) -> Mask:
-    """The mask with enclosed gaps of up to so many voxels filled."""
+    """Return the mask with enclosed gaps of up to `voxels` voxels filled."""
     gaps, _ = ndimage.label(~mask)
     small = np.bincount(gaps.ravel()) <= voxels
     small[0] = False
@@ -232,21 +322,36 @@ def _without_holes(mask: Mask, voxels: float) -> Mask:
 
 
 def _box_around(mask: Mask, margin: float) -> Box:
-    """The mask's bounding box grown by `margin` voxels, clipped to the array."""
+    """Return the mask's bounding box grown by `margin` voxels, clipped to the array."""
     box = ndimage.find_objects(mask.astype(np.uint8))[0]
     grow = int(np.ceil(margin))
     return tuple(slice(max(s.start - grow, 0), min(s.stop + grow, n)) for s, n in zip(box, mask.shape, strict=True))  # type: ignore[return-value]
 
 
 def ball_at(shape: tuple[int, ...], centre: Index, radius: float) -> Mask:
-    """Ball of `radius` voxels around an array index (z, y, x)."""
+    """Return the voxels of a ball.
+
+    Parameters
+    ----------
+    shape : tuple[int, ...]
+        Shape of the array.
+    centre : Index, z, y, x
+        Array index of the centre.
+    radius : float, voxels
+        Radius of the ball.
+
+    Returns
+    -------
+    Mask, shape (nz, ny, nx)
+        The voxels.
+    """
     axes = np.ogrid[tuple(slice(0, n) for n in shape)]
     squared = sum((axis - c) ** 2 for axis, c in zip(axes, centre, strict=True))
     return np.asarray(squared <= radius**2)
 
 
 def _dark_side(sharp: Singles, seed: Index, mean: float, deviation: float, h: float) -> float:
-    """Intensity of what surrounds the organ: fat, or whatever is clearly darker than the organ."""
+    """Return the intensity of what surrounds the organ: fat, or whatever is clearly darker than the organ."""
     near = sharp[ball_at(sharp.shape, seed, _NEIGHBOURHOOD / h)]
     fat = near[(near > _FAT[0]) & (near < _FAT[1])]
     if len(fat) > 0.005 * len(near):
@@ -260,7 +365,7 @@ def _deepest(depth: NDArray[np.float64], body: Mask) -> Index:
 
 
 def _ascend(depth: NDArray[np.float64], start: Index) -> Index:
-    """Steepest ascent to the local maximum of depth; steps of up to two voxels pass over noise."""
+    """Return the local maximum of depth by steepest ascent; steps of up to two voxels pass over noise."""
     at = start
     while True:
         window = tuple(slice(max(i - 2, 0), i + 3) for i in at)
@@ -272,9 +377,9 @@ def _ascend(depth: NDArray[np.float64], start: Index) -> Index:
 
 
 def _front(region: Region, stop: float) -> Mask:
-    """Fast marching from the seed through the eroded region, faster where the intensity fits.
+    """Return the front of fast marching from the seed through the eroded region, faster where the intensity fits.
 
-    Stopped when the share `stop` of the region's voxels is reached: what is left is the reconstruction's.
+    It stops when the fraction `stop` of the region's voxels is reached: the rest is left to the reconstruction.
     """
     eroded, apex = region.eroded, region.apex
     speed = np.exp(-0.5 * ((region.smooth - region.mean) / region.deviation) ** 2) * eroded
@@ -290,6 +395,6 @@ def _front(region: Region, stop: float) -> Mask:
 
 
 def _reconstruct(front: Mask, eroded: Mask) -> Mask:
-    """Binary morphological reconstruction of the front under the eroded mask."""
+    """Return the binary morphological reconstruction of the front under the eroded mask."""
     marker, under = (sitk.GetImageFromArray(m.astype(np.uint8)) for m in (front, eroded))
     return sitk.GetArrayFromImage(sitk.BinaryReconstructionByDilation(marker, under)) != 0

@@ -1,4 +1,4 @@
-"""The grid that an organ is segmented on: isotropic, along the patient's axes, at whole multiples of its spacing.
+"""Working grid of the segmentation: isotropic, along the patient's axes, at whole multiples of its spacing.
 
 It depends on where the anatomy lies, not on the order or the direction of the file's axes: the same
 patient saved sideways, upside down or obliquely gets the same grid.
@@ -17,15 +17,40 @@ _FINEST, _COARSEST = 1.0, 1.5  # mm
 
 
 def default_spacing(ct: Volume) -> float:
-    """Spacing, mm, of the working grid for an image: half of its coarsest, 1 to 1.5 mm."""
+    """Return the spacing of the working grid for an image: half of its coarsest, 1 to 1.5 mm.
+
+    Parameters
+    ----------
+    ct : Volume
+        The image.
+
+    Returns
+    -------
+    float, mm
+        The spacing.
+    """
     return float(np.clip(ct.spacing.max() / 2.0, _FINEST, _COARSEST))
 
 
 def resample(ct: Volume, box: ArrayLike, spacing: float) -> Volume:
-    """The part of an image around `box` (2, 3) mm, its lower and upper corner, on the working grid.
+    """Return the part of an image around a box on the working grid.
 
-    Coarser grids take means over the voxels that they skip. What an oblique image leaves blank carries on its
-    nearest voxel. spacing: mm.
+    Coarser grids take means over the voxels that they skip. Blank voxels of an oblique image take the value of the
+    nearest voxel.
+
+    Parameters
+    ----------
+    ct : Volume
+        The image.
+    box : ArrayLike, shape (2, 3), mm
+        Lower and upper corner.
+    spacing : float, mm
+        Spacing of the grid.
+
+    Returns
+    -------
+    Volume
+        The resampled image.
     """
     corners = _corners(np.asarray(box, dtype=np.float64))
     index = ct.to_index(corners)
@@ -57,7 +82,22 @@ def resample(ct: Volume, box: ArrayLike, spacing: float) -> Volume:
 
 
 def within(ct: Volume, crop: Volume, margin: float = 0.0) -> Mask:
-    """Which voxels of a working grid lie in the image, at least `margin` mm from its outer faces; (nz, ny, nx)."""
+    """Return which voxels of a working grid lie in the image.
+
+    Parameters
+    ----------
+    ct : Volume
+        The image.
+    crop : Volume
+        Image on the working grid.
+    margin : float, mm, optional
+        Least distance from the image's outer faces.
+
+    Returns
+    -------
+    Mask, shape (nz, ny, nx)
+        The voxels.
+    """
     nx, ny, nz = crop.size
     matrix = np.linalg.inv(ct.direction) / ct.spacing[:, None]
     start = ct.to_index(crop.origin)

@@ -1,11 +1,10 @@
-"""Centreline by distance mapping (Wan & Liang 2002), and medial atoms spaced evenly along it and its branches.
+"""Centreline by distance mapping (Wan & Liang 2002), with medial atoms spaced evenly along it and its branches.
 
-Every inner voxel knows its exact distance from the boundary (DFB). A tree grows from the voxel of largest
-DFB over the 26-neighbour graph, always on to the reachable voxel of largest DFB, keeping each voxel's
-parent; where loops of the organ touch, a thin cut keeps it from closing a ring. The tips are the two inner
-voxels farthest from each other, as the way inside goes, unless a branch's tip makes a longer centreline. Between
-them the way that prefers large DFB is trimmed at the tips, centred between voxels, smoothed and resampled by arc
-length. Branches: `skeleton_tree`.
+Every inner voxel has its exact distance from the boundary (DFB). A tree grows from the voxel of largest DFB over the
+26-neighbour graph, always to the reachable voxel of largest DFB, keeping each voxel's parent; where loops of the organ
+touch, a thin cut keeps it from closing a ring. The tips are the two inner voxels farthest from each other along paths
+inside, unless a branch's tip makes a longer centreline. The path between them that prefers large DFB is trimmed at the
+tips, centred between voxels, smoothed and resampled by arc length. Branches: `skeleton_tree`.
 """
 
 from __future__ import annotations
@@ -39,24 +38,35 @@ BRANCHES = ("auto", "none")
 
 _MOST_VOXELS = 6e5  # inside that the tree is grown over; of more, every second (third ...) along each axis
 _GROWTH = 0.4  # the centreline starts where its radius grows by less than this per length: 1 on a tip's own axis
-_THINNEST = 0.35  # and where the radius is this share of the side's median
+_THINNEST = 0.35  # and where the radius is this fraction of the side's median
 _FINGER = 4.0  # radii along which a finger, thinner than that, grows by less than
 _FINGER_GROWTH = 1.5
-_LONGEST_TRIM = 0.75  # share of either side that may be trimmed: a ball keeps a short centreline
+_LONGEST_TRIM = 0.75  # fraction of either side that may be trimmed: a ball keeps a short centreline
 _CENTRING_STEPS = 8
 _WINDOW = 0.5  # radii that a centring step looks around
 _DISC = 9  # samples across that window
-_PLATEAU = 0.05  # radii of distance to the wall by which a place counts e times less
+_PLATEAU = 0.05  # radii of distance to the wall over which the weight falls by e
 
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
     """Medial atoms as a chain, or a tree where the organ branches.
 
-    positions (a, 3) mm on the wall's grid; radius (a,) mm: distance to the wall; parent (a,): the neighbour
-    towards the root, an earlier atom, -1 at the root (the first); in a chain i - 1. length mm: of all centrelines.
-    branch (a,): the segment between junctions and tips that each atom belongs to, a junction's atom to the one
-    towards the root; branches: their number, 1 for a chain.
+    Attributes
+    ----------
+    positions : Floats, shape (a, 3), mm
+        Atoms on the wall's grid.
+    radius : Floats, shape (a,), mm
+        Distance to the wall.
+    parent : Ints, shape (a,)
+        Neighbour towards the root, an earlier atom; -1 at the root, which is the first; i - 1 in a chain.
+    length : float, mm
+        Length of all centrelines.
+    branch : Ints, shape (a,)
+        Segment between junctions and tips that each atom belongs to; a junction's atom belongs to the one towards the
+        root.
+    branches : int
+        Number of segments, 1 for a chain.
     """
 
     positions: Floats
@@ -68,17 +78,47 @@ class Skeleton:
 
 
 def check_atoms(atoms: int) -> None:
-    """Raise UserError for fewer than 1 atom."""
+    """Check the number of atoms.
+
+    Parameters
+    ----------
+    atoms : int
+        The number.
+
+    Raises
+    ------
+    UserError
+        When it is less than 1.
+    """
     if atoms < 1:
         raise UserError(f"--atoms {atoms} is too few; use 1 or more")
 
 
 def extract(wall: Wall, atoms: int, branches: str = "auto") -> Skeleton:
-    """`atoms` medial atoms, evenly spaced by arc length, inside the wall: a chain, or a tree.
+    """Return medial atoms inside the wall, evenly spaced by arc length: a chain, or a tree.
 
-    branches: `auto` follows branches that are long and round enough (`skeleton_tree`), `none` gives a chain.
-    Raises UserError for an unknown choice, fewer atoms than 1 or than the branches need, or an organ too small for
-    its grid.
+    Parameters
+    ----------
+    wall : Wall
+        The wall.
+    atoms : int
+        Number of atoms.
+    branches : str, optional
+        `auto` follows branches that are long and round enough (`skeleton_tree`), `none` gives a chain.
+
+    Returns
+    -------
+    Skeleton
+        The skeleton.
+
+    Raises
+    ------
+    UserError
+        For an unknown choice, fewer atoms than 1 or than the branches need, and an organ too small for its grid.
+
+    References
+    ----------
+    Wan & Liang 2002: Automatic 3-D virtual camera path by distance-mapping.
     """
     check_atoms(atoms)
     if branches not in BRANCHES:
@@ -119,7 +159,7 @@ def extract(wall: Wall, atoms: int, branches: str = "auto") -> Skeleton:
 
 
 def _kept_inside(line: Line, wall: Wall, ways: Floats, step: float) -> Line:
-    """The line, led to its junction inside where the straight way from its limb leaves the organ."""
+    """Return the line with a path to its junction inside, where the straight one from its limb leaves the organ."""
     first, second = line.points[:2]
     if np.all(wall.sample(first + np.linspace(0.0, 1.0, 16)[:, None] * (second - first)) < 0.0):
         return line
@@ -131,7 +171,7 @@ def _kept_inside(line: Line, wall: Wall, ways: Floats, step: float) -> Line:
 
 
 def _cropped(wall: Wall) -> tuple[Wall, Floats]:
-    """The wall with little more of its grid than the organ, and the new grid's first voxel (3,) mm."""
+    """Return the wall with little more of its grid than the organ, and the new grid's first voxel (3,) mm."""
     box = []
     for axis in range(3):
         used = np.flatnonzero((wall.level < 0.0).any(axis=tuple({0, 1, 2} - {axis})))
@@ -144,16 +184,16 @@ def _cropped(wall: Wall) -> tuple[Wall, Floats]:
 
 
 def _thinned_out(depth: Floats, stride: int) -> Floats:
-    """The depth at every stride-th voxel, in voxels of that coarser grid."""
+    """Return the depth at every stride-th voxel, in voxels of that coarser grid."""
     if stride == 1:
         return depth
     return np.ascontiguousarray((depth[::stride, ::stride, ::stride] + 0.5) / stride - 0.5)
 
 
 def _without_handles(depth: Floats) -> Floats:
-    """The depth (nz, ny, nx) voxels, zero in one thin cut through each handle, at its thinnest place.
+    """Return the depth (nz, ny, nx) voxels, zero in one thin cut through each handle, at its thinnest place.
 
-    Ways inside then don't take a short cut where neighbouring loops of an organ touch.
+    Paths inside then don't take a short cut where neighbouring loops of an organ touch.
     """
     inside = depth > 0.0
     if euler_number(inside, connectivity=1) == 1:
@@ -165,14 +205,14 @@ def _without_handles(depth: Floats) -> Floats:
 
 
 def _chain(ways: Floats, parent: Longs, order: Longs) -> Longs:
-    """The tree's path between the two voxels farthest from each other inside: indices, from one tip to the other."""
+    """Return the tree's path between the two voxels farthest from each other inside: indices, from tip to tip."""
     reached = order[order >= 0]
     first = _farthest(ways, reached, int(order[0]))
     return path_between(parent, first, _farthest(ways, reached, first))
 
 
 def _longest(ways: Floats, parent: Longs, chain: Longs, limbs: list[Limb]) -> Longs:
-    """The tree's path between the two tips, of the chain and its branches, with the longest centreline between them.
+    """Return the tree's path between those two tips, of the chain and its branches, with the longest centreline.
 
     A wide pocket's far corner can be farther than the tip of a branch with the longer centreline.
     """
@@ -183,7 +223,7 @@ def _longest(ways: Floats, parent: Longs, chain: Longs, limbs: list[Limb]) -> Lo
 
 
 def _farthest(ways: Floats, reached: Longs, source: int) -> int:
-    """The reached voxel with the longest way inside from the source."""
+    """Return the reached voxel with the longest path inside from the source."""
     distance = np.full(ways.size, np.inf)
     nearest = np.full(ways.size, -1, dtype=np.int64)
     approach(ways.ravel(), np.array(ways.shape), np.array([source]), distance, nearest)
@@ -191,12 +231,12 @@ def _farthest(ways: Floats, reached: Longs, source: int) -> int:
 
 
 def _places(chain: Longs, shape: tuple[int, ...]) -> Floats:
-    """Voxel coordinates (m, 3), order x, y, z, of indices."""
+    """Return voxel coordinates (m, 3), order x, y, z, of indices."""
     return np.stack(np.unravel_index(chain, shape), axis=1)[:, ::-1].astype(np.float64)
 
 
 def _middle(path: Floats, field: NDArray[np.float32], h: float) -> Floats:
-    """The path smooth and in the middle between voxels."""
+    """Return the path smoothed and centred between voxels."""
     return _smooth(_centre(_smooth(path, field, h), field, h), field, h)
 
 
@@ -205,7 +245,7 @@ def _sample(field: NDArray[np.float32], points: Floats, h: float) -> Floats:
 
 
 def _trimmed(path: Floats, radius: Floats) -> tuple[int, int]:
-    """First and one past last point where the path runs along the organ, not from a corner of its tip to the middle."""
+    """Return the first and one past the last point where the path runs along the organ, not from a tip's corner."""
     root = int(radius.argmax())
     first = _inner_end(path[: root + 1], radius[: root + 1])
     last = _inner_end(path[root:][::-1], radius[root:][::-1])
@@ -213,7 +253,7 @@ def _trimmed(path: Floats, radius: Floats) -> tuple[int, int]:
 
 
 def _inner_end(side: Floats, radius: Floats) -> int:
-    """First point of a side, from its tip, from which the radius grows slowly and that is thick enough, or a finger's.
+    """Return the first point, from a side's tip, where the radius grows slowly and is thick enough, or a finger's.
 
     A finger is thin, but stays as thin along several radii.
     """
@@ -227,7 +267,7 @@ def _inner_end(side: Floats, radius: Floats) -> int:
 
 
 def _smooth(path: Floats, field: NDArray[np.float32], h: float) -> Floats:
-    """Smoothing spline along the path; stiffer for a thick organ, softer where that would leave it."""
+    """Return a smoothing spline along the path; stiffer for a thick organ, softer where that would leave it."""
     if len(path) < 8:
         return path
     arc = arc_length(path)
@@ -246,9 +286,9 @@ def _smooth(path: Floats, field: NDArray[np.float32], h: float) -> Floats:
 
 
 def _centre(line: Floats, field: NDArray[np.float32], h: float) -> Floats:
-    """Move the line across its direction to the middle of where the distance to the wall is largest.
+    """Return the line moved across its direction to where the distance to the wall is largest.
 
-    Over a small disc across the line, the mean place with weights that fall with the distance to the wall: on a sharp
+    The mean place over a small disc across the line, with weights that fall with the distance to the wall: on a sharp
     ridge that is the ridge, on a flat one its middle.
     """
     line = line.copy()
@@ -266,7 +306,7 @@ def _centre(line: Floats, field: NDArray[np.float32], h: float) -> Floats:
         depth = _sample(field, (line[:, None] + offset).reshape(-1, 3), h).reshape(len(line), -1)
         weight = np.exp((depth - depth.max(axis=1, keepdims=True)) / (_PLATEAU * radius[:, None]))
         move = np.einsum("ij,ijk->ik", weight, offset) / weight.sum(axis=1, keepdims=True)
-        # Neighbours move together: where the line turns off into a branch it would fold otherwise.
+        # Neighbours move together, since the line would otherwise fold where it turns into a branch.
         apart = float(arc_length(line)[-1]) / max(len(line) - 1, 1)
         if apart > 0.0:
             move = gaussian_filter1d(move, 0.5 * float(np.median(radius)) / apart, axis=0, mode="nearest")

@@ -25,8 +25,8 @@ _PAST = 1.5  # radii of the parent: least length past its surface, to the branch
 _SLENDER = 2.0  # own radii: least length past the parent's surface, trimmed
 _FLAT = 2.5  # largest area of the cross-section, in circles of the branch's radius: 1 is round, an ellipse its aspect
 _THINNEST = 1.0  # voxels between middle and wall; thinner is roughness
-_PREFILTER = 0.8  # share of _PAST from which a candidate is looked at: ways over voxels are a little too long or short
-_TIP = 0.5  # of the median radius: what the thin end of a line counts as
+_PREFILTER = 0.8  # fraction of _PAST from which a candidate is examined: voxel paths are inexact
+_TIP = 0.5  # of the median radius: least radius assumed for the thin end of a line
 _TRIED = 200  # candidates
 _SECTIONS = 9  # cross-sections that judge a branch
 _MERGED = 0.5  # radii: junctions nearer than this are one
@@ -34,10 +34,22 @@ _MERGED = 0.5  # radii: junctions nearer than this are one
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A branch in voxels: path (m, 3), order x, y, z, from its trimmed tip to its parent's surface; thickness (m,).
+    """Branch in voxels.
 
-    tip and start: indices of the voxels at the tip before and after trimming; centre (3,) and reach: the parent's ball
-    that the path runs into.
+    Attributes
+    ----------
+    tip : int
+        Index of the voxel at the tip before trimming.
+    start : int
+        Index of the voxel at the tip after trimming.
+    path : Floats, shape (m, 3), x, y, z
+        Voxels from the trimmed tip to the parent's surface.
+    thickness : Floats, shape (m,)
+        Distance to the boundary along the path.
+    centre : Floats, shape (3,)
+        Centre of the parent's ball that the path runs into.
+    reach : float
+        Radius of that ball.
     """
 
     tip: int
@@ -50,9 +62,18 @@ class Limb:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A smooth centreline (m, 3) mm, from its junction (or the root) to its tip.
+    """Smooth centreline, from its junction (or the root) to its tip.
 
-    on: the line that it starts from, -1 for the first; at: where along that one, mm; radius at the junction, mm.
+    Attributes
+    ----------
+    points : Floats, shape (m, 3), mm
+        Points of the line.
+    on : int
+        Line from which it starts, -1 for the first.
+    at : float, mm
+        Arc length along that line at the junction.
+    radius : float, mm
+        Radius at the junction.
     """
 
     points: Floats
@@ -63,7 +84,21 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """Atoms: positions (a, 3) mm, parent (a,) earlier atom or -1, branch (a,); branches; length mm of all lines."""
+    """Atoms of a skeleton with branches.
+
+    Attributes
+    ----------
+    positions : Floats, shape (a, 3), mm
+        Atoms.
+    parent : Ints, shape (a,)
+        Earlier atom towards the root, or -1.
+    branch : Ints, shape (a,)
+        Branch of each atom.
+    branches : int
+        Number of branches.
+    length : float, mm
+        Length of all lines.
+    """
 
     positions: Floats
     parent: Ints
@@ -76,10 +111,26 @@ class Tree:
 
 
 def find_limbs(depth: Floats, parent: Longs, order: Longs, chain: Longs, inner_end: InnerEnd) -> list[Limb]:
-    """Branches off the chain of voxels, longest first.
+    """Return the branches off the chain of voxels, longest first.
 
-    depth (nz, ny, nx) voxels, positive inside; parent and order: of `grow_tree`; chain (m,): voxels of the centreline;
-    inner_end(path, thickness): first point of a path, from its tip, that runs along the organ.
+    Parameters
+    ----------
+    depth : Floats, shape (nz, ny, nx), voxels
+        Distance to the border, positive inside.
+    parent : Longs
+        Parent of every voxel, of `grow_tree`.
+    order : Longs
+        Order of growth, of `grow_tree`.
+    chain : Longs, shape (m,)
+        Voxels of the centreline.
+    inner_end : InnerEnd
+        Called with a path and its thickness; returns the first point of the path, from its tip, that runs along the
+        organ.
+
+    Returns
+    -------
+    list[Limb]
+        The branches.
     """
     shape = np.array(depth.shape)
     flat = np.ascontiguousarray(depth, dtype=np.float64).ravel()
@@ -117,7 +168,7 @@ def find_limbs(depth: Floats, parent: Longs, order: Longs, chain: Longs, inner_e
 
 
 def _rerooted(parent: Longs, chain: Longs) -> Longs:
-    """The tree's parents with the chain for its root: from every voxel up to the chain."""
+    """Return the tree's parents with the chain as its root: from every voxel up to the chain."""
     top = int(chain[np.flatnonzero(~np.isin(parent[chain], chain))[0]])
     up = parent.copy()
     below, above = top, int(parent[top])
@@ -128,7 +179,7 @@ def _rerooted(parent: Longs, chain: Longs) -> Longs:
 
 
 def _judged(depth: Floats, ids: Longs, skeleton: Longs, inner_end: InnerEnd) -> Limb | None:
-    """The branch along a path of voxels from a tip to the skeleton; None where it is none."""
+    """Return the branch along a path of voxels from a tip to the skeleton; None where it is none."""
     path, thickness = _places(ids, depth.shape), depth.ravel()[ids]
     middle, reach = _places(skeleton, depth.shape), depth.ravel()[skeleton]
     gap = np.linalg.norm(path[:, None] - middle, axis=2) - reach
@@ -148,7 +199,7 @@ def _judged(depth: Floats, ids: Longs, skeleton: Longs, inner_end: InnerEnd) -> 
 
 
 def _flatness(depth: Floats, path: Floats, thickness: Floats) -> float:
-    """Median area of cross-sections, in circles of the path's radius there."""
+    """Return the median area of cross-sections, in circles of the path's radius there."""
     found = []
     for k in np.unique(np.linspace(0, len(path) - 1, _SECTIONS).round().astype(int)):
         r = float(thickness[k]) + 0.5  # voxels are counted from their centres
@@ -172,9 +223,25 @@ def _flatness(depth: Floats, path: Floats, thickness: Floats) -> float:
 
 
 def longest_chain(parent: Longs, shape: tuple[int, ...], tips: Longs, starts: Longs) -> Longs:
-    """The tree's longest path between two of the tips, measured from their trimmed starts: indices of voxels.
+    """Return the tree's longest path between two of the tips, measured from their trimmed starts.
 
-    tips and starts (k,), k >= 2. The first two are kept unless others are longer.
+    The first two tips are kept unless others give a longer path.
+
+    Parameters
+    ----------
+    parent : Longs
+        Parent of every voxel.
+    shape : tuple[int, ...]
+        Shape of the grid.
+    tips : Longs, shape (k,)
+        Voxels of the tips, k >= 2.
+    starts : Longs, shape (k,)
+        Voxels of the trimmed tips.
+
+    Returns
+    -------
+    Longs
+        Indices of voxels.
     """
     best, chosen = -1.0, (0, 1)
     for i in range(len(tips)):
@@ -187,7 +254,22 @@ def longest_chain(parent: Longs, shape: tuple[int, ...], tips: Longs, starts: Lo
 
 
 def path_between(parent: Longs, first: int, last: int) -> Longs:
-    """The tree's path between two voxels: indices, ends included."""
+    """Return the tree's path between two voxels.
+
+    Parameters
+    ----------
+    parent : Longs
+        Parent of every voxel.
+    first : int
+        First voxel.
+    last : int
+        Last voxel.
+
+    Returns
+    -------
+    Longs
+        Indices of voxels, ends included.
+    """
     side, other = path_up(parent, int(first)), path_up(parent, int(last))
     while len(side) > 1 and len(other) > 1 and side[-2] == other[-2]:
         side.pop()
@@ -196,7 +278,7 @@ def path_between(parent: Longs, first: int, last: int) -> Longs:
 
 
 def path_up(parent: Longs, tip: int) -> list[int]:
-    """Voxels from a tip to the tree's root."""
+    """Return the voxels from a tip to the tree's root."""
     path = [tip]
     while parent[path[-1]] >= 0:
         path.append(int(parent[path[-1]]))
@@ -211,10 +293,27 @@ def _places(ids: Longs, shape: tuple[int, ...]) -> Floats:
 
 
 def join(lines: list[Line], limb: Floats, own: float, centre: Floats, reach: float) -> Line:
-    """A limb (m, 3) mm, from its tip to its parent's surface, led straight on to a junction on one of the lines.
+    """Return a limb as a line that continues straight to a junction on one of the lines.
 
-    own: its radius near its base; centre (3,) and reach: of the parent's ball at its base. The junction is where the
-    limb, led on in its own direction, comes nearest to a line inside that ball. All mm.
+    The junction is where the limb, extended in its own direction, comes nearest to a line inside its parent's ball.
+
+    Parameters
+    ----------
+    lines : list[Line]
+        Lines that it may start from.
+    limb : Floats, shape (m, 3), mm
+        Points from its tip to its parent's surface.
+    own : float, mm
+        Its radius near its base.
+    centre : Floats, shape (3,), mm
+        Centre of the parent's ball at its base.
+    reach : float, mm
+        Radius of that ball.
+
+    Returns
+    -------
+    Line
+        The line.
     """
     base = limb[-1]
     arc = arc_length(limb)
@@ -238,15 +337,42 @@ def join(lines: list[Line], limb: Floats, own: float, centre: Floats, reach: flo
 
 
 def arc_length(points: Floats) -> Floats:
-    """Length along a polyline (m, 3) up to each of its points, (m,)."""
+    """Return the length along a polyline up to each of its points.
+
+    Parameters
+    ----------
+    points : Floats, shape (m, 3)
+        Points.
+
+    Returns
+    -------
+    Floats, shape (m,)
+        Length, in the unit of the points.
+    """
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 def place_atoms(lines: list[Line], atoms: int) -> Tree:
-    """`atoms` atoms, evenly spaced over all lines, of which every end and every junction is one.
+    """Return atoms evenly spaced over all lines, with one at every end and every junction.
 
     A branch is a segment between junctions and tips; a junction's atom belongs to the branch towards the root.
-    Raises UserError when the branches need more atoms.
+
+    Parameters
+    ----------
+    lines : list[Line]
+        The lines.
+    atoms : int
+        Number of atoms.
+
+    Returns
+    -------
+    Tree
+        The tree.
+
+    Raises
+    ------
+    UserError
+        Where the branches need more atoms.
     """
     lines = _merged(lines)
     segments = _segments(lines)
@@ -280,20 +406,20 @@ def place_atoms(lines: list[Line], atoms: int) -> Tree:
 
 
 def _junction(lines: list[Line], k: int, at: float) -> tuple[int, float]:
-    """Line and length along it of the same place: a line's start lies on the line that it starts from."""
+    """Return line and length along it of the same place: a line's start lies on the line that it starts from."""
     while at <= 0.0 and k > 0:
         k, at = lines[k].on, lines[k].at
     return k, at
 
 
 def points_at(points: Floats, arc: Floats) -> Floats:
-    """Points (n, 3) at lengths (n,) along a polyline (m, 3)."""
+    """Return points (n, 3) at lengths (n,) along a polyline (m, 3)."""
     own = arc_length(points)
     return np.stack([np.interp(arc, own, points[:, k]) for k in range(3)], axis=1)
 
 
 def _merged(lines: list[Line]) -> list[Line]:
-    """Junctions of a line that lie nearer to each other than half a radius put on one place."""
+    """Return the lines with junctions that are nearer than half a radius merged into one place."""
     merged = [lines[0]]
     moved: dict[int, float] = {}
     for k in range(len(lines)):
@@ -313,7 +439,7 @@ def _merged(lines: list[Line]) -> list[Line]:
 
 
 def _segments(lines: list[Line]) -> list[tuple[int, float, float]]:
-    """Line, start and stop of every piece between junctions, parents first."""
+    """Return line, start and stop of every piece between junctions, parents first."""
     found = []
     for k, line in enumerate(lines):
         cuts = sorted({child.at for child in lines if child.on == k} - {0.0})

@@ -1,7 +1,7 @@
-"""Kernels of the skeleton over the voxel graph: the distance-mapping tree and lengths of ways inside.
+"""Kernels of the skeleton over the voxel graph: the distance-mapping tree and lengths of paths inside.
 
-Neighbours are the 26 around a voxel, but a diagonal step needs voxels inside to step over: parts of a solid that
-meet only across an edge or a corner, as the two sides of a thin cut do, are no neighbours.
+Neighbours are the 26 around a voxel, but a diagonal step needs voxels inside to step over: parts of a solid that meet
+only across an edge or a corner, as the two sides of a thin cut do, are not neighbours.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tissue_sim.jit import kernel
 
 @kernel
 def _open(depth: Floats, v: int, layer: int, row: int, dz: int, dy: int, dx: int) -> bool:
-    """Is there a way over faces from voxel v to its neighbour (dz, dy, dx), inside the box of the two?"""
+    """Return whether a path over faces leads from voxel v to its neighbour (dz, dy, dx), inside the box of the two."""
     a, b, c = dz * layer, dy * row, dx
     if (dz != 0) + (dy != 0) + (dx != 0) < 2:
         return True
@@ -35,10 +35,23 @@ def _open(depth: Floats, v: int, layer: int, row: int, dz: int, dy: int, dx: int
 
 @kernel
 def grow_tree(depth: Floats, shape: Longs) -> tuple[Longs, Longs]:
-    """Prim-like growth from the deepest voxel, always on to the deepest reachable voxel (Wan & Liang 2002).
+    """Grow a tree from the deepest voxel, always to the deepest reachable voxel (Prim's algorithm).
 
-    depth: flattened (nz ny nx,), positive inside. Returns parent (-1 at the root, -2 where not reached) and the order
-    of growth (filled with -1 behind the last voxel).
+    Parameters
+    ----------
+    depth : Floats, shape (nz ny nx,), voxels
+        Distance to the border, flattened, positive inside.
+    shape : Longs, shape (3,)
+        Number of voxels along z, y, x.
+
+    Returns
+    -------
+    tuple[Longs, Longs]
+        Parent of every voxel, -1 at the root, -2 where not reached; and the order of growth, filled with -1.
+
+    References
+    ----------
+    Wan & Liang 2002.
     """
     nz, ny, nx = shape[0], shape[1], shape[2]
     parent = np.full(depth.size, -2, dtype=np.int64)
@@ -67,10 +80,22 @@ def grow_tree(depth: Floats, shape: Longs) -> tuple[Longs, Longs]:
 
 @kernel
 def approach(depth: Floats, shape: Longs, sources: Longs, distance: Floats, nearest: Longs) -> None:
-    """Shorten, in place, the shortest ways inside (Dijkstra) by new sources.
+    """Shorten the shortest paths inside (Dijkstra) by new sources, in place.
 
-    distance (n,) voxels, inf where unknown, and nearest (n,), the source at the way's start, of earlier calls;
-    sources: indices of voxels. Only what gets nearer is visited.
+    Only voxels that get nearer are visited.
+
+    Parameters
+    ----------
+    depth : Floats, shape (nz ny nx,), voxels
+        Distance to the border, flattened, positive inside.
+    shape : Longs, shape (3,)
+        Number of voxels along z, y, x.
+    sources : Longs
+        Indices of the new sources.
+    distance : Floats, shape (nz ny nx,), voxels
+        Length of the shortest path, inf where unknown; updated.
+    nearest : Longs, shape (nz ny nx,)
+        Source of that path; updated.
     """
     nz, ny, nx = shape[0], shape[1], shape[2]
     heap = [(0.0, np.int64(0))]
@@ -103,10 +128,25 @@ def approach(depth: Floats, shape: Longs, sources: Longs, distance: Floats, near
 
 @kernel
 def middle_way(depth: Floats, shape: Longs, source: int, target: int) -> Longs:
-    """Voxels from source to target on the cheapest way inside, where a step costs its length over the squared depth.
+    """Return the cheapest path inside, where a step costs its length over the squared depth.
 
-    It keeps to the middle as the tree does, but goes straight through wide places whose ridges go round. Empty when
-    the target is out of reach.
+    It keeps to the middle as the tree does, but goes straight through wide places whose ridges go round.
+
+    Parameters
+    ----------
+    depth : Floats, shape (nz ny nx,), voxels
+        Distance to the border, flattened, positive inside.
+    shape : Longs, shape (3,)
+        Number of voxels along z, y, x.
+    source : int
+        First voxel.
+    target : int
+        Last voxel.
+
+    Returns
+    -------
+    Longs
+        Indices of voxels from source to target; empty where the target can't be reached.
     """
     nz, ny, nx = shape[0], shape[1], shape[2]
     cost = np.full(depth.size, np.inf)

@@ -1,13 +1,13 @@
 """Balloon: a closed triangle surface of N points and 2N - 4 triangles that expands to an organ's wall.
 
-Mitchell (1997) as used by Zhang, Gu et al. (2006), section 2: f_i = k_t sum_j (x_j - x_i) + k_p n_i; a move
-that would leave the organ is bisected. A fold of the wall that the expanding surface would meet from both
-sides (a deep hilum) is closed at first and entered by shrinking. While the surface grows, points travel from crowded to
-stretched places and edges flip, so that long and hollow organs get even triangles too. Then points are
-added or taken away up to N, and laid on the sub-voxel wall.
+Mitchell (1997) as used by Zhang, Gu et al. (2006), section 2: f_i = k_t sum_j (x_j - x_i) + k_p n_i; a move that would
+leave the organ is bisected. A fold of the wall that the expanding surface would meet from both sides (a deep hilum) is
+closed at first and entered by shrinking. While the surface grows, points move from crowded to stretched places and
+edges flip, so that long and hollow organs get even triangles too. Then points are added or removed up to N, and laid on
+the sub-voxel wall.
 
-Folds that neither way enters (deep and narrow) are reached from the other side: the wall's own marching cubes
-surface is thinned to N points. `Balloon.expanded` tells which it was.
+Folds that neither expansion nor shrinking enters (deep and narrow) are reached from the other side: the wall's own
+marching cubes surface is thinned to N points. `Balloon.expanded` says which of the two was used.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ Progress = Callable[[float], None]
 
 FEWEST_POINTS = 50
 _EXPANDING = 1000  # points; the others come or go at the wall
-_CRUMPLED = 0.01  # of the points: more pairs of triangles that cut each other don't come apart any more
-_SETTLED = 5e-4  # share of the volume gained in a round of steps at which the expansion ends
+_CRUMPLED = 0.01  # of the points: with more intersecting pairs of triangles, the surface doesn't disentangle any more
+_SETTLED = 5e-4  # fraction of the volume gained in a round of steps, at which the expansion ends
 _ROUND = 15  # steps between two looks at the volume
 _DETAIL = 0.5  # edge lengths: narrower folds are closed while the balloon moves
 # Expansions tried until the wall is reached: folds narrower than this many organ depths are closed at first.
@@ -58,11 +58,22 @@ class BalloonParameters:
 
 @dataclass(frozen=True, eq=False)
 class Balloon:
-    """positions (n, 3) mm on the wall's grid, outward triangles (2 n - 4, 3).
+    """Result of the expansion.
 
-    missed mm: largest distance from the wall to the surface; much more than a voxel means a fold of the wall that
-    the balloon didn't enter. expanded: from inside; else thinned from the wall's own surface, because the
-    expansion left a fold out. warnings: regularity that wasn't reached, one line each.
+    Attributes
+    ----------
+    positions : Floats, shape (n, 3), mm
+        Points on the wall's grid.
+    triangles : Ints, shape (2 n - 4, 3)
+        Corner indices, outward.
+    missed : float, mm
+        Largest distance from the wall to the surface; much more than a voxel means a fold of the wall that the balloon
+        didn't enter.
+    expanded : bool
+        True if expanded from inside; False if thinned from the wall's own surface, because the expansion left a fold
+        out.
+    warnings : tuple[str, ...]
+        Regularity that wasn't reached, one line each.
     """
 
     positions: Floats
@@ -78,7 +89,18 @@ class Balloon:
 
 
 def check_points(points: int) -> None:
-    """Raise UserError for fewer than 50 points."""
+    """Check the number of surface points.
+
+    Parameters
+    ----------
+    points : int
+        The number.
+
+    Raises
+    ------
+    UserError
+        When it is less than 50.
+    """
     if points < FEWEST_POINTS:
         raise UserError(f"--points {points} is too few for an organ; use {FEWEST_POINTS} or more")
 
@@ -86,10 +108,32 @@ def check_points(points: int) -> None:
 def inflate(
     wall: Wall, points: int, parameters: BalloonParameters | None = None, progress: Progress | None = None
 ) -> Balloon:
-    """Surface of exactly `points` points and 2 points - 4 triangles on the wall, closed and free of folds.
+    """Return a surface of exactly `points` points on the wall, closed and free of folds.
 
-    progress: called with the share done, 0 to 1, never falling.
-    Raises UserError for fewer than 50 points, or when no surface without self-intersection is found.
+    Parameters
+    ----------
+    wall : Wall
+        The wall.
+    points : int
+        Number of points.
+    parameters : BalloonParameters | None, optional
+        Forces and steps; None for the usual ones.
+    progress : Progress | None, optional
+        Called with the fraction done, 0 to 1, never falling.
+
+    Returns
+    -------
+    Balloon
+        The balloon.
+
+    Raises
+    ------
+    UserError
+        For fewer than 50 points, and where no surface without self-intersection is found.
+
+    References
+    ----------
+    Mitchell 1997; Zhang, Gu et al. 2006, section 2.
     """
     check_points(points)
     p = parameters or BalloonParameters()
@@ -115,7 +159,7 @@ def inflate(
 
 
 class _Rising:
-    """Passes on only shares larger than those before."""
+    """Progress callback that passes on only fractions larger than those before."""
 
     def __init__(self, progress: Progress | None) -> None:
         self._progress, self._last = progress, -1.0
@@ -128,7 +172,7 @@ class _Rising:
 
 @dataclass(frozen=True, eq=False)
 class _Start:
-    """A surface of the wanted number of points near the wall, and the wall to lay it on."""
+    """Surface of the wanted number of points near the wall, and the wall to lay it on."""
 
     positions: Floats
     triangles: Ints
@@ -137,7 +181,7 @@ class _Start:
 
 
 def _starts(wall: Wall, points: int, p: BalloonParameters, told: Progress) -> Iterator[_Start]:
-    """Expansions that reach the wall everywhere, then the thinned wall, then expansions that left a fold out."""
+    """Yield expansions that reach the wall everywhere, then the thinned wall, then expansions that left a fold out."""
     edge = float(np.sqrt(4.0 / np.sqrt(3.0) * wall.area() / (2 * points - 4)))
     closed = closed_wall(wall, _DETAIL * edge) or wall
     late: list[_Start] = []
@@ -161,7 +205,7 @@ def _starts(wall: Wall, points: int, p: BalloonParameters, told: Progress) -> It
 
 
 class _Part:
-    """A part of the progress as 0 to 1."""
+    """Progress callback that maps 0..1 to a part of the whole."""
 
     def __init__(self, told: Progress, start: float, end: float) -> None:
         self._told, self._start, self._end = told, start, end
@@ -173,7 +217,7 @@ class _Part:
 def _inflate(
     wall: Wall, points: int, closing: float, p: BalloonParameters, told: Progress
 ) -> tuple[Floats, Ints] | None:
-    """Balloon on the wall; first in the organ closed by `closing` times its depth. None where that makes a ring."""
+    """Return the balloon on the wall; first in the organ closed by `closing` times its depth. None for a ring."""
     depth = distance_transform_edt(wall.level < 0.0)
     centre = np.array(np.unravel_index(int(depth.argmax()), depth.shape))[::-1] * wall.spacing
     deepest = float(depth.max()) * wall.spacing
@@ -192,7 +236,7 @@ def _inflate(
 def _move_to_wall(
     positions: Floats, triangles: Ints, wall: Wall, p: BalloonParameters, sign: float, told: Progress
 ) -> None:
-    """Expand inside the organ (sign +1), or shrink around it (-1), until the volume settles. In place."""
+    """Expand inside the organ (sign +1), or shrink around it (-1), until the volume settles; in place."""
     points, h = len(positions), wall.spacing
     level = np.ascontiguousarray(sign * wall.level, dtype=np.float32)
     whole = float(np.count_nonzero(wall.level < 0.0)) * h**3
@@ -210,7 +254,7 @@ def _move_to_wall(
 
 
 def fibonacci_sphere(points: int) -> tuple[Floats, Ints]:
-    """Unit sphere of any number of evenly spread points; its convex hull has 2 points - 4 triangles, outward."""
+    """Return a unit sphere of evenly spread points; its convex hull has 2 points - 4 triangles, outward."""
     k = np.arange(points) + 0.5
     z = 1.0 - 2.0 * k / points
     angle = np.pi * (1.0 + np.sqrt(5.0)) * k
@@ -233,11 +277,11 @@ def expand(
     tension: float,
     pressure: float,
 ) -> None:
-    """One step of the balloon's forces, in place.
+    """Do one step of the balloon's forces, in place.
 
-    normal (n, 3): of the points; level: allowed where it is 0 or less; pressure in mm a step, tension without
-    unit. A move that would leave the organ is halved up to three times, then tried along the surface only, so
-    that points at the wall still slide.
+    normal (n, 3): of the points; level: allowed where it is 0 or less; pressure in mm per step, tension without unit. A
+    move that would leave the organ is halved up to three times, then tried along the surface only, so that points at
+    the wall still slide.
     """
     n = positions.shape[0]
     force = pressure * normal

@@ -1,4 +1,4 @@
-"""A triangle surface laid evenly and closely on an organ's wall: relaxation, flips, point transport, least squares."""
+"""Fitting of a triangle surface evenly and closely to a wall: relaxation, flips, point transport, least squares."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 RATIO = 2.0  # a long edge is split when it is this many times a short one
 VARIATION = 0.25  # standard deviation of the edge lengths over their mean, at most
 LEAST_ANGLE = 20.0  # degrees
-_SHARE = 0.12  # of the points that a pass of thinning removes, or adds
+_SHARE = 0.12  # fraction of the points that a pass of thinning removes, or adds
 _CLOSEST = 12  # steps of least squares
 _ROUNDS = 8  # of refinement
-_VAIN = 4  # rounds without a better surface after which refinement ends
+_VAIN = 4  # rounds without a better surface, after which refinement ends
 _CLOSE = 1.25  # voxels: Hausdorff distance at which refinement ends
 _REACH = 1.25  # edge lengths: a surface further away than this has left out a fold
 _AIM = 0.3  # voxels: distance from the wall at which refinement leaves the edges as they are
@@ -32,14 +32,34 @@ _PLACES = np.array(
 
 
 def flip(positions: Floats, triangles: Ints) -> None:
-    """Flip edges towards Delaunay until nothing changes, five passes at most. In place."""
+    """Flip edges towards Delaunay until nothing changes, at most five passes; in place.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    """
     for _ in range(5):
         if flip_edges(positions, triangles) == 0:
             return
 
 
 def fit(positions: Floats, triangles: Ints, wall: Wall, steps: int) -> None:
-    """Lay the points on the wall, evenly: relax along the surface, project, flip, move points. In place."""
+    """Lay the points evenly on the wall: relax along the surface, project, flip, move points; in place.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    wall : Wall
+        The wall.
+    steps : int
+        Number of steps.
+    """
     n = len(positions)
     for step in range(steps):
         if step < steps // 2 and step % 4 == 0:
@@ -50,10 +70,10 @@ def fit(positions: Floats, triangles: Ints, wall: Wall, steps: int) -> None:
 
 
 def settle(positions: Floats, triangles: Ints, wall: Wall, steps: int = _CLOSEST, size: Floats | None = None) -> None:
-    """Shift the points along the normals so that the flat triangles, not the points, lie on the wall. In place.
+    """Shift the points along the normals so that the flat triangles, not the points, lie on the wall; in place.
 
-    Least squares of the triangles' signed distances, by area, with lumped weights; between two shifts
-    the points relax along the surface. Points on a round wall would make a polyhedron inside it.
+    Least squares of the triangles' signed distances, by area, with lumped weights; between two shifts the points relax
+    along the surface. Points on a round wall would give a polyhedron inside it.
     """
     size = np.ones(len(positions)) if size is None else size
     reach = 1.5 * float(np.sqrt(4.0 / np.sqrt(3.0) * wall.area() / len(triangles)))
@@ -67,8 +87,21 @@ def settle(positions: Floats, triangles: Ints, wall: Wall, steps: int = _CLOSEST
 
 @dataclass(frozen=True, eq=False)
 class Finished:
-    """A surface on the wall, (n, 3) mm and (2 n - 4, 3); missed: largest distance from the wall to it, hausdorff:
-    either way, mm; warnings: regularity that wasn't reached."""
+    """Surface on the wall.
+
+    Attributes
+    ----------
+    positions : Floats, shape (n, 3), mm
+        Points.
+    triangles : Ints, shape (2 n - 4, 3)
+        Corner indices, outward.
+    missed : float, mm
+        Largest distance from the wall to the surface.
+    hausdorff : float, mm
+        Largest distance in either direction.
+    warnings : tuple[str, ...]
+        Regularity that wasn't reached.
+    """
 
     positions: Floats
     triangles: Ints
@@ -77,7 +110,7 @@ class Finished:
     warnings: tuple[str, ...]
 
     def better_than(self, other: Finished, share: float = 1.0) -> bool:
-        """Without warnings where the other has some, or as good and nearer: within `share` of its distance."""
+        """Return whether it has no warnings where the other has, or as good and within `share` of its distance."""
         if bool(self.warnings) != bool(other.warnings):
             return not self.warnings
         return self.hausdorff < share * other.hausdorff
@@ -86,11 +119,28 @@ class Finished:
 def finish(
     positions: Floats, triangles: Ints, wall: Wall, reference: tuple[Floats, Ints], fitting: int = 60
 ) -> Finished | None:
-    """The surface laid on the wall as closely as even triangles allow; None if it cuts through itself.
+    """Return the surface laid on the wall as closely as even triangles allow.
 
-    reference: marching cubes surface that distances are taken from; fitting: steps of relaxation on the wall. Where the
-    surface stays further away than a voxel or so, points move there from flat places, as long as the edges'
-    variation allows. The arguments stay as they are.
+    Where the surface stays further away than about a voxel, points move there from flat places, as long as the edges'
+    variation allows.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    wall : Wall
+        The wall.
+    reference : tuple[Floats, Ints]
+        Marching cubes surface from which distances are taken.
+    fitting : int, optional
+        Steps of relaxation on the wall.
+
+    Returns
+    -------
+    Finished | None
+        The new surface; None where it intersects itself.
     """
     p, t, size = positions.copy(), triangles.copy(), np.ones(len(positions))
     fit(p, t, wall, fitting)
@@ -119,13 +169,26 @@ def finish(
 
 
 def mean_edge(positions: Floats, triangles: Ints) -> float:
-    """Mean edge length of a closed surface, in the unit of its positions."""
+    """Return the mean edge length of a closed surface, in the unit of its positions.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    float
+        The mean.
+    """
     edges = positions[triangles] - positions[np.roll(triangles, 1, axis=1)]
     return float(np.linalg.norm(edges, axis=2).mean())
 
 
 def _judged(positions: Floats, triangles: Ints, reference: tuple[Floats, Ints]) -> Finished | None:
-    """The surface with its distances and warnings; None if it cuts through itself."""
+    """Return the surface with its distances and warnings; None if it intersects itself."""
     if len(intersecting_pairs(positions, triangles)):
         return None
     edges = positions[triangles] - positions[np.roll(triangles, 1, axis=1)]
@@ -145,9 +208,9 @@ def _judged(positions: Floats, triangles: Ints, reference: tuple[Floats, Ints]) 
 
 
 def refine(positions: Floats, triangles: Ints, size: Floats, wall: Wall, reference: tuple[Floats, Ints]) -> None:
-    """Draw the points to where the surface is far from the wall; `size` (n,) are the edge lengths wanted, relative.
+    """Move the points to where the surface is far from the wall; `size` (n,) are the wanted relative edge lengths.
 
-    reference: the wall's marching cubes surface. Changes all three arrays in place.
+    reference: the wall's marching cubes surface. All three arrays are changed in place.
     """
     n = len(positions)
     aim = _AIM * wall.spacing
@@ -167,7 +230,7 @@ def refine(positions: Floats, triangles: Ints, size: Floats, wall: Wall, referen
 
 
 def spread(values: Floats, triangles: Ints, times: int) -> Floats:
-    """Values (n,) at points, averaged `times` times over the triangles around them."""
+    """Return values (n,) at points, averaged `times` times over the triangles around them."""
     n = len(values)
     count = np.bincount(triangles.ravel(), minlength=n)
     for _ in range(times):
@@ -177,9 +240,23 @@ def spread(values: Floats, triangles: Ints, times: int) -> Floats:
 
 
 def bring_to(positions: Floats, triangles: Ints, wall: Wall, points: int) -> tuple[Floats, Ints] | None:
-    """A closed surface near the wall brought to `points` points on it, by collapses or splits a few at a time.
+    """Return a closed surface near the wall brought to a number of points, by a few collapses or splits at a time.
 
-    None where the surface isn't a sphere or can't be brought to that number.
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    wall : Wall
+        The wall.
+    points : int
+        Wanted number of points.
+
+    Returns
+    -------
+    tuple[Floats, Ints] | None
+        Points and triangles; None where the surface isn't a sphere or can't be brought to that number.
     """
     if len(triangles) != 2 * len(positions) - 4:
         return None
@@ -201,7 +278,21 @@ def bring_to(positions: Floats, triangles: Ints, wall: Wall, points: int) -> tup
 
 @kernel
 def sample(level, h, x, y, z):  # type: ignore[no-untyped-def]
-    """Trilinear level at a point, mm; far outside counts as outside."""
+    """Return the trilinear level at a point, mm; 1e9 outside the grid.
+
+    Parameters
+    ----------
+    level : shape (nz, ny, nx), mm
+        Signed distance, negative inside.
+    h : mm
+        Spacing of the grid.
+    x : mm
+        Coordinate on the grid.
+    y : mm
+        Coordinate on the grid.
+    z : mm
+        Coordinate on the grid.
+    """
     nz, ny, nx = level.shape
     u, v, w = x / h, y / h, z / h
     if u < 0.0 or v < 0.0 or w < 0.0 or u > nx - 1.0 or v > ny - 1.0 or w > nz - 1.0:
@@ -217,7 +308,7 @@ def sample(level, h, x, y, z):  # type: ignore[no-untyped-def]
 
 @kernel
 def _shift(positions, triangles, level, h, places, reach):  # type: ignore[no-untyped-def]
-    """Step (n,) along the normals: minus the mean distance, within `reach`, of the triangles around each point."""
+    """Return the step (n,) along the normals: minus the mean distance, within `reach`, of the triangles around."""
     total = np.zeros(positions.shape[0])
     weight = np.zeros(positions.shape[0])
     for t in range(triangles.shape[0]):

@@ -1,4 +1,4 @@
-"""Closed surfaces around what a mask marks as an inclusion, with few triangles."""
+"""Closed surfaces of few triangles around what a mask marks as an inclusion."""
 
 from __future__ import annotations
 
@@ -14,14 +14,29 @@ from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.surfaces.resample import thin_out
 from tissue_sim.organ.surfaces.surface import make_wall, marching_cubes_surface
 
-POINTS = 400  # of one surface at the most
+POINTS = 400  # of one surface at most
 LEAST_VOXELS = 50  # of a part, as make_wall has it
 
 
 def surround(mask: Volume, stiffness: float) -> tuple[list[Inclusion], int]:
-    """Each part of a mask as an inclusion, the largest first, and how many parts are too small for one.
+    """Return each part of a mask as an inclusion, the largest first.
 
-    Raises UserError when none is large enough, or for a stiffness that none has.
+    Parameters
+    ----------
+    mask : Volume
+        The voxels of the organ.
+    stiffness : float
+        Factor of the tissue's moduli.
+
+    Returns
+    -------
+    tuple[list[Inclusion], int]
+        The inclusions, and how many parts are too small for one.
+
+    Raises
+    ------
+    UserError
+        Where no part is large enough, and for a stiffness out of range.
     """
     check_stiffness(stiffness)
     mask = mask.upright()

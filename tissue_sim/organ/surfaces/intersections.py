@@ -1,4 +1,4 @@
-"""Places where a triangle surface cuts through itself, and segments that run through it."""
+"""Self-intersections of a triangle surface, and segments that run through it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,26 @@ from tissue_sim.organ.surfaces.surface_distance import _dot, _span, listed_in_ce
 
 
 def intersecting_pairs(positions: Floats, triangles: Ints) -> Ints:
-    """Pairs (k, 2) of triangles of which an edge of one runs through the other, other than where they are joined.
+    """Return the pairs of triangles of which an edge of one runs through the other, except where they are joined.
 
-    Triangles with one common point are tested by the edges opposite to it; those with a common edge are not.
-    Moeller and Trumbore (1997) for each edge; candidates share a cell of a grid and overlap in their boxes.
+    Triangles with one common point are tested by the edges opposite to it; those with a common edge are not. Candidates
+    share a cell of a grid and overlap in their boxes.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    Ints, shape (k, 2)
+        Triangle indices.
+
+    References
+    ----------
+    Moeller & Trumbore 1997: Fast, minimum storage ray/triangle intersection.
     """
     corner = positions[triangles]
     return _pairs(corner, np.ascontiguousarray(triangles), listed_in_cells(corner))
@@ -22,7 +38,7 @@ def intersecting_pairs(positions: Floats, triangles: Ints) -> Ints:
 
 @kernel
 def is_crossed(start, end, corner):  # type: ignore[no-untyped-def]
-    """Does the segment between two points (3,) run through any triangle of (t, 3, 3)?"""
+    """Return whether the segment between two points (3,) runs through any triangle of (t, 3, 3)."""
     for t in range(corner.shape[0]):  # noqa: SIM110
         if _hits(start, end, corner[t]):
             return True
@@ -60,7 +76,7 @@ def _pairs(corner, triangles, cells):  # type: ignore[no-untyped-def]
 
 @kernel
 def _overlap(corner, t, q):  # type: ignore[no-untyped-def]
-    """Do the boxes around two triangles touch?"""
+    """Return whether the boxes around two triangles touch."""
     for m in range(3):
         a = min(corner[t, 0, m], corner[t, 1, m], corner[t, 2, m])
         b = max(corner[t, 0, m], corner[t, 1, m], corner[t, 2, m])
@@ -91,7 +107,7 @@ def _cross(corner, triangles, t, q):  # type: ignore[no-untyped-def]
 
 @kernel
 def _hits(start, end, triangle):  # type: ignore[no-untyped-def]
-    """Does the segment start - end run through the triangle (3, 3)?"""
+    """Return whether the segment start - end runs through the triangle (3, 3)."""
     a = triangle[0]
     u = (triangle[1, 0] - a[0], triangle[1, 1] - a[1], triangle[1, 2] - a[2])
     v = (triangle[2, 0] - a[0], triangle[2, 1] - a[1], triangle[2, 2] - a[2])

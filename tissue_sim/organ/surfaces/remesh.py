@@ -12,12 +12,30 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 
 MOST_NEIGHBOURS = 32  # triangles at a point; the changes below never exceed it
-_KEEP_NORMAL = 0.3  # cosine: a change that turns a triangle further than this is refused
+_KEEP_NORMAL = 0.3  # cosine: a change that turns a triangle further is refused
 
 
 @kernel
 def stars(triangles: Ints, n: int) -> tuple[Ints, Ints]:
-    """Triangles around each of n points: star (n, MOST_NEIGHBOURS), count (n,)."""
+    """Return the triangles around each point.
+
+    Parameters
+    ----------
+    triangles : Ints, shape (t, 3)
+        Corner indices.
+    n : int
+        Number of points.
+
+    Returns
+    -------
+    tuple[Ints, Ints]
+        Triangles, shape (n, MOST_NEIGHBOURS), filled with -1, and their number, shape (n,).
+
+    Raises
+    ------
+    ValueError
+        Where a point has more than MOST_NEIGHBOURS triangles.
+    """
     star = np.full((n, MOST_NEIGHBOURS), -1, dtype=np.int32)
     count = np.zeros(n, dtype=np.int32)
     for t in range(triangles.shape[0]):
@@ -48,7 +66,21 @@ def _add(star, count, v, t):  # type: ignore[no-untyped-def]
 
 @kernel
 def along_edge(triangles, star, count, a, b):  # type: ignore[no-untyped-def]
-    """Triangle that runs along the directed edge a -> b, and its third corner; -1, -1 if there is none."""
+    """Return the triangle that runs along the directed edge a -> b, and its third corner; -1, -1 if there is none.
+
+    Parameters
+    ----------
+    triangles : shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    star : shape (n, MOST_NEIGHBOURS)
+        Triangles around each point; updated.
+    count : shape (n,)
+        Number of triangles around each point; updated.
+    a
+        First point of the edge.
+    b
+        Last point of the edge.
+    """
     for k in range(count[a]):
         t = star[a, k]
         for c in range(3):
@@ -68,7 +100,7 @@ def _joined(triangles, star, count, a, b):  # type: ignore[no-untyped-def]
 
 @kernel
 def _normal(p, q, r):  # type: ignore[no-untyped-def]
-    """Twice the area times the unit normal, a tuple: small arrays cost more than the arithmetic."""
+    """Return twice the area times the unit normal as a tuple: small arrays cost more than the arithmetic."""
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -84,7 +116,7 @@ def _agree(m, n):  # type: ignore[no-untyped-def]
 
 @kernel
 def _wider(c, d, a, b):  # type: ignore[no-untyped-def]
-    """Do the angles at c and d towards a and b sum to more than 180 degrees (sine of the sum below zero)?"""
+    """Return whether the angles at c and d towards a and b sum to more than 180 degrees."""
     ux, uy, uz = a[0] - c[0], a[1] - c[1], a[2] - c[2]
     vx, vy, vz = b[0] - c[0], b[1] - c[1], b[2] - c[2]
     sx, sy, sz = a[0] - d[0], a[1] - d[1], a[2] - d[2]
@@ -101,9 +133,21 @@ def _wider(c, d, a, b):  # type: ignore[no-untyped-def]
 
 @kernel
 def flip_edges(positions: Floats, triangles: Ints) -> int:
-    """One pass of flips towards the Delaunay condition (opposite angles sum to at most 180 degrees).
+    """Do one pass of flips towards the Delaunay condition (opposite angles sum to at most 180 degrees), in place.
 
-    Returns the number of flips. Flips that would double an edge or fold the surface are left out.
+    Flips that would duplicate an edge or fold the surface are left out.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    int
+        Number of flips.
     """
     n = positions.shape[0]
     star, count = stars(triangles, n)
@@ -141,7 +185,23 @@ def flip_edges(positions: Floats, triangles: Ints) -> int:
 
 @kernel
 def collapse_edge(positions, triangles, star, count, a, b):  # type: ignore[no-untyped-def]
-    """Collapse b into a at their middle. Returns the two freed triangles, or -1, -1 if it isn't allowed."""
+    """Collapse b into a at their midpoint, in place.
+
+    Parameters
+    ----------
+    positions : shape (n, 3)
+        Points of the surface.
+    triangles : shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    star : shape (n, MOST_NEIGHBOURS)
+        Triangles around each point; updated.
+    count : shape (n,)
+        Number of triangles around each point; updated.
+    a
+        Point that stays.
+    b
+        Point that becomes free.
+    """
     t, c = along_edge(triangles, star, count, a, b)
     s, d = along_edge(triangles, star, count, b, a)
     if t < 0 or s < 0 or c == d or count[c] <= 3 or count[d] <= 3:
@@ -190,7 +250,29 @@ def collapse_edge(positions, triangles, star, count, a, b):  # type: ignore[no-u
 
 @kernel
 def split_edge(positions, triangles, star, count, a, b, free, t_new, s_new):  # type: ignore[no-untyped-def]
-    """Split edge a - b in its middle with the free point and two free triangles."""
+    """Split edge a - b at its midpoint with a free point and two free triangles, in place.
+
+    Parameters
+    ----------
+    positions : shape (n, 3)
+        Points of the surface.
+    triangles : shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    star : shape (n, MOST_NEIGHBOURS)
+        Triangles around each point; updated.
+    count : shape (n,)
+        Number of triangles around each point; updated.
+    a
+        First point of the edge.
+    b
+        Last point of the edge.
+    free
+        Free point.
+    t_new
+        Free triangle.
+    s_new
+        Free triangle.
+    """
     t, c = along_edge(triangles, star, count, a, b)
     s, d = along_edge(triangles, star, count, b, a)
     positions[free] = 0.5 * (positions[a] + positions[b])
@@ -211,17 +293,48 @@ def split_edge(positions, triangles, star, count, a, b, free, t_new, s_new):  # 
 
 
 def transport(positions: Floats, triangles: Ints, ratio: float, most: int) -> int:
-    """Move up to `most` points from where edges are short to where they are long.
+    """Move points from where edges are short to where they are long, in place.
 
-    Pairs the shortest edges with the longest as long as the long one is more than `ratio` times the
-    short one; each point takes part once. Returns the number of points moved.
+    The shortest edges are paired with the longest as long as the long one is more than `ratio` times the short one;
+    each point takes part once.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    ratio : float
+        Least ratio of lengths of a pair.
+    most : int
+        Largest number of points moved.
+
+    Returns
+    -------
+    int
+        Number of points moved.
     """
     return int(transport_sized(positions, triangles, ratio, most, np.ones(len(positions))))
 
 
 @kernel
 def sized_edges(positions: Floats, triangles: Ints, size: Floats) -> tuple[Ints, Floats]:
-    """Edges (m, 2) of a closed surface, and their lengths (m,) in the mean `size` (n,) at their ends."""
+    """Return the edges of a closed surface, and their lengths relative to the mean wanted size at their ends.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    size : Floats, shape (n,)
+        Wanted edge length at each point, relative.
+
+    Returns
+    -------
+    tuple[Ints, Floats]
+        Point indices, shape (m, 2), and lengths, shape (m,).
+    """
     m = 3 * triangles.shape[0] // 2
     edges = np.empty((m, 2), dtype=np.int32)
     length = np.empty(m)
@@ -239,9 +352,27 @@ def sized_edges(positions: Floats, triangles: Ints, size: Floats) -> tuple[Ints,
 
 @kernel
 def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int, size: Floats) -> int:
-    """`transport` with lengths measured in the mean of the wanted `size` (n,) at an edge's ends.
+    """Move points as `transport` does, with lengths relative to the mean wanted size at an edge's ends.
 
     A point that moves takes the size of where it goes; `size` changes in place.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    ratio : float
+        Least ratio of lengths of a pair.
+    most : int
+        Largest number of points moved.
+    size : Floats, shape (n,)
+        Wanted edge length at each point, relative.
+
+    Returns
+    -------
+    int
+        Number of points moved.
     """
     n = positions.shape[0]
     star, count = stars(triangles, n)
@@ -285,7 +416,20 @@ def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int,
 
 @kernel
 def vertex_normals(positions: Floats, triangles: Ints) -> Floats:
-    """Unit normals (n, 3), the area-weighted mean of the triangles around each point."""
+    """Return the unit normals at the points, the area-weighted mean of the triangles around each.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    Floats, shape (n, 3)
+        Outward normals.
+    """
     normal = np.zeros_like(positions)
     for t in range(triangles.shape[0]):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -302,15 +446,40 @@ def vertex_normals(positions: Floats, triangles: Ints) -> Floats:
 
 
 def relax(positions: Floats, triangles: Ints, share: float) -> None:
-    """Move every point along the surface towards the area-weighted middle of its triangles, in place."""
+    """Move every point along the surface towards the area-weighted centroid of its triangles, in place.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    share : float
+        Fraction of the distance that is moved.
+    """
     relax_sized(positions, triangles, share, np.ones(len(positions)))
 
 
 @kernel
 def relax_sized(positions: Floats, triangles: Ints, share: float, size: Floats) -> None:
-    """`relax` with areas weighted by size^-4, (n,): points of an even centroidal tessellation come to lie that densely.
+    """Relax as `relax` does with areas weighted by size^-4, which spreads the points as densely as wanted.
 
     The exponent is that of centroidal Voronoi cells of a density in the plane (Du, Faber and Gunzburger 1999).
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    share : float
+        Fraction of the distance that is moved.
+    size : Floats, shape (n,)
+        Wanted edge length at each point, relative.
+
+    References
+    ----------
+    Du, Faber & Gunzburger 1999: Centroidal Voronoi tessellations; the exponent is that of a density in the plane.
     """
     n = positions.shape[0]
     normal = vertex_normals(positions, triangles)

@@ -1,4 +1,4 @@
-"""A fine closed surface brought to an exact number of points: short edges collapse, or long ones split.
+"""Resampling of a fine closed surface to an exact number of points: short edges collapse, or long ones split.
 
 Both keep the surface closed and of its genus, so a sphere of N points always has 2 N - 4 triangles. Compiled.
 """
@@ -22,7 +22,22 @@ def _edges_by_length(positions, triangles, size):  # type: ignore[no-untyped-def
 
 @kernel
 def thin_out(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Ints]:
-    """The surface after collapsing up to `most` of its shortest edges, each away from the others."""
+    """Return the surface after collapsing its shortest edges, none next to another.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    most : int
+        Largest number of collapses.
+
+    Returns
+    -------
+    tuple[Floats, Ints]
+        Points and triangles.
+    """
     n = positions.shape[0]
     positions, triangles = positions.copy(), triangles.copy()
     star, count = stars(triangles, n)
@@ -56,7 +71,22 @@ def thin_out(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Int
 
 
 def thicken(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Ints]:
-    """The surface after splitting up to `most` of its longest edges, no two in one triangle."""
+    """Return the surface after splitting its longest edges, no two in one triangle.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    most : int
+        Largest number of splits.
+
+    Returns
+    -------
+    tuple[Floats, Ints]
+        Points and triangles.
+    """
     found: tuple[Floats, Ints] = split_long(positions, triangles, np.ones(len(positions)), 0.0, most)
     return found
 

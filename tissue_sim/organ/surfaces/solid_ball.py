@@ -1,9 +1,9 @@
-"""From a voxel solid to a topological ball with the least change: handles are cut through or filled, one by one.
+"""Least change of a voxel solid into a topological ball: handles are cut through or filled, one by one.
 
-A voxel is simple when flipping it changes no topology of the solid (Bertrand and Malandain 1994: 6-connected
-solid, 26-connected outside). Growing a ball inside the solid by simple voxels, deepest first, leaves out one thin
-cut through each handle at its thinnest place; carving a ball down to the solid, farthest first, leaves one thin
-membrane across each handle's hole at its narrowest. The smaller of the two is taken, handle by handle.
+A voxel is simple when flipping it doesn't change the topology of the solid (Bertrand and Malandain 1994: 6-connected
+solid, 26-connected outside). Growing a ball inside the solid by simple voxels, deepest first, leaves out one thin cut
+through each handle at its thinnest place; carving a ball down to the solid, farthest first, leaves one thin membrane
+across each handle's hole at its narrowest. The smaller of the two is taken, handle by handle.
 """
 
 from __future__ import annotations
@@ -25,16 +25,41 @@ _ROUNDS = 4
 
 
 def largest_part(solid: Mask) -> Mask:
-    """The largest 6-connected part."""
+    """Return the largest 6-connected part.
+
+    Parameters
+    ----------
+    solid : Mask, shape (nz, ny, nx)
+        Voxels of the solid; its border is empty.
+
+    Returns
+    -------
+    Mask, shape (nz, ny, nx)
+        Its voxels.
+    """
     labels, count = ndimage.label(solid)
     return labels == int(np.bincount(labels.ravel())[1:].argmax()) + 1 if count > 1 else solid
 
 
 def as_ball(solid: Mask, name: str) -> Mask:
-    """The solid (nz, ny, nx), isotropic voxels, made a topological ball: cavities filled, handles cut or filled.
+    """Return the solid as a topological ball: cavities filled, handles cut or filled.
 
-    Its border must be empty. Raises UserError naming `name` when a handle is too thick to cut and its hole too wide
-    to fill (a ring).
+    Parameters
+    ----------
+    solid : Mask, shape (nz, ny, nx)
+        Voxels of the solid; its border is empty.
+    name : str
+        Name for the message.
+
+    Returns
+    -------
+    Mask, shape (nz, ny, nx)
+        The ball.
+
+    Raises
+    ------
+    UserError
+        Where a handle is too thick to cut and its hole too wide to fill (a ring).
     """
     ball = largest_part(ndimage.binary_fill_holes(solid))
     for _ in range(_ROUNDS):
@@ -54,7 +79,7 @@ def as_ball(solid: Mask, name: str) -> Mask:
 
 
 def _with_fewer_handles(solid: Mask) -> Mask | None:
-    """Cuts and membranes applied, smallest first, wherever one takes a handle away; None: none does."""
+    """Return the solid with cuts and membranes that remove a handle, smallest first; None where none does."""
     box = tuple(slice(max(s.start - 3, 0), s.stop + 3) for s in ndimage.find_objects(solid.astype(np.uint8))[0])
     part = solid[box]
     depth = ndimage.distance_transform_edt(part)
@@ -100,7 +125,7 @@ def _with_fewer_handles(solid: Mask) -> Mask | None:
 
 
 def _ball_around(gap: NDArray[np.float64], widest: float) -> NDArray[np.uint8]:
-    """A topological ball around the solid, 0 or 1: what lies near it, if that is one (less to carve), or the box."""
+    """Return a topological ball around the solid, 0 or 1: its vicinity, if that is one (less to carve), or the box."""
     for reach in (2.0, 0.5 * widest, widest):
         near = np.zeros(gap.shape, dtype=bool)
         inner = (slice(1, -1),) * 3
@@ -112,7 +137,7 @@ def _ball_around(gap: NDArray[np.float64], widest: float) -> NDArray[np.uint8]:
 
 
 def _handles(solid: Mask) -> int:
-    """Handles of the solid, large where it has cavities or several parts."""
+    """Return the number of handles of the solid, large where it has cavities or several parts."""
     if ndimage.label(solid)[1] > 1 or ndimage.label(np.pad(~solid, 1, constant_values=True), np.ones((3, 3, 3)))[1] > 1:
         return 1 << 30
     return 1 - int(euler_number(solid, connectivity=1))
@@ -120,9 +145,20 @@ def _handles(solid: Mask) -> int:
 
 @kernel
 def flip_simple(image, allowed, priority, value):  # type: ignore[no-untyped-def]
-    """Set simple voxels to `value` in place, largest priority first, where `allowed`, until none is left.
+    """Set simple voxels to `value` in place, largest priority first, where allowed, until none is left.
 
-    image (nz, ny, nx) uint8, 0 or 1, border 0 and never changed. Voxels flip next to voxels that already have `value`.
+    Voxels flip next to voxels that already have `value`.
+
+    Parameters
+    ----------
+    image : shape (nz, ny, nx), uint8
+        The solid, 0 or 1; its border is 0 and never changed.
+    allowed : shape (nz, ny, nx)
+        Voxels that may flip.
+    priority : shape (nz, ny, nx)
+        Priority of each voxel.
+    value
+        0 or 1.
     """
     nz, ny, nx = image.shape
     heap = [(0.0, np.int64(-1))]
@@ -159,13 +195,17 @@ def _touches(image, z, y, x, value):  # type: ignore[no-untyped-def]
 
 @kernel
 def _simple(image, z, y, x, ring, stack):  # type: ignore[no-untyped-def]
-    """One 6-connected part of the solid at the voxel's faces within its 18 neighbours, one 26-connected of the rest."""
+    """Return whether a voxel is simple.
+
+    It is where the solid has one 6-connected part at the voxel's faces within its 18 neighbours, and the rest one
+    26-connected part.
+    """
     for c in range(3):
         for b in range(3):
             for a in range(3):
                 ring[c, b, a] = image[z + c - 1, y + b - 1, x + a - 1]
     ring[1, 1, 1] = 2
-    # Corners belong to no 18-neighbourhood: mark those of the solid so that only the outside's count sees them.
+    # Corners aren't in the 18-neighbourhood, so those of the solid are marked, and only the outside's count sees them.
     for c in (0, 2):
         for b in (0, 2):
             for a in (0, 2):
@@ -176,7 +216,7 @@ def _simple(image, z, y, x, ring, stack):  # type: ignore[no-untyped-def]
 
 @kernel
 def _parts(ring, stack, value):  # type: ignore[no-untyped-def]
-    """Parts of `value` in the 3 x 3 x 3 ring, marked 4 as they are found; solid parts must touch the middle's faces."""
+    """Count the parts of `value` in the 3 x 3 x 3 ring, marking them 4; parts of the solid must touch a face."""
     parts = 0
     for start in range(27):
         c, b, a = start // 9, (start // 3) % 3, start % 3

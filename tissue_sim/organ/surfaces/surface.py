@@ -1,7 +1,7 @@
-"""The organ's wall as a smooth level set, marching cubes on it, and measures of triangle surfaces.
+"""Smooth level set of an organ's wall, marching cubes on it, and measures of triangle surfaces.
 
-Coordinates here are those of the wall's own grid: millimetres along its voxel axes from the grid's
-first voxel. `Wall.to_patient` takes them to metres in the patient frame.
+Coordinates here are those of the wall's own grid: millimetres along its voxel axes from the grid's first voxel.
+`Wall.to_patient` converts them to metres in the patient frame.
 """
 
 from __future__ import annotations
@@ -60,9 +60,22 @@ _INNER, _OUTER = 0.1, 0.5  # voxels, level beside a cut or membrane; unequal, so
 class Wall:
     """Signed distance to the wall on an isotropic grid: negative inside, zero on the wall.
 
-    level (nz, ny, nx) mm; spacing mm; origin (3,) mm and direction (3, 3) as in Volume.
-    fragments: separate parts of the mask left out; filled, cut: mL added to close holes, and taken away, so that the
-    organ has neither cavities nor handles.
+    Attributes
+    ----------
+    level : NDArray[np.float32], shape (nz, ny, nx), mm
+        Signed distance.
+    spacing : float, mm
+        Spacing of the grid.
+    origin : Floats, shape (3,), mm
+        Centre of the first voxel, as in Volume.
+    direction : Floats, shape (3, 3)
+        Columns are the voxel axes, as in Volume.
+    fragments : int
+        Number of separate parts of the mask that were left out.
+    filled : float, mL
+        Volume added, so that the organ has neither cavities nor handles.
+    cut : float, mL
+        Volume removed for the same purpose.
     """
 
     level: NDArray[np.float32]
@@ -74,18 +87,38 @@ class Wall:
     cut: float = 0.0
 
     def sample(self, points: ArrayLike) -> Floats:
-        """Signed distance (n,) mm at points (n, 3) mm."""
+        """Return the signed distance (n,), mm.
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (n, 3), mm
+            The points.
+        """
         index = np.asarray(points, dtype=np.float64).T[::-1] / self.spacing
         return ndimage.map_coordinates(self.level, index, output=np.float64, order=1, mode="nearest")
 
     def gradient(self, points: ArrayLike) -> Floats:
-        """Gradient (n, 3) of the signed distance at points (n, 3) mm, by central differences over a voxel."""
+        """Return the gradient (n, 3) of the signed distance, by central differences.
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (n, 3), mm
+            The points.
+        """
         p = np.asarray(points, dtype=np.float64)
         step = 0.5 * self.spacing * np.eye(3)
         return np.stack([self.sample(p + e) - self.sample(p - e) for e in step], axis=1) / self.spacing
 
     def project(self, points: Floats, steps: int = 4) -> Floats:
-        """Move points (n, 3) mm near the wall onto it, along the gradient, by damped Newton steps."""
+        """Move points near the wall onto it, along the gradient, by damped Newton steps.
+
+        Parameters
+        ----------
+        points : Floats, shape (n, 3), mm
+            The points.
+        steps : int, optional
+            Number of the steps.
+        """
         p = points.copy()
         for _ in range(steps):
             gradient = self.gradient(p)
@@ -96,7 +129,7 @@ class Wall:
         return p
 
     def points(self) -> Floats:
-        """Points (n, 3) mm of the wall: where it crosses the lines between neighbouring voxel centres."""
+        """Return the points (n, 3) mm where the wall crosses the lines between neighbouring voxel centres."""
         found = []
         for axis in range(3):
             level = np.moveaxis(self.level, axis, 0)
@@ -109,26 +142,53 @@ class Wall:
         return np.concatenate(found)[:, ::-1] * self.spacing
 
     def area(self) -> float:
-        """Area of the wall, mm^2, from the gradient of its smoothed indicator."""
+        """Return the area of the wall, mm^2, from the gradient of its smoothed indicator."""
         inside = np.clip(0.5 - self.level / (2.0 * self.spacing), 0.0, 1.0)
         steep = np.sqrt(sum(np.gradient(inside, axis=axis) ** 2 for axis in range(3)))
         return float(steep.sum(dtype=np.float64)) * self.spacing**2
 
     def to_patient(self, points: ArrayLike) -> Floats:
-        """Points (n, 3) mm of the grid as metres in the patient frame."""
+        """Return points of the grid in the patient frame, (n, 3), m.
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (n, 3), mm
+            The points.
+        """
         return (self.origin + np.asarray(points, dtype=np.float64) @ self.direction.T) * MM
 
     def outward(self, triangles: Ints) -> Ints:
-        """Triangles (t, 3), outward on the grid, so that they are outward in the patient frame."""
+        """Return triangles, outward on the grid, so that they are outward in the patient frame.
+
+        Parameters
+        ----------
+        triangles : Ints, shape (t, 3)
+            Corner indices.
+        """
         return triangles if np.linalg.det(self.direction) > 0.0 else np.ascontiguousarray(triangles[:, ::-1])
 
 
 def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
-    """The smooth wall of a mask's largest part, without cavities or handles (a topological ball).
+    """Return the smooth wall of a mask's largest part, without cavities or handles (a topological ball).
 
     Cavities are filled; handles are cut or filled with the least change (`solid_ball.as_ball`).
-    spacing: of the isotropic grid, mm; None: the mask's finest.
-    Raises UserError when the mask is empty, a few voxels only, or keeps its handles.
+
+    Parameters
+    ----------
+    mask : Volume
+        The voxels of the organ.
+    spacing : float | None, mm, optional
+        Spacing of the isotropic grid; None for the mask's finest.
+
+    Returns
+    -------
+    Wall
+        The wall.
+
+    Raises
+    ------
+    UserError
+        Where the mask is empty, only a few voxels large, or keeps its handles.
     """
     labels, count = ndimage.label(mask.array, structure=np.ones((3, 3, 3)))
     if count == 0:
@@ -155,7 +215,7 @@ def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
 
 
 def _signed_distance(solid: Mask, sampling: Floats) -> NDArray[np.float32]:
-    """Zero half-way between inner and outer voxels; exact distances between voxel centres otherwise."""
+    """Return distances, zero half-way between inner and outer voxels, exact between voxel centres otherwise."""
     inner = ndimage.distance_transform_edt(solid, sampling)
     outer = ndimage.distance_transform_edt(~solid, sampling)
     half = 0.5 * float(sampling.min())
@@ -199,12 +259,12 @@ def _enclosed(level: NDArray[Any], h: float) -> float:
 
 
 def _smooth_distance(solid: Mask, h: float) -> NDArray[np.float32]:
-    """Signed distance, smooth near the wall so that voxel steps don't show, exact away from it."""
+    """Return the signed distance, smooth near the wall so that voxel steps don't show, exact away from it."""
     return _exact_away(_smoothed(_signed_distance(solid, np.full(3, h)), np.full(3, h)), h)
 
 
 def _exact_away(smooth: NDArray[np.float32], h: float) -> NDArray[np.float32]:
-    """Exact distances to the smooth level's inside from 2.5 voxels on: smoothing alone flattens the ridges."""
+    """Return exact distances to the smooth level's inside from 2.5 voxels on: smoothing alone flattens the ridges."""
     exact = _signed_distance(smooth < 0.0, np.full(3, h))
     share = np.clip(np.abs(exact) / h - 1.5, 0.0, 1.0)
     return (smooth + share * (exact - smooth)).astype(np.float32)
@@ -220,10 +280,10 @@ def _resample(level: NDArray[np.float32], sampling: Floats, h: float) -> NDArray
 
 
 def _patched(level: NDArray[np.float32], ball: Mask, h: float) -> NDArray[np.float32]:
-    """The level with the changed solid `ball` for its inside; its own near the wall where nothing changed.
+    """Return the level with the changed solid `ball` as its inside; unchanged near the wall where nothing changed.
 
-    Cuts and membranes one voxel thin stay what they are, and parts that meet only across a diagonal stay parted:
-    smoothing and marching cubes could undo both.
+    Cuts and membranes one voxel thin are kept, and parts that meet only across a diagonal stay separated: smoothing and
+    marching cubes could undo both.
     """
     changed = ball != (level < 0.0)
     mixed = _diagonal(ball)
@@ -244,7 +304,7 @@ def _patched(level: NDArray[np.float32], ball: Mask, h: float) -> NDArray[np.flo
 
 
 def _diagonal(solid: Mask) -> Mask:
-    """Voxels of square cells whose solid voxels are two, across the diagonal."""
+    """Return the voxels of square cells whose solid voxels are two, across the diagonal."""
     found = np.zeros_like(solid)
     for axis in range(3):
         s = np.moveaxis(solid, axis, 0)
@@ -265,9 +325,21 @@ def _close(solid: Mask, radius: float) -> Mask:
 
 
 def closed_wall(wall: Wall, radius: float, smooth: bool = True) -> Wall | None:
-    """The wall after a closing by a ball of `radius` mm: narrower folds are filled. None where that makes a ring.
+    """Return the wall after a closing by a ball, which fills narrower folds.
 
-    smooth: as smooth as the wall itself; otherwise with the voxels' steps, in a fraction of the time.
+    Parameters
+    ----------
+    wall : Wall
+        The wall.
+    radius : float, mm
+        Radius of the ball.
+    smooth : bool, optional
+        Whether the result is as smooth as the wall itself; otherwise it shows the voxels, in a fraction of the time.
+
+    Returns
+    -------
+    Wall | None
+        The closed wall; None where the closing makes a ring.
     """
     solid = wall.level < 0.0
     if radius < wall.spacing:
@@ -282,7 +354,27 @@ def closed_wall(wall: Wall, radius: float, smooth: bool = True) -> Wall | None:
 
 
 def wall_of_surface(positions: Floats, triangles: Ints, wall: Wall) -> Wall:
-    """The wall that a closed surface, positions (n, 3) mm and triangles outward on `wall`'s grid, makes there."""
+    """Return the wall of a closed surface on another wall's grid.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3), mm
+        Points on the grid.
+    triangles : Ints, shape (t, 3)
+        Corner indices, outward.
+    wall : Wall
+        The wall that gives the grid.
+
+    Returns
+    -------
+    Wall
+        The wall.
+
+    Raises
+    ------
+    UserError
+        Where the surface encloses no voxel.
+    """
     size = np.array(wall.level.shape[::-1], dtype=np.int64)
     solid = largest_part(enclosed(off_grid(positions / wall.spacing), triangles, size))
     if not solid.any():
@@ -291,17 +383,40 @@ def wall_of_surface(positions: Floats, triangles: Ints, wall: Wall) -> Wall:
 
 
 def marching_cubes_surface(wall: Wall) -> tuple[Floats, Ints]:
-    """The largest closed component of the wall by marching cubes: positions (n, 3) mm, triangles (t, 3) outward."""
+    """Return the largest closed component of the wall by marching cubes.
+
+    Parameters
+    ----------
+    wall : Wall
+        The wall.
+
+    Returns
+    -------
+    tuple[Floats, Ints]
+        Points, shape (n, 3), mm, and triangles, shape (t, 3), outward.
+    """
     positions, triangles, _, _ = marching_cubes(wall.level, 0.0, spacing=(wall.spacing,) * 3, allow_degenerate=False)
     return largest_component(positions[:, ::-1].astype(np.float64), triangles[:, ::-1].astype(np.int32))
 
 
 @dataclass(frozen=True)
 class MarchingCubesReport:
-    """What marching cubes gives, as the paper counts it; lengths in mm.
+    """Counts and measures of a marching cubes surface, as the paper counts them; lengths in mm.
 
-    points and triangles of the largest closed component; islands: other closed components that enclose
-    tissue; hollows: those that enclose a cavity; fragments: both together. handles of the largest component.
+    Attributes
+    ----------
+    points : int
+        Points of the largest closed component.
+    triangles : int
+        Triangles of the largest closed component.
+    islands : int
+        Number of other closed components that enclose tissue.
+    hollows : int
+        Number of closed components that enclose a cavity.
+    handles : int
+        Handles of the largest component.
+    quality : SurfaceQuality
+        Measures of the largest component.
     """
 
     points: int
@@ -313,14 +428,31 @@ class MarchingCubesReport:
 
     @property
     def fragments(self) -> int:
-        """Closed components other than the largest."""
+        """Number of closed components other than the largest."""
         return self.islands + self.hollows
 
 
 def marching_cubes_report(source: Wall | Volume) -> MarchingCubesReport:
-    """Marching cubes (Lorensen and Cline 1987) on a wall's level set, or on a mask as segmented: counts and measures.
+    """Return counts and measures of marching cubes on a wall's level set, or on a mask as segmented.
 
-    Raises UserError when a mask is empty.
+    Parameters
+    ----------
+    source : Wall | Volume
+        The wall or the mask.
+
+    Returns
+    -------
+    MarchingCubesReport
+        The report.
+
+    Raises
+    ------
+    UserError
+        Where a mask is empty.
+
+    References
+    ----------
+    Lorensen & Cline 1987: Marching cubes.
     """
     if isinstance(source, Wall):
         level, spacing = source.level, np.full(3, source.spacing)
@@ -345,7 +477,7 @@ def marching_cubes_report(source: Wall | Volume) -> MarchingCubesReport:
 
 
 def _components(positions: Floats, triangles: Ints) -> tuple[Ints, Floats]:
-    """Component of every point, (n,), and the signed volume that each encloses."""
+    """Return the component of every point, (n,), and the signed volume that each encloses."""
     n = len(positions)
     links = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
     graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(n, n))
@@ -356,7 +488,7 @@ def _components(positions: Floats, triangles: Ints) -> tuple[Ints, Floats]:
 
 
 def largest_component(positions: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """The component with the largest enclosed volume, wound outward; points in no triangle are dropped."""
+    """Return the component with the largest enclosed volume, wound outward, without unused points."""
     label, volume = _components(positions, triangles)
     chosen = int(np.abs(volume).argmax())
     triangles = triangles[label[triangles[:, 0]] == chosen]

@@ -14,9 +14,27 @@ _MOST_CELLS = 4e6
 
 
 def distance_to_surface(points: Floats, positions: Floats, triangles: Ints) -> Floats:
-    """Distance (m,) from points (m, 3) to the surface positions (n, 3), triangles (t, 3); unit of the positions.
+    """Return the exact distance from points to the nearest point of a surface.
 
     The exact distance to the nearest point of the nearest triangle (Ericson, Real-Time Collision Detection, 5.1.5).
+
+    Parameters
+    ----------
+    points : Floats, shape (m, 3)
+        Points.
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    Floats, shape (m,)
+        Distance, in the unit of the positions.
+
+    References
+    ----------
+    Ericson: Real-Time Collision Detection, section 5.1.5.
     """
     corner = positions[triangles]
     return _nearest(np.ascontiguousarray(points, dtype=np.float64), corner, listed_in_cells(corner))
@@ -39,7 +57,18 @@ def listed_in_cells(corner: Floats) -> Cells:
 
 
 def _grid(corner: Floats) -> tuple[Floats, float, NDArray[np.int64]]:
-    """Grid over triangles, corners (t, 3, 3): its low corner, the cells' edge (a usual triangle's), their number."""
+    """Return a grid over triangles.
+
+    Parameters
+    ----------
+    corner : Floats, shape (t, 3, 3)
+        Corners of the triangles.
+
+    Returns
+    -------
+    tuple[Floats, float, NDArray[np.int64]]
+        Low corner of the grid, edge of its cells (that of a typical triangle), and their number along each axis.
+    """
     low, high = corner.min(axis=(0, 1)), corner.max(axis=(0, 1))
     size = float((corner.max(axis=1) - corner.min(axis=1)).max(axis=1).mean())
     cell = max(size, float(np.cbrt(np.prod(np.maximum(high - low, size)) / _MOST_CELLS)))
@@ -48,7 +77,7 @@ def _grid(corner: Floats) -> tuple[Floats, float, NDArray[np.int64]]:
 
 @kernel
 def _cells(corner, low, cell, shape):  # type: ignore[no-untyped-def]
-    """Triangles whose box touches each cell, as start (cells + 1,) and member."""
+    """Return the triangles whose box touches each cell, as start (cells + 1,) and member."""
     count = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int64)
     for fill in range(2):
         if fill == 1:
@@ -124,7 +153,7 @@ def _nearest(points, corner, cells):  # type: ignore[no-untyped-def]
 
 @kernel
 def _balls(corner):  # type: ignore[no-untyped-def]
-    """Middle (t, 3) and radius (t,) of a ball around each triangle."""
+    """Return centre (t, 3) and radius (t,) of a ball around each triangle."""
     middle = np.empty((corner.shape[0], 3))
     radius = np.empty(corner.shape[0])
     for t in range(corner.shape[0]):
@@ -147,7 +176,7 @@ def _dot(u, v):  # type: ignore[no-untyped-def]
 
 @kernel
 def _squared(p, a, b, c):  # type: ignore[no-untyped-def]
-    """Squared distance from p to the triangle a, b, c, by the region of the plane that p falls into."""
+    """Return the squared distance from p to the triangle a, b, c, by the region of the plane that p falls into."""
     ab = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
     ac = (c[0] - a[0], c[1] - a[1], c[2] - a[2])
     ap = (p[0] - a[0], p[1] - a[1], p[2] - a[2])

@@ -16,7 +16,7 @@ _SAMPLES = 40_000  # on each surface
 
 @dataclass(frozen=True)
 class SurfaceComparison:
-    """How far a surface lies from a reference; lengths in the unit of the positions."""
+    """Distances between a surface and a reference; lengths in the unit of the positions."""
 
     hausdorff: float  # symmetric: the largest distance from either to the other
     mean: float  # symmetric: mean of the two mean distances, each by area
@@ -29,10 +29,26 @@ class SurfaceComparison:
 
 
 def compare(reference: tuple[Floats, Ints], surface: tuple[Floats, Ints]) -> SurfaceComparison:
-    """Distances between two closed surfaces, each (positions (n, 3), triangles (t, 3) outward).
+    """Return the distances between two closed surfaces.
 
-    From each surface's corners and area-weighted samples to the exact nearest point of the other (Cignoni et al.
-    1998, "Metro"). The samples are spread by a fixed sequence, so the same surfaces give the same figures.
+    They are measured from each surface's corners and area-weighted samples to the exact nearest point of the other. The
+    samples are spread by a fixed sequence, so the same surfaces give the same figures.
+
+    Parameters
+    ----------
+    reference : tuple[Floats, Ints]
+        Points, shape (n, 3), and outward triangles, shape (t, 3).
+    surface : tuple[Floats, Ints]
+        Points and outward triangles.
+
+    Returns
+    -------
+    SurfaceComparison
+        The comparison.
+
+    References
+    ----------
+    Cignoni, Rocchini & Scopigno 1998: Metro, measuring error on simplified surfaces.
     """
     largest, means = [], []
     for one, other in ((reference, surface), (surface, reference)):
@@ -44,7 +60,7 @@ def compare(reference: tuple[Floats, Ints], surface: tuple[Floats, Ints]) -> Sur
 
 
 def _samples(positions: Floats, triangles: Ints, count: int = _SAMPLES) -> Floats:
-    """Points (count, 3) spread by area: even steps through the summed areas, a low-discrepancy place in each."""
+    """Return points (count, 3) spread by area: even steps through the summed areas, a low-discrepancy place in each."""
     corner = positions[triangles]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     total = np.cumsum(area)
@@ -72,7 +88,20 @@ class SurfaceQuality:
 
 
 def measure(positions: Floats, triangles: Ints) -> SurfaceQuality:
-    """Measures of the surface positions (n, 3), triangles (t, 3)."""
+    """Return the measures of a surface.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    SurfaceQuality
+        The measures.
+    """
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
     length = np.linalg.norm(positions[unique[:, 0]] - positions[unique[:, 1]], axis=1)
@@ -89,7 +118,20 @@ def measure(positions: Floats, triangles: Ints) -> SurfaceQuality:
 
 
 def corner_angles(positions: Floats, triangles: Ints) -> Floats:
-    """The three angles of every triangle, (t, 3) rad."""
+    """Return the three angles of every triangle.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    Floats, shape (t, 3), rad
+        Angles.
+    """
     corner = positions[triangles]
     u = np.roll(corner, -1, axis=1) - corner
     v = np.roll(corner, -2, axis=1) - corner

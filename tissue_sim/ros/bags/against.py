@@ -1,4 +1,4 @@
-"""Two recordings of the same inputs: by how many ticks one is later than the other."""
+"""Alignment of two recordings of the same inputs: by how many ticks one is later than the other."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from tissue_sim.ros.bags.recording import Recording, tools_of
 
 @dataclass(frozen=True)
 class Alignment:
-    """How two recordings lie to each other: `later` ticks that the second one took up poses later than the first."""
+    """Alignment of two recordings: the second one applied poses `later` ticks later than the first."""
 
     later: int
-    poses: int  # that both took up
-    most_apart: int  # ticks between the same pose in both, beside those
-    first_poses: int  # that the first took up
+    poses: int  # applied in both
+    most_apart: int  # largest difference from `later`, ticks
+    first_poses: int  # applied in the first
 
     def line(self) -> str:
-        """What a user is told."""
+        """Return the line that users read."""
         return (
             f"inputs: {self.poses} of {self.first_poses} poses are in both bags, {self.later} ticks later in the"
             f" other one, with a difference of at most {self.most_apart} ticks"
@@ -28,10 +28,22 @@ class Alignment:
 
 
 def align(first: Recording, second: Recording) -> Alignment:
-    """By the ticks that took up the same poses; these are told apart by their values, as some may be lost.
+    """Align recordings by the ticks that applied the same poses.
 
-    A hand-over through DDS shifts poses by ticks, so the median counts. Raises UserError where no pose is in both, or
-    tools or surfaces are others.
+    Poses are identified by their values, as some may be lost. Transport over DDS shifts poses by ticks, so the median
+    counts.
+
+    Parameters
+    ----------
+    first : Recording
+        A recording.
+    second : Recording
+        Another recording of the same inputs.
+
+    Raises
+    ------
+    UserError
+        When no pose is in both, or the tools or surfaces differ.
     """
     if first.config["tools"] != second.config["tools"]:
         tools = (", ".join(one.config["tools"]) for one in (first, second))
@@ -54,7 +66,7 @@ def align(first: Recording, second: Recording) -> Alignment:
 
 
 def taken_up(recording: Recording) -> dict[tuple[str, bytes], int]:
-    """The tick that took up a pose first, by the tool's name and the pose's bytes."""
+    """Return the tick that first applied a pose, by the tool's name and the pose's bytes."""
     found: dict[tuple[str, bytes], int] = {}
     body = 0
     for index, tool in enumerate(tools_of(recording.config)):

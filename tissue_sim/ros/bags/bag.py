@@ -1,9 +1,9 @@
-"""What a recorded bag holds: the topics and journal rows that recorder and replay share.
+"""Contents of a recorded bag: the topics and journal rows that recorder and replay share.
 
-Beside the messages as they were received and published, a bag holds the organ file, the settings,
-the whole state after one tick, and a journal: which tick took up which input, what each contact set
-was found from, and which tick each published message shows. That is all a replay needs. Arrays and records are kept
-by the names of their fields (npz), so that a field more or less is noticed by name.
+Besides the messages as they were received and published, a bag holds the organ file, the settings, the whole state
+after one tick, and a journal: which tick applied which input, what each contact set was found from, and which tick each
+published message shows. A replay needs nothing else. Arrays and records are kept by the names of their fields (npz), so
+that an added or missing field is noticed by name.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from tissue_sim.model.records import Record
 from tissue_sim.npz import read_npz
 
-# Raised when an older replay could not read a newer bag; 1 held settings and state by position, 2 led tools without
-# regard to stamps, 3 did not tell what a state had taken up, 4 not where the breath had carried the organ, 5 not what
-# links ask of the step, 6 not whether an organ has had a fault since it was last as it is built, 7 not how far a tool
-# may go with a contact set; 8 called external_cf measured_cf.
+# Raised when an older replay could not read a newer bag. Format 1 held settings and state by position; 2 moved tools
+# without regard to stamps; 3 lacked what a state had applied, 4 where the breath had moved the organ, 5 what links
+# require of the step, 6 whether an organ has had a fault since its last reset, 7 how far a tool may go with a contact
+# set; 8 called external_cf measured_cf.
 FORMAT = 9
 READ = (8, FORMAT)
 
@@ -44,7 +44,7 @@ NODE_TOPICS = {
 SCENE_TOPICS = {
     "joined": OCTETS,  # npz: what joins the organs, at the tick of their states
     "pair_set": OCTETS,  # npz: pairs found from a surface before the state
-    "journal": OCTETS,  # npz: rows of what concerns all of them
+    "journal": OCTETS,  # npz: rows that concern all of them
 }
 
 
@@ -65,7 +65,7 @@ class BodyContactRow(Record):
 
 
 class PairRow(Record):
-    """What pairs of organs were found from; beside it the tick of each organ's surface."""
+    """What pairs of organs were found from; beside it stands the tick of each organ's surface."""
 
     pairs: int  # their number
 
@@ -74,7 +74,7 @@ class RespirationRow(Record):
     """Where the breath was to be."""
 
     respiration: int  # its number
-    share: float  # of the way
+    share: float  # fraction of the way
 
 
 class WrenchRow(Record):
@@ -91,12 +91,29 @@ class SurfaceRow(Record):
 
 
 def pack(**arrays: NDArray) -> NDArray[np.uint8]:
-    """Arrays as the bytes of an npz."""
+    """Return arrays as the bytes of an npz.
+
+    Parameters
+    ----------
+    arrays : NDArray
+        The arrays, by name.
+    """
     stream = io.BytesIO()
     np.savez(stream, **arrays)  # type: ignore[arg-type]
     return np.frombuffer(stream.getvalue(), dtype=np.uint8)
 
 
 def unpack(data: NDArray[np.uint8]) -> dict[str, NDArray]:
-    """Arrays from the bytes of an npz; raises ValueError when they are damaged."""
+    """Return the arrays from the bytes of an npz.
+
+    Parameters
+    ----------
+    data : NDArray[np.uint8]
+        The bytes.
+
+    Raises
+    ------
+    ValueError
+        When they are damaged.
+    """
     return read_npz(io.BytesIO(np.asarray(data, dtype=np.uint8).tobytes()))

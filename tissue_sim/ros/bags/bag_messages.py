@@ -15,13 +15,13 @@ from tissue_sim.ros.bags.spool import Spool
 
 
 class BagMessages:
-    """Messages on their way to the spool of the newest bag. They may be written from any thread."""
+    """Messages on their way to the spool of the newest bag; any thread may write them."""
 
     def __init__(self) -> None:
         self.spool: Spool | None = None
         self.recording = False
-        # Held while something is posted to the loop and noted here: a journal that tells that it was taken up holds the
-        # note, too, or comes after it, so that a bag may break off anywhere.
+        # Held while something is posted to the loop and noted here: a journal that says that it was applied then also
+        # holds the note, or follows it, so that a bag may break off anywhere.
         self.together = threading.RLock()
         self._store = get_typestore(Stores.ROS2_JAZZY)
 
@@ -31,20 +31,57 @@ class BagMessages:
         return self.recording and self.spool is not None and self.spool.is_open
 
     def put(self, name: str, raw: bytes) -> bool:
-        """A message as it is; returns whether there is a bag with room for it."""
+        """Record a message as it is.
+
+        Parameters
+        ----------
+        name : str
+            Its topic.
+        raw : bytes
+            Its bytes.
+
+        Returns
+        -------
+        bool
+            whether there is a bag with room for it
+        """
         return self.spool is not None and self.spool.put(name, raw)
 
     def packed(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Arrays as the octets of an npz."""
+        """Record arrays as the octets of an npz.
+
+        Parameters
+        ----------
+        name : str
+            The topic.
+        arrays : Mapping[str, NDArray[Any]]
+            The arrays, by name.
+        """
         self.octets(name, bag.pack(**arrays))
 
     def octets(self, name: str, data: NDArray[np.uint8]) -> None:
-        """A UInt8MultiArray."""
+        """Record a UInt8MultiArray.
+
+        Parameters
+        ----------
+        name : str
+            The topic.
+        data : NDArray[np.uint8]
+            The bytes.
+        """
         layout = self._store.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
         self._serialised(name, bag.OCTETS, self._store.types[bag.OCTETS](layout=layout, data=data))
 
     def text(self, name: str, text: str) -> None:
-        """A String."""
+        """Record a String.
+
+        Parameters
+        ----------
+        name : str
+            The topic.
+        text : str
+            The text.
+        """
         kind = bag.NODE_TOPICS["config"]
         self._serialised(name, kind, self._store.types[kind](data=text))
 

@@ -1,4 +1,4 @@
-"""Where bags may be made: anybody on the graph may set a parameter, and none of them may write anywhere."""
+"""Where bags may be made: anybody on the graph may set a parameter, but must not write anywhere."""
 
 from __future__ import annotations
 
@@ -8,13 +8,24 @@ from tissue_sim.errors import UserError
 
 
 class Bound:
-    """The folder that bags are kept to: the one that the node was started with."""
+    """The folder that bags are confined to: the one that the node was started with."""
 
     def __init__(self, folder: str) -> None:
         self._folder = Path(folder).absolute()
 
     def inside(self, folder: str) -> Path:
-        """The folder with links and `..` resolved, as they are now. Raises UserError when it isn't in the bound."""
+        """Return a folder with links and `..` resolved, as they are now.
+
+        Parameters
+        ----------
+        folder : str
+            The folder.
+
+        Raises
+        ------
+        UserError
+            When it is outside the bound.
+        """
         try:
             bound, wanted = self._folder.resolve(), Path(folder).resolve()
         except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a NUL

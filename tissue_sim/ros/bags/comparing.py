@@ -1,4 +1,4 @@
-"""What a run of an organ shows, tick by tick, and how far two runs are apart."""
+"""Results of a run of an organ, tick by tick, and the deviation between two runs."""
 
 from __future__ import annotations
 
@@ -13,10 +13,20 @@ from tissue_sim.array_types import Floats, Longs
 
 @dataclass(frozen=True)
 class Shown:
-    """The wrenches and surfaces that were handed out, with the ticks that they show.
+    """The wrenches and surfaces that were posted, with the ticks that they show.
 
-    By tool: wrench_ticks (k,), wrenches (k, 6) N and N m about the tool's origin. By organ: surface_ticks (s,),
-    surfaces (s, n, 3) m.
+    Attributes
+    ----------
+    tools : Sequence[str]
+        Names of the tools.
+    wrench_ticks : Sequence[Longs], shape (k,)
+        Ticks of each tool's wrenches.
+    wrenches : Sequence[Floats], shape (k, 6), N and N m
+        Each tool's wrenches about its origin.
+    surface_ticks : Sequence[Longs], shape (s,)
+        Ticks of each organ's surfaces.
+    surfaces : Sequence[NDArray[np.float32]], shape (s, n, 3), m
+        Each organ's surfaces.
     """
 
     tools: Sequence[str]
@@ -31,7 +41,15 @@ class Shown:
         return np.unique(np.concatenate([*self.wrench_ticks, *self.surface_ticks]))
 
     def within(self, first: int, last: int) -> Shown:
-        """What is shown of the ticks from first to last."""
+        """Return what is shown of the ticks from first to last.
+
+        Parameters
+        ----------
+        first : int
+            The first tick.
+        last : int
+            The last tick.
+        """
         wanted = [(ticks >= first) & (ticks <= last) for ticks in self.wrench_ticks]
         shapes = [(ticks >= first) & (ticks <= last) for ticks in self.surface_ticks]
         return Shown(
@@ -43,14 +61,34 @@ class Shown:
         )
 
     def later(self, ticks: int) -> Shown:
-        """The same, so many ticks later."""
+        """Return the same, some ticks later.
+
+        Parameters
+        ----------
+        ticks : int
+            The number of ticks.
+        """
         moved = [[shown + ticks for shown in every] for every in (self.wrench_ticks, self.surface_ticks)]
         return Shown(self.tools, moved[0], self.wrenches, moved[1], self.surfaces)
 
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far a quantity is off, by tick: ticks (k,), ascending, values (k,) in its unit; and what is tolerated."""
+    """Deviation of a quantity by tick.
+
+    Attributes
+    ----------
+    what : str
+        Name of the quantity.
+    unit : str
+        Its unit.
+    tolerance : float
+        Largest deviation tolerated, in that unit.
+    ticks : Longs, shape (k,)
+        The ticks, ascending.
+    values : Floats, shape (k,)
+        The deviation at each, in that unit.
+    """
 
     what: str
     unit: str
@@ -60,12 +98,12 @@ class Deviation:
 
     @property
     def largest(self) -> float:
-        """In its unit; 0 where nothing was compared."""
+        """Largest deviation, in its unit; 0 where nothing was compared."""
         return float(self.values.max(initial=0.0))
 
     @property
     def tick(self) -> int:
-        """Of the largest; -1 where nothing is off."""
+        """Tick of the largest deviation; -1 where there is none."""
         return int(self.ticks[np.argmax(self.values)]) if self.largest > 0.0 else -1
 
     def __str__(self) -> str:
@@ -73,14 +111,14 @@ class Deviation:
 
     @property
     def first_beyond(self) -> int:
-        """The first tick that is off by more than is tolerated; -1 where none is."""
+        """First tick beyond the tolerance; -1 where there is none."""
         beyond = np.flatnonzero(self.values > self.tolerance)
         return int(self.ticks[beyond[0]]) if len(beyond) else -1
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """How far two runs are apart."""
+    """Deviations between two runs."""
 
     wrenches: int
     surfaces: int
@@ -90,27 +128,39 @@ class Comparison:
 
     @property
     def quantities(self) -> tuple[Deviation, Deviation, Deviation]:
-        """All of them."""
+        """All three deviations."""
         return self.force, self.torque, self.position
 
     @property
     def holds_nothing(self) -> bool:
-        """True where there was nothing to compare, which is no success."""
+        """Whether there was nothing to compare, which is no success."""
         return self.wrenches == 0 and self.surfaces == 0
 
     @property
     def first_beyond(self) -> int:
-        """The first tick at which any quantity is off by more than is tolerated; -1 where none is."""
+        """First tick at which any quantity is beyond its tolerance; -1 where none is."""
         return min((found.first_beyond for found in self.quantities if found.first_beyond >= 0), default=-1)
 
     @property
     def passes(self) -> bool:
-        """True where something was compared, and all is within the tolerances."""
+        """Whether something was compared, and all is within the tolerances."""
         return not self.holds_nothing and self.first_beyond < 0
 
 
 def compare(wanted: Shown, found: Shown, force_tolerance: float, position_tolerance: float) -> Comparison:
-    """How far what was found is from what was wanted, at the same ticks; tolerances in N and N m, and in m."""
+    """Compare two runs at the same ticks.
+
+    Parameters
+    ----------
+    wanted : Shown
+        The run that is taken as true.
+    found : Shown
+        The run that is compared with it.
+    force_tolerance : float, N and N m
+        Largest deviation of a wrench.
+    position_tolerance : float, m
+        Largest deviation of a position.
+    """
     wrench_ticks = np.concatenate([*wanted.wrench_ticks, np.zeros(0, dtype=np.int64)])
     order = np.argsort(wrench_ticks, kind="stable")
     off = _off(
@@ -137,8 +187,8 @@ def compare(wanted: Shown, found: Shown, force_tolerance: float, position_tolera
 
 
 def _off(wanted: NDArray, found: NDArray) -> Floats:
-    """How far each number is off; what is no number is off by infinity."""
-    with np.errstate(invalid="ignore"):  # of what a damaged bag says to be numbers
+    """Return the absolute deviation of each number; it is infinite where there is no number."""
+    with np.errstate(invalid="ignore"):  # a damaged bag may hold any numbers
         apart = np.abs(np.asarray(wanted, dtype=np.float64) - found)
     apart[np.isnan(apart)] = np.inf
     return apart

@@ -1,4 +1,4 @@
-"""What a bag's configuration has to say: a replay builds its simulation and tools from it."""
+"""Required contents of a bag's configuration: a replay builds its simulation and tools from it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,18 @@ Fits = Callable[[Any], bool]
 
 
 def read_config(text: str) -> dict[str, Any]:
-    """A bag's configuration from its JSON, as far as every format has it; raises ValueError."""
+    """Return a bag's configuration from its JSON, checked as far as every format has it.
+
+    Parameters
+    ----------
+    text : str
+        The JSON.
+
+    Raises
+    ------
+    ValueError
+        When it is none.
+    """
     config = json.loads(text)
     if not isinstance(config, dict):
         raise ValueError("its configuration is not an object")
@@ -22,7 +33,18 @@ def read_config(text: str) -> dict[str, Any]:
 
 
 def check_config(config: Mapping[str, Any]) -> None:
-    """Raise ValueError naming what a configuration of the present format lacks, or has of another type."""
+    """Check that a configuration of the present format has every value, each of its type.
+
+    Parameters
+    ----------
+    config : Mapping[str, Any]
+        The configuration.
+
+    Raises
+    ------
+    ValueError
+        When a value is missing or of another type; the message names it.
+    """
     wanted: dict[str, Fits] = {"scene": _is_name, "organs": _is_filled} if "organs" in config else {"organ": _is_object}
     wanted |= {"parameters": _is_object, "shape_gravity": _is_vector}
     wanted |= {"tools": _is_names, "topics": _is_object, "first": _is_object}
@@ -39,7 +61,7 @@ def check_config(config: Mapping[str, Any]) -> None:
     chosen |= {name: _is_name for name in ("return_target", "integrator") if name in parameters}
     for tool in config["tools"]:
         chosen |= {f"{tool}.{name}": fits for name, fits in {**of_tool, "mesh": _is_name}.items()}
-        if f"{tool}.smoothing" in parameters:  # bags that were recorded before it was one have none
+        if f"{tool}.smoothing" in parameters:  # bags from before this parameter lack it
             chosen[f"{tool}.smoothing"] = _is_number
     _check(parameters, "parameters.", chosen)
 

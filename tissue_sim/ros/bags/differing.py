@@ -1,4 +1,4 @@
-"""What two runs do not have in common before anything is compared: organ, package, parameters."""
+"""Differences between two runs before anything is compared: organ, package, parameters."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.config import organs_of
 from tissue_sim.version import __version__
 
-# Where and whether a bag is written changes nothing; an organ is told by its digest, not by its path.
+# Where and whether a bag is written changes nothing; an organ is identified by its digest, not by its path.
 BESIDE_THE_POINT = frozenset({"record", "record_folder", "record_markers", "organ_file", "scene_file"})
 _LONGEST = 200  # characters of a value in a line
 
 
 @dataclass(frozen=True)
 class Described:
-    """A run by what matters for what it shows; `how` it stands in a line, as in `recorded 0.6`."""
+    """A run described by what determines its results; `how` names it in a line, as in `recorded 0.6`."""
 
     how: str
     organ: str
@@ -28,20 +28,42 @@ class Described:
 
     @classmethod
     def recorded(cls, config: Mapping[str, Any], how: str = "recorded") -> Described:
-        """By a bag's configuration."""
+        """Describe a bag by its configuration.
+
+        Parameters
+        ----------
+        config : Mapping[str, Any]
+            The configuration.
+        how : str, optional
+            What it is called in a line.
+        """
         organs = organs_of(config).values()
         name = config["scene"] if "scene" in config else config["organ"]["name"]
         digest = "".join(organ["digest"] for organ in organs)
         return cls(how, name, digest, config["package_version"], config["parameters"])
 
     def replayed(self, organ: Organ | None) -> Described:
-        """The same run by this package, with another organ if there is one."""
+        """Describe the same run by this package, with another organ if there is one.
+
+        Parameters
+        ----------
+        organ : Organ | None
+            The other organ.
+        """
         name, digest = (self.organ, self.digest) if organ is None else (organ.name, organ.digest())
         return Described("replayed with", name, digest, __version__, self.parameters)
 
 
 def differences(first: Described, second: Described) -> list[str]:
-    """One line for each thing that differs."""
+    """Return one line for each difference.
+
+    Parameters
+    ----------
+    first : Described
+        A run.
+    second : Described
+        Another run.
+    """
     lines = []
 
     def tell(what: str, one: Any, other: Any) -> None:

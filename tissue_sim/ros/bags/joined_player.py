@@ -1,4 +1,4 @@
-"""What joins the organs of a recording that is run again."""
+"""What joins the organs of a recording in its replay."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tissue_sim.ros.bags.organ_player import OrganPlayer
 
 
 class JoinedPlayer:
-    """Advances organs together, and takes up where they touch."""
+    """Player that advances organs together, and applies where they touch."""
 
     def __init__(self, recording: JoinedRecording, organs: Sequence[OrganPlayer]) -> None:
         self._recording, self._organs = recording, list(organs)
@@ -38,7 +38,15 @@ class JoinedPlayer:
         return PairFinder([one.simulation.organ for one in self._organs])
 
     def step(self, tick: int, was_reset: bool) -> None:
-        """Advance by a tick, after every organ has taken up its own."""
+        """Advance by a tick, after every organ has applied its own inputs.
+
+        Parameters
+        ----------
+        tick : int
+            The tick.
+        was_reset : bool
+            Whether it was reset in this tick.
+        """
         if was_reset:
             self.joined.reset()
         row, before = self._taken_at.get(tick, self._newest), self._newest

@@ -31,19 +31,25 @@ class JoinedRecorder:
         self._read = 0  # rows of the loop's journal
         self._notes: list[tuple[int, Sequence[int]]] = []
         self._newest: tuple[int, Longs] | None = None  # number and words of a set
-        self._newest_share = (0, 0.0)  # number, and share of the breath's way
+        self._newest_share = (0, 0.0)  # number, and fraction of the breath's way
         self._shares = [self._newest_share]
         self._state_tick = -1
 
     def begin(self) -> None:
-        """A bag begins; to be called with `together` held."""
+        """Begin a bag; call it with `together` held."""
         self._read, self._notes, self._state_tick = int(self._box.journal_written[0]), [], -1
         self._shares = [self._newest_share]
         if self._newest is not None:
             self._whole_set(*self._newest)
 
     def state(self, tick: int) -> None:
-        """What joined organs at the tick of the states that the loop has handed out, and all that doesn't change."""
+        """Record what joined the organs at the tick of the states that the loop has posted.
+
+        Parameters
+        ----------
+        tick : int
+            That tick.
+        """
         joined, kept = self._joined, self._box.kept
         if joined.alone:
             return
@@ -61,21 +67,38 @@ class JoinedRecorder:
         self._state_tick = tick
 
     def pairs(self, sequence: int, ticks: Sequence[int], found: PairSet) -> None:
-        """Pairs, and the ticks (k,) of the surfaces that they were found from.
+        """Record what pairs were found from, or all of them while a surface may not be in the bag.
 
-        Or all of them while a surface may not be in the bag. To be called with `together` held since they were posted.
+        Call it with `together` held since they were posted.
+
+        Parameters
+        ----------
+        sequence : int
+            Number of the set.
+        ticks : Sequence[int], shape (k,)
+            Ticks of the surfaces that they were found from.
+        found : PairSet
+            The pairs.
         """
         self._newest = sequence, used_words(found).copy()
         if not self._messages.active:
             return
         self._notes.append((sequence, ticks))
-        # Where an organ touches itself, it matters where it was found the last time.
+        # Where an organ touches itself, the result depends on where it touched the last time.
         touches_itself = bool(np.any(found.organ[: found.found[0], 0] == found.organ[: found.found[0], 1]))
         if self._state_tick < 0 or min(ticks) <= self._state_tick or touches_itself:
             self._whole_set(*self._newest)
 
     def respiration(self, sequence: int, share: float) -> None:
-        """Where the breath is to be; to be called with `together` held since it was posted."""
+        """Record where the breath is to be; call it with `together` held since it was posted.
+
+        Parameters
+        ----------
+        sequence : int
+            Number of the message.
+        share : float
+            Fraction of the breath's way.
+        """
         self._newest_share = sequence, share
         if self._messages.active:
             self._shares.append(self._newest_share)

@@ -1,4 +1,4 @@
-"""What a bag says of what joins the organs of a scene."""
+"""What a bag says about what joins the organs of a scene."""
 
 from __future__ import annotations
 
@@ -41,7 +41,22 @@ class JoinedRecording:
 
     @classmethod
     def parsed(cls, messages: Mapping[str, Sequence[bytes]], below: str, sizes: Sequence[int]) -> JoinedRecording:
-        """From the messages of the topics below a name; sizes: nodes of each organ. Raises ValueError for damage."""
+        """Return the recording from the messages of the topics below a name.
+
+        Parameters
+        ----------
+        messages : Mapping[str, Sequence[bytes]]
+            Messages by topic.
+        below : str
+            That name.
+        sizes : Sequence[int]
+            Number of nodes of each organ.
+
+        Raises
+        ------
+        ValueError
+            When they are damaged.
+        """
         unpacked = {
             name: [bag.unpack(parse_octets(raw)) for raw in messages[f"{below}/{name}"]] for name in bag.SCENE_TOPICS
         }
@@ -66,7 +81,18 @@ class JoinedRecording:
         return cls({}, {}, journal | {"pair_ticks": np.zeros((0, 1), dtype=np.int64), "wrenches": wrenches})
 
     def join(self, simulations: Sequence[Simulation]) -> Joined:
-        """Simulations in the states of the bag, joined as they were. Raises UserError where they don't fit."""
+        """Join simulations in the states of the bag as they were.
+
+        Parameters
+        ----------
+        simulations : Sequence[Simulation]
+            The simulations.
+
+        Raises
+        ------
+        UserError
+            When they don't fit.
+        """
         fields = self.fields
         if not fields:
             return Joined(simulations)
@@ -84,7 +110,7 @@ def _in_words(words: Longs) -> PairSet:
 
 
 def _pairs_of(words: np.ndarray, sizes: Sequence[int]) -> PairSet:
-    """Pairs from the words of a set; raises ValueError for one that names what isn't there."""
+    """Return pairs from the words of a set; raise ValueError for one that names what isn't there."""
     made = pair_set()
     if words.ndim != 1 or words.dtype != np.int64 or not 1 <= len(words) <= len(made.words):
         raise ValueError("its organ contacts are not whole words")

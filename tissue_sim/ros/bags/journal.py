@@ -1,4 +1,4 @@
-"""What a bag's journal may not say: a replay follows its rows."""
+"""Checks of a bag's journal, whose rows a replay follows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tissue_sim.model.state_check import MOST
 from tissue_sim.ros.bags.bag import BodyContactRow, ContactRow, SurfaceRow, WrenchRow
 
 MOST_TICKS = 2**62
-LONGEST_STILL = 24 * 3600.0  # s in which nothing at all happens: a replay would go through all their ticks
+LONGEST_STILL = 24 * 3600.0  # s without any event: a replay would go through all their ticks
 
 _ROWS: dict[str, type[Record]] = {
     "inputs": JournalRow,
@@ -26,13 +26,27 @@ _BODIES: dict[str, tuple[str, type[Record]]] = {
     "body_inputs": ("inputs", BodyInputs),
     "body_contacts": ("contacts", BodyContactRow),
 }
-SHOWING = ("inputs", "wrenches", "surfaces")  # whose ticks a replay comes by
+SHOWING = ("inputs", "wrenches", "surfaces")  # whose ticks a replay visits
 
 
 def check_journal(rows: Mapping[str, NDArray[Any]], n_bodies: int, first_tick: int, rate: float) -> None:
-    """Raise ValueError naming rows that lack a field, don't fit together, or tell of ticks that can't be.
+    """Check that the rows of a journal have their fields, fit together and tell of possible ticks.
 
-    rows: by kind, see recorder; first_tick: that of the state; rate: ticks a second.
+    Parameters
+    ----------
+    rows : Mapping[str, NDArray[Any]]
+        Rows by kind, see recorder.
+    n_bodies : int
+        Number of bodies.
+    first_tick : int
+        Tick of the state.
+    rate : float, Hz
+        Ticks per second.
+
+    Raises
+    ------
+    ValueError
+        When they don't; the message names the rows.
     """
     for kind, record in _ROWS.items():
         _check_rows(rows, kind, record, (len(rows[kind]) if kind in rows and rows[kind].ndim else 0,))

@@ -1,4 +1,4 @@
-"""Replays a recording's inputs to a running node: over DDS, with /clock, tick by tick."""
+"""Replay of a recording's inputs to a running node: over DDS, with /clock, tick by tick."""
 
 from __future__ import annotations
 
@@ -29,16 +29,31 @@ from tissue_sim.ros.shared.cdr import parse_stamped
 from tissue_sim.ros.shared.node_parameters import NodeParameters
 from tissue_sim.ros.shared.tool_link import ToolLink
 
-PATIENCE = 60.0  # s for the node to be there
-ANSWERED = 0.02  # s that the node gets to answer a pose before the next tick is due; a late pose is a tick late
-RAN = 0.002  # s that it gets for the ticks before a pose
+PATIENCE = 60.0  # s to wait for the node
+ANSWERED = 0.02  # s for the node to answer a pose before the next tick is due; a late pose is a tick late
+RAN = 0.002  # s for the ticks before a pose
 KEEP = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def play_live(recording: Recording, target: str) -> tuple[list[str], Shown]:
-    """Send all inputs to the node `target`; returns notes, and what the node showed by the recording's ticks.
+    """Send all inputs to a running node.
 
-    Raises UserError where the node is not there, does not follow /clock, or has other tools.
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+    target : str
+        Name of the node.
+
+    Returns
+    -------
+    tuple[list[str], Shown]
+        notes, and what the node showed by the recording's ticks
+
+    Raises
+    ------
+    UserError
+        When the node is not there, does not follow /clock, or has other tools.
     """
     if recording.is_scene:
         raise UserError("--live needs the bag of a single organ, and this one contains a scene")
@@ -51,7 +66,7 @@ class _Live:
         self._recording, self._target = recording, target
         self._first = int(recording.first_tick)
         self._period = round(1e9 / recording.config["parameters"]["rate"])  # ns
-        self._origin = time.time_ns()  # on /clock, of the first tick
+        self._origin = time.time_ns()  # time of the first tick on /clock
         self._clock = node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
         self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
         self._meshes = client.Inbox(node, Mesh, f"/{target}/mesh", client.latched_qos())
@@ -59,14 +74,14 @@ class _Live:
         self._node = node
         self._shapes: dict[int, np.ndarray] = {}
         self._tools: list[ScriptedTool] = []
-        self._frames: list[str] = []  # that each tool's poses and forces come in
+        self._frames: list[str] = []  # of each tool's poses and forces
         self._wrenches: list[client.Inbox] = []
         self._felt: list[dict[int, np.ndarray]] = []
         self._forces: list[Publisher | None] = []
         self._shift: dict[int, int] = {}  # ns from the recording's stamps to those sent, by tool
 
     def play(self) -> tuple[list[str], Shown]:
-        """Meet the node, and go through the inputs at the pace of the recording, or slower."""
+        """Connect to the node, and go through the inputs at the pace of the recording, or slower."""
         notes = self._meet()
         inputs = self._inputs()
         begun = time.monotonic()
@@ -118,7 +133,7 @@ class _Live:
         return notes
 
     def _force_publisher(self, tool: str, topic: str) -> Publisher | None:
-        """What sends a tool's external forces; None for one without."""
+        """Return the publisher of a tool's external forces; None for a tool without."""
         if topic:
             return self._node.create_publisher(WrenchStamped, topic, client.stream_qos())
         if self._recording.forces[len(self._forces)]:
@@ -158,7 +173,7 @@ class _Live:
         self._clock.publish(Clock(clock=Time(nanoseconds=self._stamp(tick)).to_msg()))
 
     def _inputs(self) -> dict[int, list[Callable[[int], None]]]:
-        """What is sent before a tick, each for a stamp in ns; what the state had already taken up goes first."""
+        """Return what is sent before a tick, each for a stamp in ns; what the state had already applied goes first."""
         rows = self._recording.organs[0].journal["inputs"]["tick"]
         bodies = self._recording.organs[0].journal["body_inputs"]
         found: dict[int, list[Callable[[int], None]]] = defaultdict(list)
@@ -180,7 +195,7 @@ class _Live:
             force = recording.forces[tool][number]
             return lambda stamp: self._push(tool, force, stamp)
         pose, angle = recording.poses[tool][number], recording.angles[tool].get(number)
-        # As far from one another as they were recorded: stamps tell how fast the tool moves.
+        # With the recorded intervals, since the tool's speed follows from the stamps.
         recorded = recording.stamps[tool][number]
         stamped = recorded + self._shift.setdefault(tool, self._stamp(tick) - recorded)
 

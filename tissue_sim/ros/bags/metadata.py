@@ -1,4 +1,4 @@
-"""What a bag's metadata.yaml says, and how it is brought to the disk."""
+"""A bag's metadata.yaml, and how it is written to the disk."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rosbags.rosbag2.metadata import dump_qos_v9
 from ruamel.yaml import YAML
 
 DISTRIBUTION = "jazzy"  # whose message definitions a bag holds
-VERSION: Literal[9] = 9  # of the metadata
+VERSION: Literal[9] = 9  # version of the metadata
 NAME = "metadata.yaml"
 
 
@@ -27,7 +27,15 @@ class File(NamedTuple):
 
 
 def information(files: Sequence[File], connections: Sequence[Connection]) -> dict[str, Any]:
-    """The metadata of files that are one bag, with its topics."""
+    """Return the metadata of files that are one bag, with its topics.
+
+    Parameters
+    ----------
+    files : Sequence[File]
+        The files.
+    connections : Sequence[Connection]
+        The topics.
+    """
     files = [file for file in files if file.counts]
     start = min((file.start for file in files), default=0)
     counts = {topic.topic: sum(file.counts.get(topic.topic, 0) for file in files) for topic in connections}
@@ -46,18 +54,36 @@ def information(files: Sequence[File], connections: Sequence[Connection]) -> dic
 
 
 def read(folder: Path) -> dict[str, Any]:
-    """What a bag's metadata says."""
+    """Return a bag's metadata.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the bag.
+    """
     said: dict[str, Any] = YAML(typ="safe").load((folder / NAME).read_text(encoding="utf-8"))
     return said["rosbag2_bagfile_information"]  # type: ignore[no-any-return]
 
 
 def qos_of(topic: Connection) -> list[Qos]:
-    """The profiles that a topic is offered with."""
+    """Return the profiles that a topic is offered with.
+
+    Parameters
+    ----------
+    topic : Connection
+        The topic.
+    """
     return topic.ext.offered_qos_profiles if isinstance(topic.ext, ConnectionExtRosbag2) else []
 
 
 def as_yaml(values: Any) -> str:
-    """Values as the text of a YAML file."""
+    """Return values as the text of a YAML file.
+
+    Parameters
+    ----------
+    values : Any
+        The values.
+    """
     yaml, stream = YAML(typ="safe"), StringIO()
     yaml.default_flow_style = False
     yaml.dump(values, stream)
@@ -65,7 +91,22 @@ def as_yaml(values: Any) -> str:
 
 
 def write(folder: Path, files: Sequence[File], connections: Sequence[Connection]) -> None:
-    """Write a bag's metadata.yaml, as a whole or not at all; raises OSError."""
+    """Write a bag's metadata.yaml, as a whole or not at all.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the bag.
+    files : Sequence[File]
+        Its files.
+    connections : Sequence[Connection]
+        Its topics.
+
+    Raises
+    ------
+    OSError
+        When it can't be written.
+    """
     path = folder / f"{NAME}.tmp"
     with path.open("w", encoding="utf-8") as stream:
         stream.write(as_yaml({"rosbag2_bagfile_information": information(files, connections)}) + "\n")
@@ -76,7 +117,13 @@ def write(folder: Path, files: Sequence[File], connections: Sequence[Connection]
 
 
 def sync_folder(folder: Path) -> None:
-    """See that a folder's entries outlast a power cut."""
+    """Flush a folder's entries to the disk, so that they outlast a power cut.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    """
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -1,4 +1,4 @@
-"""The profile that a topic is offered with, in the words of a bag: players offer the same."""
+"""The profile that a topic is offered with, in the terms of a bag: players offer the same."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ UNLIMITED = QosTime(9223372036, 854775807)
 
 
 def offered(profile: QoSProfile) -> Qos:
-    """A profile in the words of a bag, as `ros2 bag record` writes it."""
+    """Return a profile in the terms of a bag, as `ros2 bag record` writes it.
+
+    Parameters
+    ----------
+    profile : QoSProfile
+        The profile.
+    """
     return Qos(
         QosHistory[profile.history.name],
         profile.depth,

@@ -1,4 +1,4 @@
-"""One organ of a recording that is run again."""
+"""One organ of a recording in its replay."""
 
 from __future__ import annotations
 
@@ -28,7 +28,15 @@ class ToolInputs(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, tools: ToolSet) -> ToolInputs:
-        """Of each body: a tool's own, or those of a gripper's jaws, whose first one takes its forces."""
+        """Return the inputs of each body: a tool's own, or those of a gripper's jaws, the first of which takes forces.
+
+        Parameters
+        ----------
+        recording : Recording
+            The recording.
+        tools : ToolSet
+            The tools.
+        """
         made = cls([], [], [])
         for tool, bodies in enumerate(tools.bodies):
             poses, angles = recording.poses[tool], recording.angles[tool]
@@ -40,14 +48,14 @@ class ToolInputs(NamedTuple):
 
 
 class Taken(NamedTuple):
-    """What a tick took up, beside inputs."""
+    """What a tick applied besides inputs."""
 
     reset: bool
     contact_set: bool
 
 
 class OrganPlayer:
-    """A simulation that takes up what the journal names."""
+    """A simulation that applies what the journal names."""
 
     def __init__(
         self, recording: OrganRecording, organ: Organ, config: dict[str, Any], tools: ToolSet, tool_inputs: ToolInputs
@@ -87,20 +95,39 @@ class OrganPlayer:
         self._tool_ticks = {tools for _, tools, _ in self.found_from.values()}
         self._surfaces: dict[int, Floats] = {}
         self._tools: dict[int, tuple[Floats, Longs]] = {}
-        # Only what is new in a row is taken up again.
+        # Only the new values of a row are applied.
         before = max((tick for tick in self.inputs if tick <= first), default=None)
         if before is None:
             raise UserError("the bag doesn't record which inputs its state had used; its recording lost messages")
         self._taken = self.inputs[before]
 
     def begin(self, take_settings: Callable[[Settings], None]) -> None:
-        """Use the settings that the state had."""
+        """Use the settings that the state had.
+
+        Parameters
+        ----------
+        take_settings : Callable[[Settings], None]
+            Applies them.
+        """
         settings = self.recording.settings
         start = max((number for number in settings if number <= self._taken[0]["settings"]), default=min(settings))
         take_settings(settings[start])
 
     def take(self, tick: int, take_settings: Callable[[Settings], None]) -> Taken | None:
-        """Take up what a tick's row in the journal has new, in the order of the node's loop; None without a row."""
+        """Apply what is new in a tick's row of the journal, in the order of the node's loop.
+
+        Parameters
+        ----------
+        tick : int
+            The tick.
+        take_settings : Callable[[Settings], None]
+            Applies settings.
+
+        Returns
+        -------
+        Taken | None
+            None without a row
+        """
         found = self.inputs.get(tick)
         if found is None:
             return None
@@ -128,7 +155,13 @@ class OrganPlayer:
         return Taken(was_reset, is_new)
 
     def keep(self, tick: int) -> None:
-        """Keep what a contact set was found from: the positions of a tick, and where the tools were."""
+        """Keep what a contact set was found from: the positions of a tick, and where the tools were.
+
+        Parameters
+        ----------
+        tick : int
+            The tick.
+        """
         state = self.simulation.state
         if tick in self._surface_ticks:
             self._surfaces[tick] = self.simulation.positions.copy()
@@ -136,7 +169,13 @@ class OrganPlayer:
             self._tools[tick] = state.body_pose.copy(), state.bodies.releases.copy()
 
     def surface(self) -> Floats:
-        """The surface (n, 3) m where it is."""
+        """Return the surface in its present place.
+
+        Returns
+        -------
+        Floats
+            shape (n, 3), m
+        """
         return np.asarray(self.simulation.positions[: self.n_surface] + self.simulation.state.carried)
 
     def _settings(self, sequence: int) -> Settings:

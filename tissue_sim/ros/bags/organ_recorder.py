@@ -31,7 +31,7 @@ class _Notes:
     surfaces: list[tuple[int]] = field(default_factory=list)
 
     def arrays(self, n_bodies: int) -> dict[str, NDArray[Any]]:
-        """The rows as arrays of records."""
+        """Return the rows as arrays of records."""
         by_body = np.array(self.body_contacts, dtype=bag.BodyContactRow.dtype)
         return {
             "contacts": np.array(self.contacts, dtype=bag.ContactRow.dtype),
@@ -41,9 +41,20 @@ class _Notes:
 
 
 class OrganRecorder:
-    """Writes what an organ took up and showed, while `messages` has a bag open.
+    """Recorder of what an organ applied and showed, while `messages` has a bag open.
 
-    below: the topics' beginning, absolute; as_file: the organ file's bytes.
+    Parameters
+    ----------
+    messages : BagMessages
+        The open bag.
+    below : str
+        The topics' absolute prefix.
+    organ : Organ
+        The organ.
+    physics : Physics
+        Its simulation.
+    as_file : Callable[[], bytes]
+        Returns the bytes of the organ file.
     """
 
     def __init__(
@@ -64,24 +75,24 @@ class OrganRecorder:
 
     # life --------------------------------------------------------------------------------------
     def prepare(self) -> None:
-        """What takes a while, before a bag begins."""
+        """Do what takes a while, before a bag begins."""
         self._file = self._file or self._as_file()
 
     def begin(self) -> None:
-        """A bag begins: the organ itself; to be called with `together` held, as those that follow."""
+        """Begin a bag with the organ itself; call this and the following methods with `together` held."""
         self.physics.journal()  # rows of ticks before this bag
         self._notes, self._state_tick = _Notes(), -1
         self._messages.octets(self.names["organ"], np.frombuffer(self._file, dtype=np.uint8))
         self._messages.put(self.names["mesh"], rest_mesh(self._organ))
 
     def begin_inputs(self) -> None:
-        """The newest of every input: the loop may take it up only after the state, when the machine is busy."""
+        """Record the newest of every input: on a busy machine the loop may apply it only after the state."""
         if self._newest_set is not None:
             self._whole_set(*self._newest_set)
         self.settings(int(self.physics.box.settings.sequence[0]), self.physics.settings())
 
     def state(self) -> int:
-        """The state that the loop has handed out; returns its tick."""
+        """Record the state that the loop has posted; return its tick."""
         before = self.physics.simulation.state
         n_bodies, n_modes = self.physics.n_bodies, len(before.mode_position)
         state = make_state(len(before.position), n_bodies, n_modes, len(before.is_turned))
@@ -91,14 +102,26 @@ class OrganRecorder:
         return self._state_tick
 
     def rows(self) -> dict[str, NDArray[Any]]:
-        """The journal's rows since the last call; to be called with `together` held."""
+        """Return the journal's rows since the last call; call it with `together` held."""
         inputs, body_inputs = self.physics.journal()
         noted, self._notes = self._notes, _Notes()
         return {"inputs": inputs, "body_inputs": body_inputs} | noted.arrays(self.physics.n_bodies)
 
     # what happens ------------------------------------------------------------------------------
     def surface(self, tick: int, surface: bytes, skeleton: bytes, markers: bytes | None) -> None:
-        """A published surface, skeleton and, if wanted, markers, and the tick that they show."""
+        """Record a published surface, skeleton and, if wanted, markers.
+
+        Parameters
+        ----------
+        tick : int
+            The tick that they show.
+        surface : bytes
+            Bytes of the surface.
+        skeleton : bytes
+            Bytes of the skeleton.
+        markers : bytes | None
+            Bytes of the markers.
+        """
         with self.together:
             if not self.active:
                 return
@@ -109,15 +132,34 @@ class OrganRecorder:
                 self._messages.put(self.names["markers"], markers)
 
     def settings(self, sequence: int, settings: Settings) -> None:
-        """New settings; to be called with `together` held since they were posted."""
+        """Record new settings; call it with `together` held since they were posted.
+
+        Parameters
+        ----------
+        sequence : int
+            Their number.
+        settings : Settings
+            The settings.
+        """
         if self.active:
             fields = {"sequence": np.array(sequence), "settings": array_of(settings)}
             self._messages.packed(self.names["settings"], fields)
 
     def contacts(self, sequence: int, ticks: tuple[int, int], found: ContactSet, bodies: Sequence[BodyContact]) -> None:
-        """A contact set: what it was found from, or all of it while that may not be in the bag.
+        """Record what a contact set was found from, or all of it while that may not be in the bag.
 
-        ticks: of its surface, and of the tools' places. To be called with `together` held since it was posted.
+        Call it with `together` held since it was posted.
+
+        Parameters
+        ----------
+        sequence : int
+            Number of the set.
+        ticks : tuple[int, int]
+            Tick of its surface, and of the tools' places.
+        found : ContactSet
+            The contact set.
+        bodies : Sequence[BodyContact]
+            Rows of its bodies.
         """
         self._newest_set = sequence, found
         if not self.active:

@@ -1,4 +1,4 @@
-"""What a bag says of one organ."""
+"""What a bag says about one organ."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tissue_sim.ros.shared.cdr import parse_cloud, parse_octets
 
 @dataclass
 class OrganRecording:
-    """Its content by topic, in the order of recording."""
+    """The organ's messages by topic, in the order of recording."""
 
     file: bytes  # the organ file
     state: dict[str, np.ndarray]
@@ -31,7 +31,24 @@ class OrganRecording:
 
     @classmethod
     def parsed(cls, path: Path, messages: Mapping[str, Sequence[bytes]], below: str, n_bodies: int) -> OrganRecording:
-        """From the messages of the topics below a name. Raises UserError naming the bag at path and what it lacks."""
+        """Return the recording from the messages of the topics below a name.
+
+        Parameters
+        ----------
+        path : Path
+            The bag, for messages.
+        messages : Mapping[str, Sequence[bytes]]
+            Messages by topic.
+        below : str
+            That name.
+        n_bodies : int
+            Number of bodies.
+
+        Raises
+        ------
+        UserError
+            When the bag lacks something; the message names it.
+        """
         octets = {
             name: [parse_octets(raw) for raw in messages[f"{below}/{name}"]]
             for name, kind in bag.ORGAN_TOPICS.items()
@@ -61,11 +78,11 @@ class OrganRecording:
 
     @property
     def first_tick(self) -> int:
-        """That of the state."""
+        """Tick of the state."""
         return int(self.state["status"]["tick"].item())
 
     def organ(self) -> Organ:
-        """The organ that the bag holds."""
+        """Return the organ that the bag holds."""
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "organ.npz"
             path.write_bytes(self.file)
@@ -73,7 +90,7 @@ class OrganRecording:
 
 
 def settings_of(path: Path, recorded: np.ndarray) -> Settings:
-    """Settings from a record of them; raises UserError naming a field that one of both lacks."""
+    """Return settings from a record of them; raise UserError naming a field that one of both lacks."""
     names, wanted = recorded.dtype.names or (), Settings.dtype.names or ()
     if differing := sorted(set(names) ^ set(wanted)):
         raise UserError(f"bag {path}: setting '{differing[0]}' is in the bag or in this version only; record it again")

@@ -1,4 +1,4 @@
-"""What came of a bag: replayed, and compared with what it shows itself, or another one shows."""
+"""Result of a bag that was replayed and compared with what it shows itself, or another one shows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,19 @@ NOTHING = "the bag has nothing to compare"
 
 @dataclass(frozen=True)
 class Asked:
-    """How bags are to be compared: tolerances in N and N m, and in m, with another organ, against another bag."""
+    """How bags are to be compared.
+
+    Attributes
+    ----------
+    force_tolerance : float, N and N m
+        Largest deviation of a wrench.
+    position_tolerance : float, m
+        Largest deviation of a position.
+    organ : Organ | None
+        Organ to replay with, instead of the recorded one.
+    against : Path | None
+        Another bag to compare with.
+    """
 
     force_tolerance: float
     position_tolerance: float
@@ -29,7 +41,23 @@ class Asked:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of one bag; rate: ticks a second; seconds that it took; notes: what differed before anything was compared."""
+    """Result of one bag.
+
+    Attributes
+    ----------
+    name : str
+        Name of the bag.
+    rate : float, Hz
+        Ticks per second.
+    seconds : float, s
+        Duration of the comparison.
+    notes : tuple[str, ...]
+        What differed before anything was compared.
+    replayed : Replayed
+        What the replay showed.
+    comparison : Comparison
+        The deviations.
+    """
 
     name: str
     rate: float
@@ -40,9 +68,21 @@ class Outcome:
 
 
 def replay_bag(path: Path, asked: Asked, prefix: str = "") -> Outcome:
-    """Replay a bag and compare; what differs is printed before that begins, each line after a prefix.
+    """Replay a bag and compare; print what differs before that begins.
 
-    Raises UserError for a bag that can't be read or replayed.
+    Parameters
+    ----------
+    path : Path
+        Folder of the bag.
+    asked : Asked
+        How it is to be compared.
+    prefix : str, optional
+        Begins each printed line.
+
+    Raises
+    ------
+    UserError
+        When the bag can't be read or replayed.
     """
     started, recording = time.monotonic(), Recording.read(path)
     recorded = Described.recorded(recording.config)
@@ -69,7 +109,19 @@ def replay_bag(path: Path, asked: Asked, prefix: str = "") -> Outcome:
 def replay_live(path: Path, asked: Asked, node: str) -> Outcome:
     """Send a bag's inputs to a running node, and compare what it shows with a replay at the same ticks.
 
-    Raises UserError for a bag or a node that this can't be done with.
+    Parameters
+    ----------
+    path : Path
+        Folder of the bag.
+    asked : Asked
+        How it is to be compared.
+    node : str
+        Name of the node.
+
+    Raises
+    ------
+    UserError
+        When this can't be done with the bag or the node.
     """
     try:
         from tissue_sim.ros.bags.live import play_live

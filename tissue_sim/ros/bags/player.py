@@ -1,4 +1,4 @@
-"""Runs a recording again, tick by tick and without DDS."""
+"""Replay of a recording, tick by tick and without DDS."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from tissue_sim.ros.bags.recording import Recording, tools_of
 
 @dataclass
 class Replayed:
-    """What a replay shows at the ticks that it was asked for, and what it took up."""
+    """What a replay shows at the ticks that were requested, and how much it applied."""
 
-    wanted: Shown  # those of the ticks that were asked for which the replay came by
+    wanted: Shown  # of the requested ticks, those that the replay visited
     shown: Shown
     ticks: int = 0
     inputs: int = 0
@@ -32,9 +32,21 @@ class Replayed:
 
 
 def replay(recording: Recording, organ: Organ | None = None, wanted: Shown | None = None) -> Replayed:
-    """Feed the recorded inputs at the ticks that took them up; show what is wanted, by default what the bag shows.
+    """Feed the recorded inputs at the ticks that applied them.
 
-    organ: instead of the recorded one. Raises UserError for a scene that another organ is given for.
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+    organ : Organ | None, optional
+        Organ to use instead of the recorded one.
+    wanted : Shown | None, optional
+        Ticks and tools of the results; by default those that the bag shows.
+
+    Raises
+    ------
+    UserError
+        When another organ is given for a scene.
     """
     if organ is not None and recording.is_scene:
         raise UserError("another organ can replace only the one of a single-organ bag, and this one contains a scene")
@@ -43,7 +55,7 @@ def replay(recording: Recording, organ: Organ | None = None, wanted: Shown | Non
 
 
 class Player:
-    """Simulations that take up what a recording's journal names; they run once."""
+    """Simulations that apply what a recording's journal names; they run once."""
 
     def __init__(self, recording: Recording, organs: Sequence[Organ]) -> None:
         self.recording = recording
@@ -59,7 +71,7 @@ class Player:
         self._take_settings = [partial(take_settings, number) for number in range(len(self.organs))]
 
     def _wrench(self, tool: int, recorded: Floats) -> Floats:
-        """A tool's wrench, (6,). Of a gripper the force: its torque is about a pose that the journal lacks."""
+        """Return a tool's wrench, (6,); of a gripper only the force, as the journal lacks the pose of its torque."""
         bodies = self.tools.bodies[tool]
         of_bodies = self.joined.joined.wrench
         if len(bodies) == 1:
@@ -67,7 +79,15 @@ class Player:
         return np.concatenate([of_bodies[bodies, :3].sum(axis=0), recorded[3:]])
 
     def run(self, wanted: Shown, watch: Callable[[int], None] | None = None) -> Replayed:
-        """Go through the recording, and show what is wanted of its ticks; watch is called after each tick."""
+        """Go through the recording, and return what is wanted of its ticks.
+
+        Parameters
+        ----------
+        wanted : Shown
+            Ticks and tools of the results.
+        watch : Callable[[int], None] | None, optional
+            Called after each tick.
+        """
         last = max(self.tick, self.recording.last_tick)
         wanted = wanted.within(self.tick + 1, last)
         shown = Shown(
@@ -101,7 +121,7 @@ class Player:
         return result
 
     def _take(self, tick: int, result: Replayed) -> None:
-        """Take up what is new, in the order of the node's loop, and advance by a tick."""
+        """Apply what is new, in the order of the node's loop, and advance by a tick."""
         was_reset = False
         for one, take_settings in zip(self.organs, self._take_settings, strict=True):
             taken = one.take(tick, take_settings)
@@ -113,7 +133,7 @@ class Player:
 
 
 def _by_tick(ticks: Sequence[np.ndarray]) -> dict[int, list[tuple[int, int]]]:
-    """Which of several lists has a tick, and at which index: a slow loop may be shown twice in a tick."""
+    """Return which of several lists has a tick, and at which index: a slow loop may be shown twice in a tick."""
     found: dict[int, list[tuple[int, int]]] = defaultdict(list)
     for which, own in enumerate(ticks):
         for index, tick in enumerate(own.tolist()):

@@ -1,4 +1,4 @@
-"""A picture of two runs: the force of each tool over time, and how far force and position are apart."""
+"""A picture of two runs: the force of each tool over time, and the deviation of force and position."""
 
 from __future__ import annotations
 
@@ -13,13 +13,23 @@ from tissue_sim.ros.bags.comparing import Deviation
 from tissue_sim.ros.bags.outcome import Outcome
 
 RECORDED, REPLAYED = "#777777", "#b2182b"
-LEAST = 1e-18  # what a deviation of none is drawn as: the axis is logarithmic
+LEAST = 1e-18  # stands for a deviation of zero: the axis is logarithmic
 
 
 def picture_path(given: str, bag: Path) -> Path:
-    """Where a picture goes: a file that ends in .png, or the bag's name in a folder, which is made.
+    """Return the file of a picture: the given one that ends in .png, or the bag's name in a folder, which is made.
 
-    Raises UserError without matplotlib, or for a folder that can't be made.
+    Parameters
+    ----------
+    given : str
+        File or folder.
+    bag : Path
+        Folder of the bag.
+
+    Raises
+    ------
+    UserError
+        Without matplotlib, or when the folder can't be made.
     """
     if importlib.util.find_spec("matplotlib") is None:
         raise UserError("--plot needs matplotlib: pip install matplotlib")
@@ -34,7 +44,20 @@ def picture_path(given: str, bag: Path) -> Path:
 
 
 def write_picture(path: Path, outcome: Outcome) -> None:
-    """Write a PNG. Raises UserError when it can't be written."""
+    """Write a PNG.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    outcome : Outcome
+        Result of the bag.
+
+    Raises
+    ------
+    UserError
+        When it can't be written.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

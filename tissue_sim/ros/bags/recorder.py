@@ -1,4 +1,4 @@
-"""Writes what came in, what went out and why to an MCAP bag, off the tick path."""
+"""Recording of input, output and journal to an MCAP bag, off the tick path."""
 
 from __future__ import annotations
 
@@ -28,19 +28,34 @@ from tissue_sim.ros.shared.qos import LATCHED, RELIABLE, STREAM
 from tissue_sim.ros.shared.report import Report
 from tissue_sim.ros.shared.tool_topics import GRIPPER_TOPICS, TOOL_TOPICS
 
-SETTLE_TIME = 0.1  # s of messages in the bag before the state is taken, so that nothing it needs is missing
+SETTLE_TIME = 0.1  # s of messages in the bag before the state is taken, so that it lacks nothing
 JOURNAL_EVERY = 0.25  # s
-# What a replay can do without, and the share of all that may wait for a slow disk up to which it is kept: markers are
-# left out first, as the largest.
+# Topics that a replay can do without, each with the fill level of the queue for a slow disk up to which it is kept:
+# markers, the largest, are left out first.
 PATIENCE = {"markers": 0.25, "surface": 0.5, "skeleton": 0.5}
 OFFERED = {"mesh": LATCHED, "markers": LATCHED, "surface": STREAM, "skeleton": STREAM}  # RELIABLE: what only bags hold
 
 
 class Recorder:
-    """Records while started. Messages may be written from any thread; they only go into memory.
+    """Recorder of the node; any thread may write messages, which only go into memory.
 
-    node_name: absolute, like /tissue_sim; organs: what is recorded of; named: each by its name, empty for an only one,
-    and what makes its file's bytes. of_organ, joined: their parts of a bag.
+    Parameters
+    ----------
+    node_name : str
+        Absolute, like /tissue_sim.
+    organs : Organs
+        The organs.
+    named : Mapping[str, tuple[Organ, Callable[[], bytes]]]
+        Each organ by its name, empty for a single one, with a function that returns the bytes of its file.
+    config : dict[str, Any]
+        Configuration of the bag.
+
+    Attributes
+    ----------
+    of_organ
+        The organs' parts of a bag.
+    joined
+        The part of what joins them.
     """
 
     def __init__(
@@ -67,7 +82,7 @@ class Recorder:
         self._journal_at = 0.0  # monotonic s, when the journal was last written
         self._has_state = False
         self._started = 0.0
-        self._hurry = False  # there is a state, which a bag is nothing without
+        self._hurry = False  # there is a state, without which a bag is of no use
         self.path: Path | None = None
 
     @property
@@ -77,18 +92,32 @@ class Recorder:
 
     @property
     def lost(self) -> int:
-        """Messages that the newest bag lacks."""
+        """Number of messages that the newest bag lacks."""
         return self._messages.spool.lost if self._messages.spool is not None else 0
 
     @property
     def error(self) -> str:
-        """What ended the newest bag before its time; empty: nothing did."""
+        """What ended the newest bag before its time; empty where nothing did."""
         return self._messages.spool.error if self._messages.spool is not None else ""
 
     def add_topic(self, tool: str, topic: str, name: str = "", qos: QoSProfile = STREAM) -> str:
-        """Give bags a tool's topic, of TOOL_TOPICS or GRIPPER_TOPICS; returns what it is called there.
+        """Give bags a tool's topic, of TOOL_TOPICS or GRIPPER_TOPICS.
 
-        name: that of the bridge's own topic, where a bag holds its very bytes; qos: how it is delivered.
+        Parameters
+        ----------
+        tool : str
+            Name of the tool.
+        topic : str
+            Name in those tables.
+        name : str, optional
+            Name of the bridge's own topic, where a bag holds its very bytes.
+        qos : QoSProfile, optional
+            How it is delivered.
+
+        Returns
+        -------
+        str
+            its name in the bag
         """
         name = self._tool_topics.setdefault(f"{tool}/{topic}", name or f"{self._node_name}/{tool}/{topic}")
         self._tool_qos[name] = qos
@@ -96,9 +125,26 @@ class Recorder:
 
     # life --------------------------------------------------------------------------------------
     def start(self, folder: Path, newest: dict[str, tuple[int, bytes]], split: Split = WHOLE) -> Path:
-        """Start a bag in a folder; newest maps each input topic to its last sequence and bytes.
+        """Start a bag in a folder.
 
-        Returns the bag's path. Raises UserError when it can't be written.
+        Parameters
+        ----------
+        folder : Path
+            The folder.
+        newest : dict[str, tuple[int, bytes]]
+            Last sequence and bytes of each input topic.
+        split : Split, optional
+            How the bag is split into files.
+
+        Returns
+        -------
+        Path
+            the bag's path
+
+        Raises
+        ------
+        UserError
+            When it can't be written.
         """
         if self.active:
             raise UserError(f"already recording to {self.path}; stop that first")
@@ -135,10 +181,15 @@ class Recorder:
         return path
 
     def stop(self, patience: float = 30.0) -> Path | None:
-        """Close the bag; returns its path, None when none was open.
+        """Close the bag; return its path, None when none was open.
 
-        What is not written within `patience` s is left out and counted as lost; what is in the bag still replays.
-        `error` says what went wrong, then or before.
+        What is not written in time is left out and counted as lost; the bag still replays. `error` says what went
+        wrong, then or before.
+
+        Parameters
+        ----------
+        patience : float, s, optional
+            Time for writing the rest.
         """
         messages = self._messages
         if messages.spool is None or not messages.recording:
@@ -186,16 +237,27 @@ class Recorder:
                 self._messages.packed(name, own)
 
     def report(self, report: Report) -> None:
-        """Add the bag, and what it is missing."""
+        """Add the bag, and what it lacks.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         report.values["recording"] = str(self.path) if self.active else ""
         report.problems["lost_bag_messages"] = self.lost
         if self.error:
             report.failures.append(self.error)
 
     def organ_pose(self, pose: Sequence[float]) -> None:
-        """Note where the organ is in base_frame, (7,) m and a quaternion xyzw, now and when a bag begins.
+        """Note where the organ is in base_frame, now and when a bag begins.
 
-        Poses and forces are recorded in the organ's frame, so that a replay has no need of it.
+        Poses and forces are recorded in the organ's frame, so that a replay doesn't need it.
+
+        Parameters
+        ----------
+        pose : Sequence[float], shape (7,), m and quaternion xyzw
+            The organ's pose.
         """
         with self.together:
             self._organ_pose = np.array(pose, dtype=np.float64)
@@ -209,12 +271,32 @@ class Recorder:
 
     # what happens ------------------------------------------------------------------------------
     def received(self, name: str, raw: bytes) -> None:
-        """A pose or force that was accepted, as it came; to be called before it is posted."""
+        """Record a pose or force that was accepted, as it came; call it before it is posted.
+
+        Parameters
+        ----------
+        name : str
+            Its topic.
+        raw : bytes
+            Its bytes.
+        """
         if self.active:
             self._messages.put(name, raw)
 
     def wrench(self, name: str, tool: int, tick: int, raw: bytes) -> None:
-        """A published servo_cf, and the tick that it shows."""
+        """Record a published servo_cf.
+
+        Parameters
+        ----------
+        name : str
+            Its topic.
+        tool : int
+            Index of the tool.
+        tick : int
+            The tick that it shows.
+        raw : bytes
+            Its bytes.
+        """
         with self.together:
             if self.active and self._messages.put(name, raw):
                 self._wrenches.append((tool, tick))

@@ -1,4 +1,4 @@
-"""What a bag says, read from its messages."""
+"""Contents of a bag, read from its messages."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from tissue_sim.ros.shared.cdr import (
 from tissue_sim.ros.shared.organ_topics import path_of
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
-# What comes of messages that say anything at all.
+# Errors that messages with arbitrary contents may cause.
 _DAMAGED = (
     *(ValueError, LookupError, TypeError, AttributeError),
     *(ArithmeticError, RecursionError, struct.error),
@@ -50,16 +50,27 @@ class Recording:
     joined: JoinedRecording
     registrations: list[tuple[int, Floats]] = field(
         default_factory=list
-    )  # from which tick on organ_pose was what, (7,)
+    )  # first tick and value (7,) of each organ_pose
     poses: list[dict[int, Floats]] = field(default_factory=list)  # per tool, by sequence
     stamps: list[dict[int, int]] = field(default_factory=list)  # ns, of the poses
-    angles: list[dict[int, float]] = field(default_factory=list)  # rad of a gripper, as its poses
+    angles: list[dict[int, float]] = field(default_factory=list)  # rad of a gripper, like its poses
     forces: list[dict[int, Floats]] = field(default_factory=list)
     wrenches: list[list[Floats]] = field(default_factory=list)  # per tool
 
     @classmethod
     def read(cls, path: Path) -> Recording:
-        """Read a bag folder; raises UserError naming the bag and what it lacks."""
+        """Read a bag folder.
+
+        Parameters
+        ----------
+        path : Path
+            The folder.
+
+        Raises
+        ------
+        UserError
+            When it can't be read; the message names the bag and what it lacks.
+        """
         if not path.exists():
             raise UserError(f"bag {path} does not exist")
         messages = _read_messages(path)
@@ -127,17 +138,17 @@ class Recording:
 
     @property
     def first_tick(self) -> int:
-        """That of the states."""
+        """Tick of the states."""
         return self.organs[0].first_tick
 
     @property
     def last_tick(self) -> int:
-        """The last one that the journal knows."""
+        """Last tick that the journal knows."""
         rows = [one.journal[kind]["tick"] for one in self.organs for kind in ("inputs", "surfaces")]
         return int(max([np.max(found) for found in [*rows, self.wrench_rows["tick"]] if len(found)], default=0))
 
     def shown(self) -> Shown:
-        """What the bag shows; rows of the journal whose messages were lost are left out, and messages without a row."""
+        """Return what the bag shows, without rows of lost messages and messages without a row."""
         rows, tools = self.wrench_rows, self.config["tools"]
         ticks = [rows["tick"][rows["tool"] == tool] for tool in range(len(tools))]
         lengths = [min(len(found), len(wrenches)) for found, wrenches in zip(ticks, self.wrenches, strict=True)]
@@ -155,13 +166,19 @@ class Recording:
 
 
 def tools_of(config: dict[str, Any]) -> list[Tool]:
-    """The tools of a bag's configuration."""
+    """Return the tools of a bag's configuration.
+
+    Parameters
+    ----------
+    config : dict[str, Any]
+        The configuration.
+    """
     parameters, keys = config["parameters"], ("shape", "radius", "length", "mesh")
     return [
         Tool(
             name,
             **{key: parameters[f"{name}.{key}"] for key in keys},
-            smoothing=parameters.get(f"{name}.smoothing", 1.0),  # what it was before it was a parameter
+            smoothing=parameters.get(f"{name}.smoothing", 1.0),  # its value before it was a parameter
         )
         for name in config["tools"]
     ]
@@ -184,14 +201,14 @@ def _topic(names: Mapping[str, str], tool: str, topic: str) -> str:
 
 
 def _pose_of(values: Sequence[float]) -> Floats:
-    """A pose (7,) as a node takes it up; raises ValueError for one that no node does."""
+    """Return a pose (7,) as a node applies it; raise ValueError for one that no node applies."""
     pose = unit_pose(np.array(values))
     check_position(pose[:3])
     return pose
 
 
 def _force_of(values: Sequence[float]) -> Floats:
-    """The force (3,) N of a wrench, likewise."""
+    """Return the force (3,) N of a wrench; raise ValueError for one that no node applies."""
     force = np.array(values[:3])
     check_force(force)
     return force

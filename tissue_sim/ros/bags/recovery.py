@@ -1,6 +1,7 @@
-"""Bags that were broken off: the process was killed, the disk was full, the power went.
+"""Bags that were broken off: the process was killed, the disk was full, the power failed.
 
-Such a bag has no metadata.yaml, and its last file no end, perhaps half a record; all before that can be read.
+Such a bag has no metadata.yaml, and its last file lacks its end, perhaps within a record; everything before that can be
+read.
 """
 
 from __future__ import annotations
@@ -24,23 +25,35 @@ from tissue_sim.ros.bags import metadata
 from tissue_sim.ros.bags.writer import BagWriter, Topic, lock
 
 MAGIC = b"\x89MCAP0\r\n"
-# What rosbags makes of metadata and records that say anything at all: its own errors, and those of YAML, zstd, lz4,
-# sqlite and Python.
+# Errors that rosbags raises for arbitrary metadata and records: its own, and those of YAML, zstd, lz4, sqlite and
+# Python.
 OF_RUBBISH = (Exception,)
 HEADER, CHUNK, DATA_END = 0x01, 0x06, 0x0F  # opcodes of records
 LARGEST_CHUNK = 1 << 28  # bytes, unpacked; a recorder closes a chunk after some MB
 _UNPACKERS = {"zstd": zstd.ZstdDecompressor, "lz4": LZ4FrameDecompressor}
-ANEW = ".recovered"  # folder in a bag where a file is written anew
+ANEW = ".recovered"  # folder in a bag where a file is rewritten
 
 
 def is_broken_off(folder: Path) -> bool:
-    """Whether a folder holds a bag without its end."""
+    """Return whether a folder holds a bag without its end.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    """
     return folder.is_dir() and not (folder / metadata.NAME).exists() and any(folder.glob("*.mcap"))
 
 
 @contextmanager
 def rubbish_told(folder: Path) -> Iterator[None]:
-    """Raise UserError naming a bag where reading it raises anything."""
+    """Raise UserError naming a bag where reading it raises anything.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the bag.
+    """
     try:
         yield
     except UserError:
@@ -54,10 +67,18 @@ def rubbish_told(folder: Path) -> Iterator[None]:
 
 
 def listed(folder: Path) -> list[Path]:
-    """The files that a bag's metadata lists, as a reader would open them.
+    """Return the files that a bag's metadata lists, as a reader would open them.
 
-    Raises UserError for another storage, and for files or messages that are packed beyond the storage's own chunks:
-    nothing says how large they become.
+    Parameters
+    ----------
+    folder : Path
+        Folder of the bag.
+
+    Raises
+    ------
+    UserError
+        For another storage, and for files or messages that are compressed beyond the storage's own chunks: their
+        unpacked size is unknown.
     """
     said = metadata.read(folder)
     packed = str(said.get("compression_mode") or "none").lower()
@@ -71,16 +92,35 @@ def listed(folder: Path) -> list[Path]:
 
 
 def messages(folder: Path) -> Iterator[tuple[Connection, int, bytes]]:
-    """Topic, stamp (ns) and bytes of every whole message of a bag that was broken off, in their order."""
+    """Yield the messages of a bag that was broken off, in their order.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the bag.
+
+    Yields
+    ------
+    Iterator[tuple[Connection, int, bytes]]
+        topic, stamp (ns) and bytes of every whole message
+    """
     with _opened(folder) as readers:
         for reader in readers:
             yield from reader.messages(reader.connections)
 
 
 def complete(folder: Path) -> str:
-    """Give a bag what it lacks at its end; returns a line about it.
+    """Give a bag what it lacks at its end; return a line about it.
 
-    Raises UserError when there is nothing in it, when it is still recorded, or when what is in it is damaged.
+    Parameters
+    ----------
+    folder : Path
+        Folder of the bag.
+
+    Raises
+    ------
+    UserError
+        When it is empty, still being recorded, or damaged.
     """
     with ExitStack() as stack, rubbish_told(folder):
         for path in folder.glob("*.mcap"):
@@ -94,7 +134,7 @@ def complete(folder: Path) -> str:
 
 
 def _complete(folder: Path) -> int:
-    """Write files without an end anew, and the metadata; returns the bag's duration, ns."""
+    """Rewrite files without an end, and the metadata; return the bag's duration, ns."""
     with _opened(folder) as readers:
         for broken in readers:
             if isinstance(broken, _BrokenOff):
@@ -113,7 +153,7 @@ def _complete(folder: Path) -> int:
 
 def _write_anew(folder: Path, reader: McapReader) -> None:
     anew = folder / ANEW
-    shutil.rmtree(anew, ignore_errors=True)  # of a recovery that was broken off, too
+    shutil.rmtree(anew, ignore_errors=True)  # left by a recovery that was broken off, too
     try:
         writer = BagWriter(anew)
         writer.open()
@@ -134,7 +174,7 @@ def _write_anew(folder: Path, reader: McapReader) -> None:
 
 @contextmanager
 def _opened(folder: Path) -> Iterator[list[McapReader]]:
-    """Readers of a bag's files that hold messages, the oldest first."""
+    """Yield readers of a bag's files that hold messages, the oldest first."""
     readers = []
     with ExitStack() as stack:
         for path in folder.glob("*.mcap"):
@@ -157,7 +197,7 @@ def _opened(folder: Path) -> Iterator[list[McapReader]]:
 
 
 class _Whole(McapReader):
-    """Reads a file that has its end."""
+    """Reader of a file that has its end."""
 
     def _open(self) -> None:
         check_lengths(Path(str(self.path)))
@@ -165,7 +205,7 @@ class _Whole(McapReader):
 
 
 class _BrokenOff(McapReader):
-    """Reads a file up to where it breaks off."""
+    """Reader of a file up to where it breaks off."""
 
     def _open(self) -> None:
         assert self.bio is not None
@@ -174,7 +214,7 @@ class _BrokenOff(McapReader):
 
 
 def _whole_records(bio: BinaryIO) -> tuple[int, int]:
-    """Where the records after the header begin, and where the last whole one ends; raises ReaderError."""
+    """Return where the records after the header begin, and where the last whole one ends; raise ReaderError."""
     size, start, end = bio.seek(0, 2), 0, len(MAGIC)
     for opcode, length, after in _records(bio):
         # After a power cut a file may go on with zeros.
@@ -194,9 +234,17 @@ def _whole_records(bio: BinaryIO) -> tuple[int, int]:
 
 
 def check_lengths(file: Path) -> None:
-    """Raise where a record is longer than its file, or unpacks to more than it says: a reader would ask for the room.
+    """Check that no record is longer than its file or unpacks to more than it says, which would exhaust memory.
 
-    What it raises of chunks that don't unpack at all is one of OF_RUBBISH.
+    Parameters
+    ----------
+    file : Path
+        The file.
+
+    Raises
+    ------
+    ReaderError
+        When one does; chunks that don't unpack at all raise one of OF_RUBBISH.
     """
     size = file.stat().st_size
     with file.open("rb") as bio:
@@ -208,9 +256,9 @@ def check_lengths(file: Path) -> None:
 
 
 def _records(bio: BinaryIO) -> Iterator[tuple[int, int, int]]:
-    """Each record's opcode, its length, and where the next one begins, with the file at the record's content.
+    """Yield each record's opcode, its length, and where the next one begins, with the file at the record's content.
 
-    Raises ReaderError for what is no MCAP file.
+    Raises ReaderError for a file that is no MCAP file.
     """
     bio.seek(0)
     if bio.read(len(MAGIC)) != MAGIC:
@@ -224,7 +272,7 @@ def _records(bio: BinaryIO) -> Iterator[tuple[int, int, int]]:
 
 
 def _check_chunk(chunk: bytes) -> None:
-    """Raise where a chunk's content isn't what it says, or more than a chunk has, which is never unpacked."""
+    """Raise where a chunk's content isn't what it says, or larger than any chunk; that is never unpacked."""
     _, _, length, crc = struct.unpack_from("<QQQI", chunk)
     stream = BytesIO(chunk)
     stream.seek(28)

@@ -1,4 +1,4 @@
-"""`tissue_sim replay`: run recorded bags again, tick by tick and without DDS, and compare."""
+"""Command `tissue_sim replay`: run recorded bags again, tick by tick and without DDS, and compare."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tissue_sim.ros.shared import client
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the command's arguments."""
     parser.add_argument(
         "bags", metavar="BAG", nargs="+", help="folder of a recorded bag; several bags are printed as a table"
     )
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay bags; returns 0 when all repeat within the tolerances, else 1."""
+    """Replay bags; return 0 when all repeat within the tolerances, else 1."""
     paths = [Path(given) for given in args.bags]
     if len(paths) > 1 and args.against:
         raise UserError("--against needs exactly one BAG")
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def told(outcome: Outcome) -> list[str]:
-    """The lines that tell what came of a bag."""
+    """Return the lines about the result of a bag."""
     replayed, found = outcome.replayed, outcome.comparison
     lines = [
         f"{outcome.name}: {replayed.ticks} ticks, {replayed.inputs} inputs, {replayed.contact_sets} contact sets;"
@@ -95,7 +95,7 @@ def told(outcome: Outcome) -> list[str]:
 
 
 def verdict(found: Comparison, rate: float) -> str:
-    """Whether a bag repeats, and if not from when on; rate: ticks a second."""
+    """Return a line that says whether a bag repeats, and if not from when on; rate: ticks a second."""
     if found.holds_nothing:
         return f"FAILED: {NOTHING}; record for longer than a second, with tools moving"
     if found.passes:
@@ -114,7 +114,7 @@ class Columns:
         self.head = f"{'bag':<{self._width}}" + "".join(f"  {name:>12}" for name in names)
 
     def row(self, outcome: Outcome) -> str:
-        """What came of a bag."""
+        """Return the row of a bag's result."""
         found = outcome.comparison
         counts = (outcome.replayed.ticks, found.wrenches, found.surfaces)
         numbers = "".join(f"  {count:>12}" for count in counts)

@@ -1,4 +1,4 @@
-"""A bag's messages on their way to the disk: a buffer with an end, and the thread that empties it."""
+"""A bag's messages on their way to the disk: a bounded buffer, and the thread that empties it."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from rosbags.interfaces import Connection
 
 from tissue_sim.ros.bags.writer import BagWriter
 
-FLUSH_EVERY = 0.5  # s; with the journal's 0.25 s a bag that is broken off lacks less than the last second
-PAUSE = 0.05  # s between looks at what waits: a thread that wakes for each message takes turns from those that put them
+FLUSH_EVERY = 0.5  # s; with the journal's 0.25 s a broken-off bag lacks less than the last second
+PAUSE = 0.05  # s between checks of the queue: a thread that wakes for each message takes time from those that put them
 MOST_WAITING = 256e6  # bytes; a disk that is so far behind ends the bag
-CLOSING_TIME = 2.0  # s that a bag which is closed before all is written may take for that on a busy machine
+CLOSING_TIME = 2.0  # s for a bag that is closed before all is written, on a busy machine
 BLOCK = 1 << 16  # bytes; a larger message has a block of its own
 _HEADER = struct.Struct("<qqq")  # stamp, topic, length
 
 
 class _Block:
-    """Messages behind each other. Its pages are the system's own: none are kept when it is gone."""
+    """Consecutive messages; its pages are the system's own, and none are kept when it is gone."""
 
     def __init__(self, size: int) -> None:
         self._memory = mmap.mmap(-1, size)
         self._size, self.used = size, 0
 
     def has_room(self, size: int) -> bool:
-        """Whether a message of so many bytes fits behind the others."""
+        """Return whether a message of so many bytes fits behind the others."""
         return self.used + _HEADER.size + size <= self._size
 
     def append(self, topic: int, stamp: int, raw: bytes) -> None:
@@ -40,7 +40,7 @@ class _Block:
         self._memory[begin : self.used] = raw
 
     def messages(self) -> Iterator[tuple[int, int, memoryview]]:
-        """Topic, stamp and bytes of each."""
+        """Yield topic, stamp and bytes of each."""
         at, memory = 0, memoryview(self._memory)
         while at < self.used:
             stamp, topic, length = _HEADER.unpack_from(memory, at)
@@ -49,10 +49,20 @@ class _Block:
 
 
 class Spool:
-    """Takes messages from any thread, and writes them in the same order.
+    """Buffer that takes messages from any thread and writes them in the same order.
 
-    patience maps topics that a bag can do without to the share of MOST_WAITING that may wait before theirs are left
-    out. All others are kept: when they don't fit either, the bag ends with those before them, and that is an error.
+    All topics without an entry in patience are kept: when their messages don't fit, the bag ends with those before, and
+    that is an error.
+
+    Parameters
+    ----------
+    writer : BagWriter
+        The bag.
+    topics : Mapping[str, Connection]
+        Its topics.
+    patience : Mapping[str, float]
+        Topics that a bag can do without, each with the fraction of MOST_WAITING that may wait before its messages are
+        left out.
     """
 
     def __init__(self, writer: BagWriter, topics: Mapping[str, Connection], patience: Mapping[str, float]) -> None:
@@ -74,7 +84,20 @@ class Spool:
         self._thread.start()
 
     def put(self, name: str, raw: bytes) -> bool:
-        """Keep a message of a topic until it is written; returns whether there was room for it."""
+        """Keep a message of a topic until it is written.
+
+        Parameters
+        ----------
+        name : str
+            The topic.
+        raw : bytes
+            Its bytes.
+
+        Returns
+        -------
+        bool
+            whether there was room for it
+        """
         size = len(raw) + _HEADER.size
         with self._lock:
             if not self.is_open:
@@ -94,13 +117,19 @@ class Spool:
             return True
 
     def flush(self) -> None:
-        """Have all that waits on the disk soon."""
+        """Request that everything that waits is soon on the disk."""
         with self._lock:
             self._soon = True
         self._wake.set()
 
     def close(self, patience: float) -> None:
-        """End the bag; what is not written within `patience` s is left out and counted as lost."""
+        """End the bag; what is not written in time is left out and counted as lost.
+
+        Parameters
+        ----------
+        patience : float, s
+            Time for writing it.
+        """
         with self._lock:
             self.is_open = False
         self._wake.set()
@@ -126,7 +155,7 @@ class Spool:
             writer.abort()
         with self._lock:
             self.lost += self._count
-            self._blocks.clear()  # what nobody will write needs no memory
+            self._blocks.clear()  # messages that won't be written need no memory
 
     def _write_all(self) -> None:
         while not self._hurry:
@@ -145,7 +174,7 @@ class Spool:
             self._flush_if(soon)
 
     def _flush_if(self, soon: bool) -> None:
-        """Bring what is written to the disk, soon or when it is due."""
+        """Flush what is written to the disk, soon or when it is due."""
         if soon or time.monotonic() >= self._due:
             self._writer.flush()
             self._due = time.monotonic() + FLUSH_EVERY

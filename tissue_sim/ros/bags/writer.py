@@ -1,4 +1,4 @@
-"""A bag's folder as it is written: one MCAP file after another, on the disk as far as they were flushed."""
+"""A bag's folder while it is written: one MCAP file after another, on the disk as far as they were flushed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Topic(NamedTuple):
 
 
 class Split(NamedTuple):
-    """When a bag goes on in another file; 0: never."""
+    """When a bag continues in another file; 0: never."""
 
     size: float = 0.0  # bytes
     duration: float = 0.0  # s
@@ -40,7 +40,7 @@ WHOLE = Split()
 
 
 class _Shelved:
-    """What stands for a list of records that only grows, such as the index of a file's chunks, in a file without name.
+    """Stand-in for a list of records that only grows, such as the index of a file's chunks, in an unnamed file.
 
     In memory it would take some MB an hour of a node that records.
     """
@@ -50,7 +50,7 @@ class _Shelved:
         self._count = 0
 
     def append(self, record: BytesIO) -> None:
-        """Put one behind the others; raises OSError."""
+        """Put one behind the others; raise OSError when that fails."""
         self._file.write(record.tell().to_bytes(4, "little"))
         self._file.write(record.getbuffer())
         self._count += 1
@@ -67,9 +67,10 @@ class _Shelved:
 
 
 class BagWriter(Writer):
-    """Writes a bag that opens without its end, too: what was flushed outlasts a process that is killed, or a power cut.
+    """Writer of a bag that can be opened without its end, too.
 
-    Files are called <bag>_0.mcap and so on, as `ros2 bag reindex` wants them; each is locked while it is written.
+    What was flushed outlasts a process that is killed, or a power cut. Files are called <bag>_0.mcap and so on, as
+    `ros2 bag reindex` wants them; each is locked while it is written.
     """
 
     def __init__(self, path: Path, split: Split = WHOLE) -> None:
@@ -78,17 +79,29 @@ class BagWriter(Writer):
         self._split = split
         self._file: McapWriter | None = None
         self._counts: Counter[str] = Counter()  # messages in it, by topic
-        self._flushed = 0  # its bytes that are on the disk: whole records
+        self._flushed = 0  # bytes of it on the disk: whole records
         self._files: list[metadata.File] = []  # those before it
 
     def open(self) -> None:
-        """Make the folder and its first file; raises OSError."""
+        """Make the folder and its first file.
+
+        Raises
+        ------
+        OSError
+            When that fails.
+        """
         self.path.mkdir(parents=True)
         metadata.sync_folder(self.path.parent)
         self._open_file()
 
     def add_topics(self, topics: Mapping[str, Topic]) -> dict[str, Connection]:
-        """Give the bag its topics, by name."""
+        """Give the bag its topics, by name.
+
+        Parameters
+        ----------
+        topics : Mapping[str, Topic]
+            The topics.
+        """
         store = get_typestore(Stores.ROS2_JAZZY)
         return {
             name: self.add_connection(name, topic.kind, typestore=store, offered_qos_profiles=topic.qos)
@@ -96,7 +109,22 @@ class BagWriter(Writer):
         }
 
     def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Write a message; timestamps (ns) must not decrease. Raises OSError."""
+        """Write a message.
+
+        Parameters
+        ----------
+        connection : Connection
+            Its topic.
+        timestamp : int, ns
+            Its time; must not decrease.
+        data : bytes | memoryview
+            Its bytes.
+
+        Raises
+        ------
+        OSError
+            When that fails.
+        """
         if self._is_full(timestamp):
             self._close_file()
             self._open_file()
@@ -104,12 +132,24 @@ class BagWriter(Writer):
         self._counts[connection.topic] += 1
 
     def end_chunk(self) -> None:
-        """Compress the messages so far, which until then take some times their size; raises OSError."""
+        """Compress the messages so far, which until then occupy several times their size.
+
+        Raises
+        ------
+        OSError
+            When that fails.
+        """
         if self._file is not None and self._file.chunk.msgs:
             self._file.close_chunk()
 
     def flush(self) -> None:
-        """Bring all messages so far to the disk; raises OSError."""
+        """Write all messages so far to the disk.
+
+        Raises
+        ------
+        OSError
+            When that fails.
+        """
         self.end_chunk()
         file = self._file
         assert file is not None
@@ -119,15 +159,21 @@ class BagWriter(Writer):
             self._flushed = file.bio.tell()
 
     def close(self) -> None:
-        """Write the ends of the last file and of the bag; raises OSError."""
+        """Write the ends of the last file and of the bag.
+
+        Raises
+        ------
+        OSError
+            When that fails.
+        """
         self._close_file()
         metadata.write(self.path, self._files, self.connections)
 
     def abort(self) -> None:
-        """Leave the last file without its end, cut where it is whole: a full disk has taken a part of a record."""
+        """Leave the last file without its end, cut after a whole record: a full disk has taken a part of one."""
         file, self._file, self.storage = self._file, None, None
         if file is not None:
-            with suppress(OSError):  # what could not be written can't be now
+            with suppress(OSError):  # what could not be written before can't be now
                 file.bio.close()
             with suppress(OSError):
                 os.truncate(file.path, self._flushed)
@@ -169,11 +215,22 @@ class BagWriter(Writer):
 
 
 def lock(descriptor: int) -> bool:
-    """Lock an open file for as long as it is open; returns False when somebody else has."""
+    """Lock an open file for as long as it is open.
+
+    Parameters
+    ----------
+    descriptor : int
+        Descriptor of the file.
+
+    Returns
+    -------
+    bool
+        False when another process has locked it
+    """
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # a file system that knows no locks
+    except OSError:  # a file system without locks
         return True
     return True

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tissue_sim.array_types import Floats
 
-PEAK_OVER_MEAN = 1.875  # of a minimum-jerk motion's speed
+PEAK_OVER_MEAN = 1.875  # peak over mean speed of a minimum-jerk motion
 FAST, OPENING = 0.150, 0.075  # m/s, peak
 TURNING = 2.5  # rad/s, peak
 SHORTEST = 0.1  # s, of any leg that moves
@@ -23,9 +23,16 @@ _QUINTIC = BPoly.from_derivatives([0.0, 1.0], [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
 
 
 def minimum_jerk(progress: Floats) -> Floats:
-    """Fraction of the way at a fraction of the time: no speed and no acceleration at both ends.
+    """Return the fraction of the way at a fraction of the time [1]_: without speed and acceleration at both ends.
 
-    Flash and Hogan (1985).
+    Parameters
+    ----------
+    progress : Floats
+        Fraction of the time, 0 to 1.
+
+    References
+    ----------
+    .. [1] T. Flash and N. Hogan, "The coordination of arm movements", Journal of Neuroscience 5, 1985.
     """
     return np.clip(_QUINTIC(np.clip(progress, 0.0, 1.0)), 0.0, 1.0)
 
@@ -37,13 +44,29 @@ class Ball(NamedTuple):
     radius: float
 
     def leave(self, start: Floats, way: Floats) -> Floats:
-        """Where a line along a unit way (3,) leaves the ball; the start itself when that is outside already."""
+        """Return where a line leaves the ball; the start itself when that is outside already.
+
+        Parameters
+        ----------
+        start : Floats, shape (3,), m
+            Start of the line.
+        way : Floats, shape (3,)
+            Its direction, of length 1.
+        """
         offset = start - self.centre
         b, c = float(offset @ way), float(offset @ offset) - self.radius**2
         return start if c >= 0.0 else start + (np.sqrt(b * b - c) - b) * way
 
     def arc(self, start: Floats, end: Floats) -> Floats:
-        """Points (k, 3) m around the centre, the short way; start and end lie at the same distance from it."""
+        """Return points (k, 3) m around the centre, the short way, between points at the same distance from it.
+
+        Parameters
+        ----------
+        start : Floats, shape (3,), m
+            First point.
+        end : Floats, shape (3,), m
+            Last point.
+        """
         turn = Rotation.align_vectors([end - self.centre], [start - self.centre])[0].as_rotvec()
         steps = Rotation.from_rotvec(np.linspace(0.0, 1.0, ARC_POINTS)[:, None] * turn)
         return self.centre + steps.apply(start - self.centre)
@@ -51,11 +74,24 @@ class Ball(NamedTuple):
 
 @dataclass(frozen=True)
 class Path:
-    """Poses of T tools at a rate in Hz.
+    """Poses of T tools at a rate.
 
-    phases (m,): what goes on, such as `poke/hold`; poses (m, T, 7), m and quaternions xyzw; angles (m, T) rad between
-    jaws; outward (m, T, 3): the way out of the tissue, zero where a tool is outside and clear of it. reach: m from the
-    hinge of jaws to their tips.
+    Attributes
+    ----------
+    rate : float, Hz
+        Poses per second.
+    ball : Ball
+        Ball around organ and tools.
+    reach : float, m
+        Distance from the hinge of jaws to their tips.
+    phases : NDArray[np.str_], shape (m,)
+        Name of what happens, such as `poke/hold`.
+    poses : Floats, shape (m, T, 7), m and quaternion xyzw
+        The poses.
+    angles : Floats, shape (m, T), rad
+        Angles between jaws.
+    outward : Floats, shape (m, T, 3)
+        The way out of the tissue, zero where a tool is outside and clear of it.
     """
 
     rate: float
@@ -68,13 +104,25 @@ class Path:
 
     @classmethod
     def standing(cls, poses: Floats, rate: float, ball: Ball, reach: float) -> Path:
-        """A path of one pose of each tool, (T, 7), with closed jaws."""
+        """Return a path of one pose of each tool, with closed jaws.
+
+        Parameters
+        ----------
+        poses : Floats, shape (T, 7), m and quaternion xyzw
+            The poses.
+        rate : float, Hz
+            Poses per second.
+        ball : Ball
+            Ball around organ and tools.
+        reach : float, m
+            Distance from the hinge of jaws to their tips.
+        """
         none = np.zeros((1, len(poses), 3))
         return cls(rate, ball, reach, np.array(["pause"]), poses[None], none[:, :, 0], none)
 
     @property
     def duration(self) -> float:
-        """Seconds from its first pose to the first of the next turn."""
+        """Time from its first pose to the first of the next round, s."""
         return len(self.poses) / self.rate
 
     def then(
@@ -87,10 +135,26 @@ class Path:
         turn: Mapping[int, Floats] | None = None,
         outward: Mapping[int, Floats] | None = None,
     ) -> Path:
-        """This path and one more leg; by the number of a tool what changes, all else stays.
+        """Return this path with one more leg.
 
-        to: where it goes, (3,) m, or the points (k, 3) that it goes through, at a peak speed in m/s, also of the tips
-        of jaws; angle: rad between its jaws, turn: its rotation (4,), at the end; seconds: how long it takes at least.
+        The mappings give, by the number of a tool, what changes; everything else stays.
+
+        Parameters
+        ----------
+        phase : str
+            Name of the leg.
+        to : Mapping[int, Floats] | None, shape (3,) or (k, 3), m, optional
+            Where it goes, or the points that it goes through.
+        speed : float, m/s, optional
+            Peak speed, also of the tips of jaws.
+        seconds : float, s, optional
+            How long it takes at least.
+        angle : Mapping[int, float] | None, rad, optional
+            Angle between its jaws at the end.
+        turn : Mapping[int, Floats] | None, shape (4,), optional
+            Its rotation at the end.
+        outward : Mapping[int, Floats] | None, shape (3,), optional
+            The way out of the tissue.
         """
         before, shut = self.poses[-1], self.angles[-1]
         to, angle, turn, outward = to or {}, angle or {}, turn or {}, outward or {}
@@ -120,7 +184,13 @@ class Path:
         )
 
     def retreat(self, index: int) -> Path:
-        """From one of the poses straight out. Jaws open first: they would take along what they hold."""
+        """Return a path from one of the poses straight out; jaws open first, or they would take along what they hold.
+
+        Parameters
+        ----------
+        index : int
+            Index of the pose.
+        """
         here = {name: getattr(self, name)[index : index + 1] for name in ("phases", "poses", "angles", "outward")}
         inside = {tool: way for tool, way in enumerate(self.outward[index]) if way.any()}
         opened = {tool: float(self.angles[:, tool].max()) for tool in inside}

@@ -14,14 +14,14 @@ from tissue_sim.contact.gripper import Jaws
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge.motion import Ball
 
-FRONT = np.array([0.0, 1.0, 0.0])  # the way the first tool looks: from the front to the back of a patient (LPS)
-UP = np.array([0.0, 0.0, 1.0])  # away from the lowest tenth, which is held
-REFERENCE = 0.03  # m: organs that are thinner get proportionally smaller depths and ways
+FRONT = np.array([0.0, 1.0, 0.0])  # direction of the first tool: from the front to the back of a patient (LPS)
+UP = np.array([0.0, 0.0, 1.0])  # away from the lowest tenth, which is fixed
+REFERENCE = 0.03  # m; thinner organs get proportionally smaller depths and ways
 MARGIN = 0.012  # m, of the ball around organ and tool
-POINT = 1e-6  # m, radius of a ball that stands for a point; and how near to the surface a ball stops
+POINT = 1e-6  # m, radius of a ball that represents a point; and the distance from the surface at which a ball stops
 STROKE_LENGTH, STROKE_POINTS = 0.040, 21  # m
-NIP_THICKNESS = 0.025  # m between the jaws: so much more is as bad as a side that slopes by 26 degrees
-MOST_SAMPLES = 150  # of the surface, to look for a place to nip
+NIP_THICKNESS = 0.025  # m between the jaws; so much more counts like a side that slopes by 26 degrees
+MOST_SAMPLES = 150  # of the surface, in search of a place to nip
 
 
 class Touch(NamedTuple):
@@ -32,19 +32,38 @@ class Touch(NamedTuple):
     turn: Floats
 
     def at(self, depth: float) -> Floats:
-        """The tool's place (3,) so many m farther in."""
+        """Return the tool's place (3,), m, deeper by some m.
+
+        Parameters
+        ----------
+        depth : float, m
+            The depth.
+        """
         return self.place + depth * self.way
 
 
 def looking(way: Floats) -> Floats:
-    """A tool's rotation (4,) when its z axis points a way: the tip looks ahead, the shaft lies behind."""
+    """Return a tool's rotation (4,) when its z axis points a way: the tip looks ahead, the shaft lies behind.
+
+    Parameters
+    ----------
+    way : Floats, shape (3,)
+        The direction.
+    """
     return np.asarray(Rotation.align_vectors([way], [UP])[0].as_quat())
 
 
 class Surface:
-    """A closed rest surface (n, 3) m, (t, 3), to be met by balls of a radius in m.
+    """A closed rest surface that balls meet; its methods raise UserError where the organ has no such place.
 
-    Raises UserError where the organ has no place for what is looked for.
+    Parameters
+    ----------
+    vertices : Floats, shape (n, 3), m
+        Points of the surface.
+    triangles : Longs, shape (t, 3)
+        Its triangles.
+    radius : float, m
+        Radius of the balls.
     """
 
     def __init__(self, vertices: Floats, triangles: Longs, radius: float) -> None:
@@ -65,9 +84,21 @@ class Surface:
         self._surface = fcl.CollisionObject(mesh, fcl.Transform())
 
     def touch(self, through: Floats, way: Floats, depth: float = 0.0) -> Touch | None:
-        """Where a ball is so many m deep for the first time that comes from outside along a line.
+        """Return where a ball that comes from outside along a line first reaches a depth, by sphere tracing.
 
-        Sphere tracing: each step is as long as the distance allows.
+        Parameters
+        ----------
+        through : Floats, shape (3,), m
+            A point of the line.
+        way : Floats, shape (3,)
+            Its direction, of length 1.
+        depth : float, m, optional
+            The depth.
+
+        Returns
+        -------
+        Touch | None
+            None where the line misses the organ
         """
         offset = through - self.ball.centre
         across = offset - (offset @ way) * way
@@ -83,7 +114,13 @@ class Surface:
         return Touch(place, way, looking(way))
 
     def normal(self, touch: Touch) -> Floats:
-        """Unit way (3,) from the surface to a ball that touches it."""
+        """Return the unit direction (3,) from the surface to a ball that touches it.
+
+        Parameters
+        ----------
+        touch : Touch
+            Where it touches.
+        """
         found = fcl.DistanceResult()
         probe = fcl.CollisionObject(fcl.Sphere(POINT), fcl.Transform(touch.place))
         fcl.distance(self._surface, probe, fcl.DistanceRequest(enable_nearest_points=True), found)
@@ -91,7 +128,13 @@ class Surface:
         return np.asarray(away / np.linalg.norm(away))
 
     def stroke_line(self, depth: float) -> list[Touch]:
-        """Touches along the front, about STROKE_LENGTH m, all so many m deep."""
+        """Return touches along the front, about STROKE_LENGTH m, all equally deep.
+
+        Parameters
+        ----------
+        depth : float, m
+            The depth.
+        """
         length = min(STROKE_LENGTH, 0.4 * self._length)
         line = np.linspace(-0.5, 0.5, STROKE_POINTS)[:, None] * length * self._along
         sideways = 0.1 * self._thinnest * np.cross(self._along, FRONT)
@@ -99,13 +142,13 @@ class Surface:
             found = [self.touch(point, FRONT, depth) for point in self.ball.centre + shift * sideways + line]
             touches = [touch for touch in found if touch]
             jumps = np.abs(np.diff([touch.place @ FRONT for touch in touches]))
-            # A line that leaves the organ, or steps over an edge, is no stroke.
+            # A line that leaves the organ, or jumps at an edge, is no stroke.
             if len(touches) == len(line) and jumps.max() < 2.0 * length / (len(line) - 1):
                 return touches
         raise UserError("found no path on the organ's front to stroke; leave 'stroke' out of the script")
 
     def poke_place(self) -> Touch:
-        """A touch square to the front, a little above the middle."""
+        """Return a touch square to the front, a little above the middle."""
         for shift in (0.12, 0.0, 0.24, -0.12):
             seen = self.touch(self.ball.centre + shift * self._length * self._along, FRONT)
             square = seen and self.touch(seen.place, -self.normal(seen))
@@ -114,7 +157,7 @@ class Surface:
         raise UserError("found no point on the organ's front to poke; leave 'poke' out of the script")
 
     def nip_places(self) -> list[Touch]:
-        """Two touches that face each other across little tissue, near the upper pole."""
+        """Return two touches that face each other across little tissue, near the upper pole."""
         corners = self._vertices[self._triangles]
         edges = corners[:, 1:] - corners[:, :1]
         normals = np.cross(edges[:, 0], edges[:, 1])
@@ -141,7 +184,13 @@ class Surface:
         return best
 
     def grasp(self, jaws: Jaws) -> Grasp:
-        """Across the lower pole, which hangs free of an organ that is held along its back."""
+        """Return a grasp across the lower pole, which hangs free of an organ that is fixed along its back.
+
+        Parameters
+        ----------
+        jaws : Jaws
+            The jaws.
+        """
         try:
             return at_lower_pole(self._vertices, self._triangles, jaws, self.scale)
         except ValueError as error:

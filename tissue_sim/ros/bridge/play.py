@@ -1,4 +1,4 @@
-"""`tissue_sim bridge`: a scripted haptic bridge, for demonstrations and for tests."""
+"""Command `tissue_sim bridge`: a scripted haptic bridge, for demonstrations and for tests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MATCHING = 3.0  # s, at most, for DDS to bring the tools' topics together
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the command's arguments."""
     parser.add_argument("--rate", type=client.number(1.0, 2000.0, "Hz"), default=500.0, help="poses per second, Hz")
     parser.add_argument(
         "--seconds", type=client.number(0.01, 1e9, "s"), help="end after this time; without it, run until Ctrl-C"
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Play the script; returns 0, or 1 when the node's mesh or parameters do not come."""
+    """Play the script; return 0, or 1 when the node's mesh or parameters do not come."""
     if args.script:
         check(args.script, args.tools)
 
@@ -101,10 +101,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _organ_of(values: Mapping[str, Any], args: argparse.Namespace) -> str:
-    """What the topics of the organ to play with begin with, below the node's name: of a scene its name."""
+    """Return the prefix of the organ's topics below the node's name: in a scene its name."""
     from tissue_sim.ros.shared.parameters import TOLD
 
-    names = list(values.get(TOLD, ()))  # of a node that tells nothing: one organ
+    names = list(values.get(TOLD, ()))  # a node without this parameter has one organ
     if args.organ and args.organ not in names:
         there = f"it serves {', '.join(names)}" if names else "it serves one organ, without a name"
         raise UserError(f"/{args.node} has no organ '{args.organ}': {there}")

@@ -1,4 +1,4 @@
-"""Who plays a script, and the playing: a path's poses at absolute deadlines."""
+"""The tools of a script, and its playback: a path's poses at absolute deadlines."""
 
 from __future__ import annotations
 
@@ -19,18 +19,28 @@ from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.tool_link import ToolLink
 
-TOOLS = ("left", "right")  # of a node that tells none
-LOOK_AGAIN = 1.0  # s between two looks for another organ, or another bridge
+TOOLS = ("left", "right")  # of a node that names none
+LOOK_AGAIN = 1.0  # s between checks for another organ, or another bridge
 
 
-# How each tool is spoken to, what they play, the jaws of those that grip, and the radius m that a path is for.
+# Link of each tool, the script, the jaws of those that grip, and the radius, m, that a path is for.
 Cast = tuple[list[ToolLink], tuple[str, ...], dict[str, Jaws], float]
 
 
 def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
-    """Who plays, by a node's parameters; one that tells none is taken for a node as it is by default.
+    """Choose the tools and the script by a node's parameters; a node without them counts as one with the defaults.
 
-    Raises UserError when it lacks a tool, or a gripper to grip with.
+    Parameters
+    ----------
+    values : Mapping[str, Any]
+        Parameters of the node.
+    args : argparse.Namespace
+        Arguments of the command.
+
+    Raises
+    ------
+    UserError
+        When the node lacks a tool, or a gripper to grip with.
     """
     there = tuple(values.get("tools", ()))
     for name in args.tools or ():
@@ -70,12 +80,28 @@ class Player:
         self._tools, self._relinked = tools, relinked
         self._end = np.inf if seconds is None else time.monotonic() + seconds
         self.skipped = 0
-        self._told: set[str] = set()  # of which tools it was told that others move them
+        self._told: set[str] = set()  # tools whose other publishers were reported
 
     def play(self, path: Path, stop: client.Stop, meshes: client.Inbox, organ: Floats) -> Any:
-        """Play a path again and again, until the time is over, a signal asks for it, or the node has another organ.
+        """Play a path repeatedly until the time is over, a signal asks for it, or the node has another organ.
 
-        Then the tools leave the tissue. Returns the other organ's vertices and triangles, or None.
+        Then the tools leave the tissue.
+
+        Parameters
+        ----------
+        path : Path
+            The path.
+        stop : client.Stop
+            Tells whether a signal has come.
+        meshes : client.Inbox
+            Receives the node's mesh.
+        organ : Floats, shape (n, 3), m
+            Points of the present organ's surface.
+
+        Returns
+        -------
+        Any
+            the other organ's vertices and triangles, or None
         """
         poses, angles = path.poses, path.angles
         start, next_look, tick, found = time.monotonic(), time.monotonic() + LOOK_AGAIN, 0, None

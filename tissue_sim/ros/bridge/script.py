@@ -1,15 +1,28 @@
-"""What a scripted bridge can do."""
+"""Actions of a scripted bridge."""
 
 from collections.abc import Sequence
 
 from tissue_sim.errors import UserError
 
 ACTIONS = ("stroke", "poke", "nip", "grip")
-SCRIPT = ACTIONS[:3]  # what needs no gripper
+SCRIPT = ACTIONS[:3]  # these need no gripper
 
 
 def check(script: Sequence[str], tools: Sequence[str] | None) -> None:
-    """Raise UserError for an action that is unknown, or that these tools, where they are known, are too few for."""
+    """Check that a script's actions are known and that there are enough tools for them.
+
+    Parameters
+    ----------
+    script : Sequence[str]
+        The actions.
+    tools : Sequence[str] | None
+        Names of the tools, if known.
+
+    Raises
+    ------
+    UserError
+        When one is unknown, or the tools are too few.
+    """
     for action in script:
         if action not in ACTIONS:
             raise UserError(f"action '{action}' is unknown; choose from {', '.join(ACTIONS)}")

@@ -16,7 +16,7 @@ from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, N_WRENCH, WRENCH_TY
 
 
 class ScriptedTool:
-    """Poses out, and the angle between jaws if it has some; its wrench in."""
+    """Sender of poses, and of the angle between jaws if there are any, and receiver of wrenches."""
 
     def __init__(self, node: Node, link: ToolLink, has_jaws: bool = False) -> None:
         topics = link.topics
@@ -36,12 +36,28 @@ class ScriptedTool:
         self._writer = PoseWriter(link)
 
     def publish(self, stamp: int, pose: Floats) -> None:
-        """Send a pose (7,) in the organ's frame, m and quaternion x y z w, with a stamp in ns."""
+        """Send a pose in the organ's frame.
+
+        Parameters
+        ----------
+        stamp : int, ns
+            Its time.
+        pose : Floats, shape (7,), m and quaternion xyzw
+            The pose.
+        """
         self._publisher.publish(self._writer.message(stamp, pose.tolist()))
         self.sent += 1
 
     def open(self, stamp: int, angle: float) -> None:
-        """Send the angle in rad between the jaws, with a stamp in ns; nothing for a tool without jaws."""
+        """Send the angle between the jaws; nothing for a tool without jaws.
+
+        Parameters
+        ----------
+        stamp : int, ns
+            Its time.
+        angle : float, rad
+            The angle.
+        """
         if self._jaws is None:
             return
         self._joint.header.stamp.sec, self._joint.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
@@ -50,12 +66,12 @@ class ScriptedTool:
 
     @property
     def heard(self) -> bool:
-        """Whether somebody subscribes to the poses, and to the jaws if there are some."""
+        """Whether somebody subscribes to the poses, and to the jaws if there are any."""
         publishers = [self._publisher] if self._jaws is None else [self._publisher, self._jaws]
         return all(publisher.get_subscription_count() for publisher in publishers)
 
     def rivals(self) -> int:
-        """How many others publish the tool's poses."""
+        """Return how many others publish the tool's poses."""
         return int(self._node.count_publishers(self.topic)) - 1
 
     def feel(self) -> None:

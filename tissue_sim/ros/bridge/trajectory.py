@@ -1,4 +1,4 @@
-"""The scripted bridge's path over an organ: strokes it, pokes it, nips it with two tools, lifts it with a gripper."""
+"""The scripted bridge's path over an organ: stroke, poke, nip with two tools, lift with a gripper."""
 
 from __future__ import annotations
 
@@ -33,11 +33,31 @@ def plan(
     grippers: Mapping[str, Jaws] | None = None,
     rate: float = 500.0,
 ) -> Path:
-    """A path for spheres of a radius in m over a closed rest surface (n, 3) m, (t, 3), that ends where it begins.
+    """Return a closed path for spheres over a closed rest surface.
 
-    The first tool strokes and pokes; a nip takes the first two; a grip the first that has jaws, of which `grippers`
-    tells by the tools' names; rate in Hz, of poses. Raises UserError when the script asks for what isn't there, or the
-    organ has no place for it.
+    The first tool strokes and pokes; a nip takes the first two; a grip the first that has jaws.
+
+    Parameters
+    ----------
+    vertices : Floats, shape (n, 3), m
+        Points of the surface.
+    triangles : Longs, shape (t, 3)
+        Its triangles.
+    radius : float, m
+        Radius of the spheres.
+    tools : Sequence[str], optional
+        Names of the tools.
+    script : Sequence[str], optional
+        The actions.
+    grippers : Mapping[str, Jaws] | None, optional
+        Jaws by the tools' names.
+    rate : float, Hz, optional
+        Poses per second.
+
+    Raises
+    ------
+    UserError
+        When a tool is missing, or the organ has no place for an action.
     """
     check(script, tools)
     holders = [(index, grippers[tool]) for index, tool in enumerate(tools) if grippers and tool in grippers]
@@ -50,7 +70,7 @@ def plan(
 
 
 class _Planner:
-    """Appends actions to a path; each begins and ends outside of the organ."""
+    """Builder of a path from actions, each of which begins and ends outside of the organ."""
 
     def __init__(
         self, surface: Surface, radius: float, n_tools: int, gripper: Sequence[tuple[int, Jaws]], rate: float
@@ -58,14 +78,14 @@ class _Planner:
         self._surface, self._scale, self._gripper = surface, surface.scale, gripper
         self._stroke_depth = self._scale * min(STROKE_DEPTH, 0.8 * radius)
         self._placed: set[int] = set()
-        # A tool without a part waits behind the organ, each a little farther round.
+        # A tool without an action waits behind the organ, each a little farther round.
         outward = [Rotation.from_rotvec(0.5 * (tool - 1) * UP).apply(FRONT) for tool in range(n_tools)]
         poses = [np.append(surface.ball.leave(surface.ball.centre, way), looking(-way)) for way in outward]
         reach = max((jaws.length for _, jaws in gripper), default=0.0)
         self._path = Path.standing(np.array(poses), rate, surface.ball, reach)
 
     def stroke(self) -> None:
-        """The first tool, along the front, pressed in evenly."""
+        """Move the first tool along the front, pressed in evenly."""
         touches, depth = self._surface.stroke_line(self._stroke_depth), self._stroke_depth
         share = np.linspace(0.0, 1.0, len(touches))
         line = CubicSpline(share, [touch.place for touch in touches])(np.linspace(0.0, 1.0, 20 * len(touches)))
@@ -76,7 +96,7 @@ class _Planner:
         self._leave()
 
     def poke(self) -> None:
-        """The first tool, square to the front."""
+        """Press the first tool in, square to the front."""
         touch = self._surface.poke_place()
         self._enter("poke", {0: touch})
         self._then("press", {0: touch.at(self._scale * POKE_DEPTH)}, PRESS)
@@ -85,7 +105,7 @@ class _Planner:
         self._leave()
 
     def nip(self) -> None:
-        """Two tools that face each other near the upper pole; the first takes the place that is nearer to it."""
+        """Nip with two tools that face each other near the upper pole; the first takes the place nearer to it."""
         first = self._path.poses[-1, 0, :3]
         jaws = sorted(self._surface.nip_places(), key=lambda jaw: float(np.linalg.norm(jaw.place - first)))
         # Up and to the side, square to the jaws, to where the tissue between them widens.
@@ -104,7 +124,7 @@ class _Planner:
         self._leave()
 
     def grip(self) -> None:
-        """A gripper, across the lower pole."""
+        """Grip across the lower pole."""
         tool, jaws = self._gripper[0]
         grasp = self._surface.grasp(jaws)
         touch = Touch(grasp.place, -grasp.out, grasp.turn)
@@ -117,7 +137,7 @@ class _Planner:
         self._leave()
 
     def closed_path(self) -> Path:
-        """The path, with all tools back where they were at its start."""
+        """Return the path, with all tools back where they were at its start."""
         home, last = self._path.poses[[0, -1]]
         back = {tool: self._path.ball.arc(last[tool, :3], pose[:3]) for tool, pose in enumerate(home)}
         shut = dict.fromkeys(back, 0.0)
@@ -125,11 +145,11 @@ class _Planner:
         return path.then("pause", seconds=PAUSE)
 
     def _enter(self, action: str, touches: dict[int, Touch], hover: float = HOVER, **how: Any) -> None:
-        """Around the organ, then straight in to so many m before the place where tools touch."""
+        """Go around the organ, then straight in to a distance, m, before the place where tools touch."""
         ball, turn = self._path.ball, {tool: touch.turn for tool, touch in touches.items()}
         self._action, self._out = action, {tool: -touch.way for tool, touch in touches.items()}
         starts = {tool: ball.leave(touch.place, -touch.way) for tool, touch in touches.items()}
-        for tool in set(touches) - self._placed:  # what it does first it waits for right there
+        for tool in set(touches) - self._placed:  # it waits where its first action begins
             self._path.poses[:, tool] = np.append(starts[tool], turn[tool])
         self._placed |= set(touches)
         around = {tool: ball.arc(self._path.poses[-1, tool, :3], start) for tool, start in starts.items()}
@@ -140,6 +160,6 @@ class _Planner:
         self._path = self._path.then(f"{self._action}/{step}", to, speed, **how, outward=self._out)
 
     def _leave(self) -> None:
-        """Straight out, until the tools are clear of the organ."""
+        """Go straight out, until the tools are clear of the organ."""
         last = self._path.poses[-1, :, :3]
         self._then("retreat", {tool: self._path.ball.leave(last[tool], way) for tool, way in self._out.items()})

@@ -1,1 +1,1 @@
-"""The node: parameters to topics, the physics loop, contact search, and what it tells."""
+"""The node: parameters to topics, the physics loop, contact search, and its reports."""

@@ -1,4 +1,4 @@
-"""Wrenches as soon as the tick that took up a pose has ended; in a thread of its own."""
+"""Wrenches as soon as the tick that applied a pose has ended; in a thread of its own."""
 
 from __future__ import annotations
 
@@ -10,13 +10,22 @@ from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.priority import prefer
 from tissue_sim.ros.shared.report import Report, Trouble
 
-LONGEST = 0.05  # s between two looks at whether it is to end
+LONGEST = 0.05  # s between checks whether it is to end
 
 
 class Answers:
-    """Publishes a tool's wrench once a tick has taken up its pose; then `woken` is set, and contacts are found anew.
+    """Thread that publishes a tool's wrench once a tick has applied its pose; then contacts are found again.
 
-    warn takes a line about what fails.
+    Parameters
+    ----------
+    organs : Organs
+        The organs.
+    ports : Sequence[ToolPort]
+        The tools' ports.
+    woken : threading.Event
+        Set after the wrenches were published.
+    warn : Callable[[str], object]
+        Takes a line about what fails.
     """
 
     def __init__(
@@ -32,7 +41,13 @@ class Answers:
         self._thread.start()
 
     def prefer(self, priority: int) -> None:
-        """Let the running thread go before others, see `priority.prefer`."""
+        """Give the running thread a priority, see `priority.prefer`.
+
+        Parameters
+        ----------
+        priority : int
+            The priority.
+        """
         prefer(priority, self._thread.native_id or 0)
 
     def stop(self) -> None:
@@ -42,7 +57,13 @@ class Answers:
             self._thread.join(timeout=2.0 * LONGEST)
 
     def report(self, report: Report) -> None:
-        """Add what failed here."""
+        """Add what failed here.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         self._trouble.report(report)
 
     def _run(self) -> None:

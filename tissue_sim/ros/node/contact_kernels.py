@@ -1,7 +1,7 @@
-"""`python -m tissue_sim.ros.node.contact_kernels ORGAN`: compiles what contact sets need, and keeps it on disk.
+"""Command `python -m tissue_sim.ros.node.contact_kernels ORGAN`: compiles the kernels of contact sets to disk.
 
-A node that starts for the first time has this done beside it while it compiles its tick: one process compiles one
-kernel at a time.
+A node that starts for the first time runs it beside itself while it compiles its tick: one process compiles one kernel
+at a time.
 """
 
 from __future__ import annotations
@@ -19,7 +19,13 @@ from tissue_sim.unexpected import catch_all
 
 
 def compile_beside(organ_file: Path) -> Child:
-    """Start it as a process that ends with this one. Where it fails, the node compiles for itself."""
+    """Start it as a process that ends with this one. Where it fails, the node compiles for itself.
+
+    Parameters
+    ----------
+    organ_file : Path
+        File of the organ.
+    """
     return Child("contact kernels", [sys.executable, "-m", __name__, str(organ_file)], os.environ)
 
 

@@ -1,4 +1,4 @@
-"""Where each tool touches, as point clouds: gathered only while somebody subscribes one."""
+"""Contact points of each tool as point clouds: collected only while somebody subscribes."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from tissue_sim.ros.shared.qos import RELIABLE
 from tissue_sim.ros.shared.report import Report
 
 COLUMNS = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "force_x", "force_y", "force_z", "organ")
-PATIENCE = 0.02  # s for a tick to hand out what it has
+PATIENCE = 0.02  # s for a tick to post its state
 
 
 class ContactPoints:
-    """Publishes the contact points of each tool as ~/<tool>/contacts, at the marker rate.
+    """Publisher of the contact points of each tool as ~/<tool>/contacts, at the marker rate.
 
-    Each point has where it is, m; the normal out of the tissue there; the force on the tool, N; and the number of its
+    Each point has its place, m; the normal out of the tissue there; the force on the tool, N; and the number of its
     organ. Forces are those of the tick's last substep, and add up to the tool's wrench where that is steady.
     """
 
@@ -45,7 +45,7 @@ class ContactPoints:
         self.gathered = 0  # times that the loop was asked for its state
 
     def present(self) -> None:
-        """Publish the points of tools that somebody subscribes, if anything has moved."""
+        """Publish the points of tools that somebody subscribes to, if anything has moved."""
         wanted = [one.get_subscription_count() for one in self._publishers]
         if not any(wanted):
             return
@@ -56,7 +56,7 @@ class ContactPoints:
             with self._organs.loop.snapshots(PATIENCE):
                 for state, one in zip(self._states, self._organs.each, strict=True):
                     state.words[:] = one.box.snapshot
-        except TimeoutError:  # the next turn may have better luck; that the loop hangs is told elsewhere
+        except TimeoutError:  # the next turn tries again; a loop that hangs is reported elsewhere
             return
         self._seen, self._sent, self.gathered = seen, now, self.gathered + 1
         found = [self._points(number) for number in range(len(self._states))]
@@ -67,13 +67,19 @@ class ContactPoints:
                 self.published[tool] += 1
 
     def report(self, report: Report) -> None:
-        """Add how many clouds went out of each tool, and how often the loop was asked for its state."""
+        """Add how many clouds of each tool were published, and how often the loop was asked for its state.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         report.values["contacts_gathered"] = self.gathered
         for tool, count in zip(self._tools.tools, self.published, strict=True):
             report.part(f"tool {tool.name}", f"{tool.name}.").values["contact_clouds"] = count
 
     def _points(self, number: int) -> tuple[Longs, Floats]:
-        """The bodies (k,) that touch an organ, and a row of COLUMNS for each point, (k, 10)."""
+        """Return the bodies (k,) that touch an organ, and a row of COLUMNS for each point, (k, 10)."""
         state, physics = self._states[number], self._organs.each[number]
         contacts, pressed = state.contacts, state.contact_pressed[0]
         touching = np.flatnonzero(pressed[: int(contacts.header.points)] > 0.0)
@@ -103,7 +109,13 @@ class ContactPoints:
 
 
 def warm_up(shapes: Shapes) -> None:
-    """Compile what is needed for tools of these shapes, as of any."""
+    """Compile the kernels for tools of these shapes, which are the same for any.
+
+    Parameters
+    ----------
+    shapes : Shapes
+        Shapes of the tools.
+    """
     write_normals(shapes, np.zeros(0, dtype=np.int64), np.zeros((1, 7)), np.zeros((0, 3)), np.zeros((0, 3)))
 
 

@@ -1,4 +1,4 @@
-"""Where tools touch an organ, and organs each other: found anew when something has moved."""
+"""Contact search of tools with an organ, and of organs with each other, whenever something has moved."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tissue_sim.ros.shared.organs import Organs
 
 
 class ToolsNow(NamedTuple):
-    """The newest of all B bodies of tools."""
+    """The newest inputs of all B bodies of tools."""
 
     sequences: list[int]  # of the poses
     poses: Floats  # (B, 7)
@@ -29,7 +29,13 @@ class ToolsNow(NamedTuple):
 
     @classmethod
     def of(cls, ports: Sequence[ToolPort]) -> ToolsNow:
-        """As the ports have them."""
+        """Return them as the ports have them.
+
+        Parameters
+        ----------
+        ports : Sequence[ToolPort]
+            The tools' ports.
+        """
         newest = [port.newest for port in ports]
         fresh = [counts for port in ports for counts in [port.pose_freshness.counts] * len(port.bodies)]
         pushing = np.zeros(len(fresh), dtype=np.int64)
@@ -42,8 +48,8 @@ class ContactSearch:
     """Contact sets of one organ.
 
     They are found around where the loop has its tools, and reach on towards their newest poses: the loop moves a tool
-    no farther than its set reaches. Nothing is found when no pose and no position changed; a tool that appears inside
-    the organ is held off until it has been outside.
+    no farther than its set reaches. The search is skipped when no pose and no position changed; a tool that appears
+    inside the organ is held off until it has been outside.
     """
 
     def __init__(
@@ -60,24 +66,42 @@ class ContactSearch:
         n_bodies = len(self._port_of)
         self._positions = np.zeros((len(served.physics.simulation.model.rest), 3))
         self._extents = finder.tools.shapes.extent
-        self._told = np.full(n_bodies, -1)  # the life, by `releases`, of which it was told that a body is held off
+        self._told = np.full(n_bodies, -1)  # life, by `releases`, in which a held-off body was reported
         self._last_goals = np.zeros((n_bodies, 7))
         self._last_time = time.monotonic()
         self._last_key: tuple[object, ...] = ()
         self._last_empty = False
-        self.is_behind = False  # a tool is still on its way to its newest pose, and needs further sets for that
+        self.is_behind = False  # a tool on its way to its newest pose needs further sets
 
     def is_idle(self, now: ToolsNow) -> bool:
-        """Whether no tool comes, and none is left in touch."""
+        """Return whether no tool comes, and none is left in touch.
+
+        Parameters
+        ----------
+        now : ToolsNow
+            The newest inputs.
+        """
         if any(now.fresh) or now.pushing.any() or not self._last_empty:
             return False
         self.is_behind = False
         return not self._physics.results().bodies.engaged.any()
 
     def refresh(self, now: ToolsNow, begun: float, rate: float) -> bool:
-        """Find a contact set, where anything has moved; returns whether it did.
+        """Find a contact set, where anything has moved.
 
-        begun: monotonic s; rate: Hz, of contact sets.
+        Parameters
+        ----------
+        now : ToolsNow
+            The newest inputs.
+        begun : float, s
+            When this search began, monotonic.
+        rate : float, Hz
+            Rate of contact sets.
+
+        Returns
+        -------
+        bool
+            whether it found one
         """
         results, surface = self._physics.results(), self._physics.surface_sequence
         bodies, places = results.bodies, results.body_pose
@@ -111,7 +135,7 @@ class ContactSearch:
         return True
 
     def _tell_held_off(self, engaged: Longs, bodies: Any) -> None:
-        """Tell ports of bodies that nothing resists: each time that one was outside before, stopped or was reset."""
+        """Notify ports of bodies that nothing resists: each time that one was outside before, stopped or was reset."""
         outside = engaged == Engaged.YES
         held_off = ~outside & ((engaged == Engaged.HELD_OFF) | bodies.held_off.astype(bool))
         is_new = held_off & (self._told != bodies.releases)
@@ -122,7 +146,7 @@ class ContactSearch:
 
 
 class PairSearch:
-    """Where organs of a scene touch each other."""
+    """Pairs where organs of a scene touch each other."""
 
     def __init__(self, organs: Organs, recorder: JoinedRecorder) -> None:
         self._organs, self._recorder = organs, recorder
@@ -133,7 +157,7 @@ class PairSearch:
         self._last_empty = True
 
     def refresh(self) -> bool:
-        """Find pairs, where any organ has moved; returns whether one has."""
+        """Find pairs, where any organ has moved; return whether one has."""
         key = (self._organs.loop.resets, *self._organs.surface_sequences)
         if key == self._last_key:
             self.unchanged_skips += 1

@@ -1,4 +1,4 @@
-"""Finds contact sets beside the physics loop, at a rate of its own."""
+"""Search for contact sets beside the physics loop, at a rate of its own."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tissue_sim.ros.node.contact_search import ContactSearch, PairSearch, ToolsN
 from tissue_sim.ros.node.tool_port import ToolPort
 from tissue_sim.ros.shared.report import Report, Trouble
 
-BUSY_WAIT, IDLE_WAIT = 0.05, 0.5  # s without a new pose or force after which it is looked whether they went stale
+BUSY_WAIT, IDLE_WAIT = 0.05, 0.5  # s without a new pose or force, after which a check for stale ones is due
 
 
 class ContactWorker:
@@ -47,7 +47,13 @@ class ContactWorker:
             self._thread.join(timeout=0.5)
 
     def report(self, report: Report) -> None:
-        """Add what was found, what was not looked for, and how long it took."""
+        """Add what was found, what was skipped, and how long it took.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         durations = self.durations[-250:]
         counters = [one.finder.counters for one in self._searches]
         report.values |= {
@@ -76,7 +82,7 @@ class ContactWorker:
             self._woken.wait(timeout=wait)
             self._woken.clear()
             begun = time.monotonic()
-            with self._trouble.noted():  # the node goes on with the last sets
+            with self._trouble.noted():  # after an error the node goes on with the last sets
                 self._refresh(begun)
             rest = 1.0 / self.rate - (time.monotonic() - begun)
             if rest > 0.0:

@@ -1,4 +1,4 @@
-"""What the node gives up, in a stated order, while the machine is too slow for it: markers, modal region, rate."""
+"""Degradation in a stated order, while the machine is too slow for the node: markers, modal region, rate."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ NAMES = ("none", "markers", "region", "rate")
 
 LOOK_EVERY = 0.25  # s
 MARKER_RATE = 10.0  # Hz, from level MARKERS on
-STRAINED_LOAD, WELL_LOAD = 0.8, 0.35  # of the wall time, in ticks; well: twice the rate would not strain either
-STRAINED_LATE, WELL_LATE = 0.2, 0.05  # share of ticks late by more than a period
+STRAINED_LOAD, WELL_LOAD = 0.8, 0.35  # of the wall time, in ticks; well: even twice the rate would not strain
+STRAINED_LATE, WELL_LATE = 0.2, 0.05  # fraction of ticks late by more than a period
 PATIENCE = 1.0  # s of strain before the next step
-HICCUP = 1.0  # s of wellness that a look takes away which is neither
+HICCUP = 1.0  # s of wellness that a check takes away that is neither
 HOLD, LONGEST_HOLD = 10.0, 160.0  # s of wellness before a step back; doubled each time that this was too soon
 
 
 class Look(NamedTuple):
-    """How the loop did since the last look."""
+    """Load of the loop since the last check."""
 
-    load: float  # share of the wall time that it spent in ticks
-    late: float  # share of its ticks that were late by more than a period
-    dropped: int  # ticks that it gave up
+    load: float  # fraction of the wall time spent in ticks
+    late: float  # fraction of its ticks late by more than a period
+    dropped: int  # ticks that it dropped
 
     @property
     def strained(self) -> bool:
-        """True when the machine is too slow."""
+        """Whether the machine is too slow."""
         return self.load > STRAINED_LOAD or self.late > STRAINED_LATE or self.dropped > 0
 
     @property
@@ -39,26 +39,38 @@ class Look(NamedTuple):
 
     @property
     def well(self) -> bool:
-        """True when there is room to take a step back."""
+        """Whether there is room to take a step back."""
         return self.load < WELL_LOAD and self.late < WELL_LATE and self.dropped == 0
 
 
 def name(level: int) -> str:
-    """Name of a level, as diagnostics tell it."""
+    """Return the name of a level, as in diagnostics.
+
+    Parameters
+    ----------
+    level : int
+        The level.
+    """
     return NAMES[min(level, RATE)]
 
 
 def halvings(level: int) -> int:
-    """How often the rate is halved at a level."""
+    """Return how often the rate is halved at a level.
+
+    Parameters
+    ----------
+    level : int
+        The level.
+    """
     return max(0, level - RATE + 1)
 
 
 class Ladder:
-    """Decides from one look to the next. Knows no clock and no node: both are told.
+    """Decision on the level from one check to the next, without a clock or a node of its own.
 
-    A step is taken after a second of strain without a break, and back after ten seconds of wellness since the last
-    strain; a look that is neither takes one of these away: a machine that does nothing else has hiccups, too. When a
-    step had to be taken again soon after, the way back takes twice as long.
+    A step is taken after a second of uninterrupted strain, and back after ten seconds of wellness since the last
+    strain; a check that is neither takes one of these away, since even an idle machine has hiccups. When a step had to
+    be taken again soon after, the way back takes twice as long.
     """
 
     def __init__(self) -> None:
@@ -70,7 +82,22 @@ class Ladder:
         self._well_for, self._looked_at = 0.0, math.inf  # s
 
     def look(self, now: float, look: Look, helps: Callable[[int], bool]) -> bool:
-        """Take a look at `now` s; returns whether the level changed. helps: whether a level gives anything up."""
+        """Judge a check.
+
+        Parameters
+        ----------
+        now : float, s
+            Its time.
+        look : Look
+            What it found.
+        helps : Callable[[int], bool]
+            Tells whether a level gives anything up.
+
+        Returns
+        -------
+        bool
+            whether the level changed
+        """
         self._strained_since = _since(self._strained_since, now, look.strained)
         self._well_for = self._wellness(look, max(0.0, now - self._looked_at))
         self._looked_at = now
@@ -93,7 +120,7 @@ class Ladder:
         return True
 
     def _wellness(self, look: Look, elapsed: float) -> float:
-        """Seconds of wellness, after a look at so many s more."""
+        """Return the seconds of wellness, after a check so many s later."""
         if look.strained:
             return 0.0
         return self._well_for + elapsed if look.well else max(0.0, self._well_for - HICCUP)

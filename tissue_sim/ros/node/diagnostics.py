@@ -1,4 +1,4 @@
-"""What the node tells about itself once a second."""
+"""Diagnostics of the node, once a second."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from tissue_sim.ros.node.loop_timing import MOST_BEHIND, TimingReader
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import STARVED, Report
 
-MOST_LATE = 0.01  # share of late ticks; single ones come with every kernel that is not a real-time one
+MOST_LATE = 0.01  # fraction of late ticks; single ones occur on every kernel without real-time scheduling
 DRIFT = 0.01  # of the real-time factor from 1
 
 
 class Diagnostics:
-    """Publishes the node's state on /diagnostics."""
+    """Publisher of the node's state on /diagnostics."""
 
     def __init__(self, node: Node, hardware_id: str) -> None:
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -27,10 +27,16 @@ class Diagnostics:
         # With the namespace, if there is one: several nodes share the topic.
         self._node = node.get_fully_qualified_name().strip("/")
         self._hardware_id = hardware_id
-        self._last_problems: dict[str, dict[str, int]] = {}  # by what is reported of
+        self._last_problems: dict[str, dict[str, int]] = {}  # by the name of the status
 
     def publish(self, report: Report) -> None:
-        """Publish a report as the status "physics", and its parts as one each."""
+        """Publish a report as the status "physics", and its parts as one each.
+
+        Parameters
+        ----------
+        report : Report
+            The report.
+        """
         statuses = [self._status("physics", report.whole())]
         statuses += [self._status(called, part) for called, part in report.parts.items()]
         message = DiagnosticArray(status=statuses)
@@ -38,7 +44,7 @@ class Diagnostics:
         self._publisher.publish(message)
 
     def _status(self, called: str, report: Report) -> DiagnosticStatus:
-        """WARN with a warning or a problem that has grown since the last report, ERROR with a failure."""
+        """Return WARN with a warning or a problem that has grown since the last report, ERROR with a failure."""
         last, self._last_problems[called] = self._last_problems.get(called, {}), dict(report.problems)
         grown = [name for name, count in report.problems.items() if count > last.get(name, 0)]
         status = DiagnosticStatus(name=f"{self._node}: {called}", hardware_id=self._hardware_id)
@@ -54,14 +60,30 @@ class Diagnostics:
 
 
 class LoopReport:
-    """Tells how the physics loop keeps time, and what it did. titles: of the organs; names: or one that is empty."""
+    """Report of how the physics loop keeps time, and what it did.
+
+    Parameters
+    ----------
+    organs : Organs
+        The organs.
+    names : Sequence[str]
+        Names of the organs, or a single empty one.
+    titles : Sequence[str]
+        Titles of the organs.
+    """
 
     def __init__(self, organs: Organs, names: Sequence[str], titles: Sequence[str]) -> None:
         self._organs, self._names, self._titles = organs, names, titles
         self._timing = TimingReader(organs)
 
     def report(self, report: Report) -> None:
-        """Add the loop's times and counters since the last report."""
+        """Add the loop's times and counters since the last report.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         timing, results = self._timing.read(), [one.results() for one in self._organs.each]
         busy = np.percentile(timing.busy, [50.0, 99.0]) if timing.ticks else np.zeros(2)
         report.values |= {
@@ -99,7 +121,7 @@ class LoopReport:
 
 
 def _add_organ(report: Report, results: Results) -> None:
-    """What an organ did."""
+    """Add what an organ did."""
     status, count = results.status, results.count
     report.values |= {
         "region": "asleep" if status.asleep else ("whole", "frozen", "modal")[status.region],
@@ -109,7 +131,7 @@ def _add_organ(report: Report, results: Results) -> None:
         "frozen_ticks": count.frozen_ticks,
         "modal_ticks": count.modal_ticks,
         "slewed_ticks": count.slewed_ticks,
-        "steps_found_too_long": count.shivers,  # no problem: each was halved before anything was lost
+        "steps_found_too_long": count.shivers,  # no problem: each was halved in time
         "last_fault": FAULT_NAMES[status.fault_kind],
         "turned_cells": status.turned,
         "skipped.asleep": count.asleep_ticks,
@@ -125,7 +147,7 @@ def _add_organ(report: Report, results: Results) -> None:
 
 
 def _add_all(report: Report, results: Sequence[Results]) -> None:
-    """What the organs of a scene did together."""
+    """Add what the organs of a scene did together."""
     awake = sum(not one.status.asleep for one in results)
     report.values |= {
         "region": f"{awake} of {len(results)} organs awake" if awake else "asleep",

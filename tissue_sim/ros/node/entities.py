@@ -1,4 +1,4 @@
-"""The organs and tools of a node as a simulation's entities: their names, where they are, and how they are placed."""
+"""The organs and tools of a node as a simulation's entities: their names, their places, and how they are placed."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Sphere(NamedTuple):
 
 
 class Entities:
-    """Asked and placed by the executor's thread.
+    """Entities of the node, queried and placed by the executor's thread.
 
-    An only organ is called as its file calls it, those of a scene as that does; an organ that a tool shares its name
-    with has `_organ` behind it.
+    A single organ is named as in its file, those of a scene as in the scene; an organ that shares its name with a tool
+    has `_organ` behind it.
     """
 
     def __init__(
@@ -48,13 +48,23 @@ class Entities:
 
     @property
     def names(self) -> list[str]:
-        """Organs first, then tools."""
+        """Names of the entities: organs first, then tools."""
         return [*self._organs, *self._tools]
 
     def where(self, name: str) -> Placed:
-        """Where an entity is: an organ's frame in the world, a tool's newest pose in the organ's frame.
+        """Return where an entity is: an organ's frame in the world, a tool's newest pose in the organ's frame.
 
-        Raises KeyError for an unknown name, UserError for a tool that has had no pose.
+        Parameters
+        ----------
+        name : str
+            Name of the entity.
+
+        Raises
+        ------
+        KeyError
+            When it is unknown.
+        UserError
+            When a tool has had no pose.
         """
         if name in self._organs:
             base_id = self._values["base_frame"]
@@ -65,10 +75,25 @@ class Entities:
         return Placed(self._values["frame_id"], tuple(port.newest.pose.tolist()))
 
     def place(self, name: str, placed: Placed) -> None:
-        """Place an entity: a tool as a pose from its bridge would, an only organ by the parameter organ_pose.
+        """Place an entity: a tool like a pose from its bridge, a single organ by the parameter organ_pose.
 
-        Raises KeyError for an unknown name, UnknownFrame, ValueError for a pose that is none, and UserError for what
-        can't be placed, such as a tool whose bridge publishes.
+        Parameters
+        ----------
+        name : str
+            Name of the entity.
+        placed : Placed
+            Its place.
+
+        Raises
+        ------
+        KeyError
+            When it is unknown.
+        UnknownFrame
+            When the frame is.
+        ValueError
+            When the pose is none.
+        UserError
+            When it can't be placed, such as a tool whose bridge publishes.
         """
         frame_id = placed.frame_id or self._world
         if name in self._organs:
@@ -77,9 +102,19 @@ class Entities:
             self._tools[name].place(frame_id, placed.pose)
 
     def meets(self, name: str, sphere: Sphere) -> bool:
-        """Whether an entity overlaps a sphere: the box around an organ, or the ball around a tool's body.
+        """Return whether an entity overlaps a sphere: the box around an organ, or the ball around a tool's body.
 
-        Raises KeyError for an unknown name.
+        Parameters
+        ----------
+        name : str
+            Name of the entity.
+        sphere : Sphere
+            The sphere.
+
+        Raises
+        ------
+        KeyError
+            When the entity is unknown.
         """
         x, y, z = sphere.centre
         centre = np.array(Transform.of_pose(self._organ_pose()).inverse().of((x, y, z, *IDENTITY[3:]))[:3])
@@ -97,7 +132,7 @@ class Entities:
         return str(self._values["base_frame"] or self._values["frame_id"])
 
     def _organ_pose(self) -> tuple[float, ...]:
-        """Of the organ's frame in the world, (7,)."""
+        """Return the pose of the organ's frame in the world, (7,)."""
         return tuple(self._values["organ_pose"]) if self._values["base_frame"] else IDENTITY
 
     def _place_organ(self, name: str, placed: Placed) -> None:
@@ -114,7 +149,7 @@ class Entities:
 
     @staticmethod
     def _box(served: ServedOrgan) -> tuple[Floats, Floats]:
-        """Corners (3,) m, lower and upper, in the organ's frame, of the box around the newest shape."""
+        """Return the corners (3,) m, lower and upper, in the organ's frame, of the box around the newest shape."""
         positions = np.zeros_like(served.organ.rest_positions)
         _, carried = served.physics.positions(positions)
         return positions.min(axis=0) + carried, positions.max(axis=0) + carried

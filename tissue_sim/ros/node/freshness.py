@@ -1,4 +1,4 @@
-"""Whether what came in still counts, by the one clock that ticks follow: /clock, or the monotonic one."""
+"""Freshness of inputs, by the one clock that ticks follow: /clock, or the monotonic one."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from tissue_sim.ros.shared.organs import Organs
 
 FIRST_PERIOD = 1e-3  # s between two messages, until they come
 LONGEST_PERIOD = 0.1  # s between two messages of a stream
-LONGEST_DELAY = 0.1  # s, above which an age tells of clocks that differ
+LONGEST_DELAY = 0.1  # s; a larger age means that clocks differ
 NEW = 0.02  # weight of the newest message in averages
-LONGEST_GAP, GAPS = 1.0, 8  # s between messages of one stream, however slow; gaps that tell that it is slow
+LONGEST_GAP, GAPS = 1.0, 8  # s between messages of one stream, at most; number of gaps by which a stream counts as slow
 
 
 class Freshness:
-    """When the newest pose, or force, of a tool came, by simulated time, and what follows from that.
+    """Arrival of the newest pose, or force, of a tool, by simulated time, and what follows from that.
 
-    While /clock stands nothing counts, so that no tool bears on the organ at once when it goes on; a clock that jumps
+    While /clock stands nothing counts, so that no tool acts on the organ at once when it goes on; a clock that jumps
     back, or is exchanged, begins anew. While the loop is held, what is fresh stays so: contacts are found for the ticks
     that it is given.
     """
@@ -31,9 +31,15 @@ class Freshness:
         clock.jumped.append(self._forget)
 
     def came(self, stamp: int) -> None:
-        """A message was taken up; stamp in ns, or UNSTAMPED."""
+        """Note that a message was applied.
+
+        Parameters
+        ----------
+        stamp : int, ns
+            Its time, or UNSTAMPED.
+        """
         now = self._clock.now()
-        if 0.0 < (gap := now - self._came) < LONGEST_PERIOD:  # several at one time of /clock are one to the ticks
+        if 0.0 < (gap := now - self._came) < LONGEST_PERIOD:  # several at one time of /clock count once for the ticks
             self._period += NEW * (gap - self._period)
         if 0.0 < gap < LONGEST_GAP:
             self._gaps.append(gap)
@@ -45,41 +51,41 @@ class Freshness:
 
     @property
     def age(self) -> float:
-        """Seconds since the newest message; infinite when there was none."""
+        """Time since the newest message, s; infinite when there was none."""
         return self._clock.now() - self._came
 
     @property
     def is_fresh(self) -> bool:
-        """True until `stale_time` has gone by without a message."""
+        """Whether less than `stale_time` has passed since the last message."""
         return not self._organs.loop.clock_stands and self.age <= self._organs.stale_time
 
     @property
     def counts(self) -> bool:
-        """True until what is stale has faded too, a `ramp_time` later."""
+        """Whether a stale input has not yet faded, which takes a `ramp_time` more."""
         return not self._organs.loop.clock_stands and self.age < self._organs.stale_time + self._organs.ramp_time
 
     @property
     def last_stamp(self) -> int:
-        """Stamp in ns before which the next message can't be; 0 for a stream that begins anew, with any stamp."""
+        """Earliest stamp, ns, of the next message; 0 for a stream that begins anew, with any stamp."""
         return self._stamp if self.counts and not self._organs.loop.standing else 0
 
     @property
     def period(self) -> float:
-        """Seconds between two messages, on average."""
+        """Mean time between two messages, s."""
         return self._period
 
     @property
     def too_slow(self) -> float:
-        """Seconds between messages that come on and on, where each is stale before the next; 0 where they don't."""
+        """Time between messages of a steady stream where each is stale before the next, s; 0 for any other."""
         gaps = sorted(self._gaps)
         gap = gaps[len(gaps) // 2] if len(gaps) == GAPS and self.age < LONGEST_GAP else 0.0
         return gap if gap > self._organs.stale_time else 0.0
 
     @property
     def delay(self) -> float:
-        """Seconds from a message's stamp until it came, on average.
+        """Mean time from a message's stamp until it came, s.
 
-        0 for messages without a stamp, or from a machine whose clock is ahead, or far behind.
+        It is 0 for messages without a stamp, or from a machine whose clock is ahead, or far behind.
         """
         return self._delay
 

@@ -1,8 +1,8 @@
-"""A rclpy node whose callbacks may fail: the error is noted, whoever asked gets an answer, and the node goes on.
+"""A rclpy node whose callbacks may fail: the error is noted, the caller gets an answer, and the node goes on.
 
-rclpy's executors let an error of a callback out of the spinning: other events that were waiting are lost with it, and
-who called a service waits for ever. So errors are caught before rclpy sees them, its own callbacks' for parameters,
-/clock and tf among them, which it makes by the same methods.
+rclpy's executors let an error of a callback end the spinning: other waiting events are lost with it, and the caller of
+a service waits for ever. So errors are caught before rclpy sees them, including those of its own callbacks for
+parameters, /clock and tf, which it creates by the same methods.
 """
 
 from __future__ import annotations
@@ -21,10 +21,14 @@ from tissue_sim.ros.shared.report import Mishaps
 
 
 class GuardedNode(Node):
-    """A node with `mishaps`, which notes what its callbacks raise, and which tells of topics that don't match.
+    """A node with `mishaps`, which notes what its callbacks raise and reports topics whose QoS doesn't match.
 
-    remedies: by a topic's name as the graph has it, what makes its QoS another one. decided: what comes of setting a
-    parameter, or None where rclpy is to decide.
+    Attributes
+    ----------
+    remedies
+        How to change the QoS of a topic, by its name in the graph.
+    decided
+        Returns the result of setting a parameter, or None where rclpy is to decide.
     """
 
     def __init__(self, name: str) -> None:
@@ -34,11 +38,11 @@ class GuardedNode(Node):
         super().__init__(name)
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
-        """As rclpy's, but for what is decided here."""
+        """Set parameters like rclpy, except for those that are decided here."""
         return [self.decided(one) or super(GuardedNode, self).set_parameters([one])[0] for one in parameter_list]
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """As rclpy's, but for what is decided here."""
+        """Set parameters like rclpy, except for those that are decided here."""
         decided = [(one, self.decided(one)) for one in parameter_list]
         if refused := [result for _, result in decided if result is not None and not result.successful]:
             return refused[0]
@@ -46,31 +50,31 @@ class GuardedNode(Node):
         return super().set_parameters_atomically(left) if left else SetParametersResult(successful=True)
 
     def guarded[**P](self, callback: Callable[P, object]) -> Callable[P, None]:
-        """A callback whose errors are noted."""
+        """Return a callback whose errors are noted."""
 
         @wraps(callback)
         def call(*args: P.args, **named: P.kwargs) -> None:
             try:
                 callback(*args, **named)
-            except Exception as error:  # whatever it is: the node goes on
+            except Exception as error:  # of any kind: the node goes on
                 self.mishaps.note(error)
 
         return call
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **named: Any) -> Any:
-        """As rclpy's, guarded; who offers less than it asks for is told of."""
+        """Subscribe like rclpy, guarded; warn about publishers that offer less than it requests."""
         tell = self.guarded(lambda event: self._tell_of_qos(topic, qos_profile, event, publishes=False))
         named.setdefault("event_callbacks", SubscriptionEventCallbacks(incompatible_qos=tell))
         return super().create_subscription(msg_type, topic, self.guarded(callback), qos_profile, **named)
 
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **named: Any) -> Any:
-        """As rclpy's; who asks for more than it offers is told of."""
+        """Publish like rclpy; warn about subscribers that request more than it offers."""
         tell = self.guarded(lambda event: self._tell_of_qos(topic, qos_profile, event, publishes=True))
         named.setdefault("event_callbacks", PublisherEventCallbacks(incompatible_qos=tell))
         return super().create_publisher(msg_type, topic, qos_profile, **named)
 
     def _tell_of_qos(self, topic: str, given: QoSProfile | int, event: Any, publishes: bool) -> None:
-        """Say who isn't heard or doesn't hear, as its QoS doesn't match, and what helps."""
+        """Warn about nodes whose QoS doesn't match, and say what helps."""
         own = QoSProfile(depth=given) if isinstance(given, int) else given
         name = self.resolve_topic_name(topic)
         policy = event.last_policy_kind.name.lower().removeprefix("rmw_qos_policy_")
@@ -94,24 +98,34 @@ class GuardedNode(Node):
         self.get_logger().warning(f"the QoS on {name} does not match: {line}; {remedy}")
 
     def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **named: Any) -> Any:
-        """As rclpy's, guarded."""
+        """Create a timer like rclpy, guarded."""
         return super().create_timer(timer_period_sec, self.guarded(callback), *args, **named)
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, *args: Any, **named: Any) -> Any:
-        """As rclpy's, guarded: who called is told that it failed."""
+        """Create a service like rclpy, guarded: the caller is told that it failed."""
 
         @wraps(callback)
         def call(request: Any, response: Any) -> Any:
             try:
                 return callback(request, response)
-            except Exception as error:  # whatever it is: the node goes on
+            except Exception as error:  # of any kind: the node goes on
                 return failed(type(response)(), request, self.mishaps.note(error))
 
         return super().create_service(srv_type, srv_name, call, *args, **named)
 
 
 def failed(response: Any, request: Any, line: str) -> Any:
-    """A service's response that says so, as far as its type allows."""
+    """Return a service's response with the failure, as far as its type allows.
+
+    Parameters
+    ----------
+    response : Any
+        The response; updated.
+    request : Any
+        The request.
+    line : str
+        What failed.
+    """
     if hasattr(response, "success"):
         response.success, response.message = False, line
     elif hasattr(response, "results") and hasattr(request, "parameters"):  # one for each parameter

@@ -1,6 +1,6 @@
 """A service that may answer later, from a thread of its own.
 
-rclpy's executors wait for a callback's response before they take up anything else, and its EventsExecutor awaits no
+rclpy's executors wait for a callback's response before they handle anything else, and its EventsExecutor awaits no
 coroutine; so the response is held back where the executor would send it.
 """
 
@@ -16,9 +16,20 @@ Work = Callable[[], None]  # fills in a response
 
 
 class LateService:
-    """Answers requests; `begin` is called with a request and its response by the executor.
+    """Service whose `begin` is called with a request and its response by the executor.
 
     What it returns is done in a thread of its own before the response is sent; None: the response is complete.
+
+    Parameters
+    ----------
+    node : GuardedNode
+        The node.
+    kind : Any
+        Type of the service.
+    name : str
+        Its name.
+    begin : Callable[[Any, Any], Work | None]
+        Begins to answer.
     """
 
     def __init__(self, node: GuardedNode, kind: Any, name: str, begin: Callable[[Any, Any], Work | None]) -> None:
@@ -43,7 +54,7 @@ class LateService:
     def _finish(self, work: Work, request: Any, response: Any, header: Any) -> None:
         try:
             work()
-        except Exception as error:  # whatever it is: who called is told
+        except Exception as error:  # of any kind: the caller is told
             response = failed(type(response)(), request, self._node.mishaps.note(error))
         with self._node.mishaps.noted():
             self._send(response, header)

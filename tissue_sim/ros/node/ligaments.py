@@ -1,4 +1,4 @@
-"""What organs hang on, as a marker of lines."""
+"""Ligaments of organs as a marker of lines."""
 
 from __future__ import annotations
 
@@ -25,13 +25,16 @@ class Ligaments:
 
         Parameters
         ----------
-        frame_id : frame of the organs' positions
-        joined : the scene's links and its breath
-        first : (organs,) row of each organ's first node where the nodes of all lie one behind another
+        frame_id : str
+            Frame of the organs' positions.
+        joined : Joined
+            The scene's links and its breath.
+        first : Sequence[int], shape (organs,)
+            Row of each organ's first node in the stacked nodes of all.
         """
         links = joined.links
         of_organ = (links.organ != POINT).ravel()
-        self._fixed = np.flatnonzero(~of_organ)  # ends that hang on a point
+        self._fixed = np.flatnonzero(~of_organ)  # ends at a point
         self._points, self._moves = links.point.reshape(-1, 3)[self._fixed], links.moves.ravel()[self._fixed]
         self._ends = np.flatnonzero(of_organ)
         self._nodes = links.node.ravel()[self._ends] + np.asarray(first)[links.organ.ravel()[self._ends]]
@@ -42,7 +45,15 @@ class Ligaments:
         self._bytes = MarkerBytes([marker])
 
     def message(self, stamp: int, positions: Floats) -> bytes:
-        """Return the MarkerArray for a stamp, ns, and positions (n, 3) m of all organs' nodes."""
+        """Return the MarkerArray for a time and positions.
+
+        Parameters
+        ----------
+        stamp : int, ns
+            The time.
+        positions : Floats, shape (n, 3), m
+            Positions of all organs' nodes.
+        """
         breath, points = self._breath, self._bytes.points[0]
         points[self._ends] = positions[self._nodes]
         way = breath.share * np.array([breath.x, breath.y, breath.z])

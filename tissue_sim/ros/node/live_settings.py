@@ -1,4 +1,4 @@
-"""The simulation's settings while the node runs: what the parameters say, less what the machine is too slow for."""
+"""The simulation's settings while the node runs: the parameters, less what the machine is too slow for."""
 
 from __future__ import annotations
 
@@ -18,16 +18,25 @@ from tissue_sim.ros.shared.parameters import Parameters
 from tissue_sim.ros.shared.report import Report
 
 LEAST_RATE = 50.0  # Hz
-ANY_FORCE = 1e9  # N, under which every load is small
-# A bound on the coupling is kept while it stays allowed and not much more is: a rate that is measured is never still.
-ROOM, REGAINED = 0.9, 1.25  # share of what is allowed that is taken, and what more than is in use is worth a change
-WORTH = 0.9  # share of the substeps a second that half the rate may leave at the most, to be worth it
+ANY_FORCE = 1e9  # N; every load is below it
+# A bound on the coupling is kept while it is still allowed and not much more is, since a measured rate always varies.
+ROOM, REGAINED = 0.9, 1.25  # fraction of the allowed that is used; rise of the bound that is worth a change
+WORTH = 0.9  # halving the rate is worth it if it leaves at most this fraction of the substeps per second
 
 
 class LiveSettings:
-    """Works out settings from parameters and the level of degradation, and posts them. Any thread may call.
+    """Settings from parameters and the level of degradation, computed and posted; any thread may call it.
 
-    post takes settings of an organ, by its number, to the loop; poses tells how often those of each tool come.
+    Parameters
+    ----------
+    served : ServedScene
+        The organs.
+    parameters : Parameters
+        Parameters of the node.
+    post : Callable[[int, Settings], None]
+        Takes settings of an organ, by its number, to the loop.
+    poses : Sequence[Freshness]
+        How often those of each tool come.
     """
 
     def __init__(
@@ -41,10 +50,16 @@ class LiveSettings:
         self._served, self._parameters, self._post = served, parameters, post
         self._lock = threading.Lock()
         self.level = degrade.NONE
-        self._bound, self._bounded_by = math.inf, 0  # N/m of the coupling, and by which tool
+        self._bound, self._bounded_by = math.inf, 0  # N/m of the coupling, and the tool that bounds it
 
     def update(self, level: int | None = None) -> None:
-        """Post the settings anew if they changed; level: the new level of degradation."""
+        """Post the settings again if they changed.
+
+        Parameters
+        ----------
+        level : int | None, optional
+            The new level of degradation.
+        """
         with self._lock:
             self.level = self.level if level is None else level
             every = [one.settings for one in self._served.simulations]
@@ -61,7 +76,7 @@ class LiveSettings:
                     self._post(organ, copy_of(settings))
 
     def _give_up(self, settings: Settings) -> None:
-        """Less than the parameters say, where the machine is too slow or a device can't bear it."""
+        """Reduce settings where the machine is too slow or a device can't bear them."""
         settings.tick_time = self._tick_time
         settings.coupling_stiffness = min(settings.coupling_stiffness, self._bound)
         if self.level >= degrade.REGION and self._first.local_region == "auto":
@@ -69,12 +84,12 @@ class LiveSettings:
 
     @property
     def _first(self) -> Simulation:
-        """All have the same rate and local region."""
+        """First simulation; all have the same rate and local region."""
         return self._served.simulations[0]
 
     @property
     def _tick_time(self) -> float:
-        """Of the level of degradation, s."""
+        """Tick time at the level of degradation, s."""
         return float(2.0 ** degrade.halvings(self.level) / self._parameters["rate"])
 
     def _renew_bound(self) -> None:
@@ -87,10 +102,10 @@ class LiveSettings:
             self._bounded_by = allowed.index(least)
 
     def _passive(self, tool: int) -> float:
-        """Stiffest coupling, N/m, that a tool's device renders passively.
+        """Return the stiffest coupling, N/m, that a tool's device renders passively.
 
-        A tool reaches a pose within its smoothing of the time until the next is due, and a tick later its force goes
-        out, which takes as long back as the pose took.
+        A tool reaches a pose within its smoothing of the time until the next is due; a tick later its force is sent,
+        which takes as long back as the pose took.
         """
         poses, name = self.poses[tool], self._parameters.tools[tool]
         damping, smoothing = (self._parameters[f"{name}.{what}"] for what in ("device_damping", "smoothing"))
@@ -98,11 +113,11 @@ class LiveSettings:
 
     @property
     def coupling_stiffness(self) -> float:
-        """N/m between device and tool, as it is in use."""
+        """Stiffness between device and tool that is in use, N/m."""
         return float(self._first.settings.coupling_stiffness)
 
     def describe(self) -> str:
-        """What is given up at the present level, or that nothing is."""
+        """Return what is given up at the present level, or that nothing is."""
         words = []
         if self.level >= degrade.MARKERS and self._parameters["marker_rate"] > degrade.MARKER_RATE:
             words.append(f"markers at {degrade.MARKER_RATE:g} Hz")
@@ -113,7 +128,13 @@ class LiveSettings:
         return ", ".join(words) or "nothing is reduced"
 
     def report(self, report: Report) -> None:
-        """Add what is given up, and a coupling that is softer than asked for."""
+        """Add what is given up, and a coupling that is softer than requested.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         report.values |= {
             "degraded": degrade.name(self.level),
             "coupling_stiffness": self.coupling_stiffness,
@@ -130,7 +151,7 @@ class LiveSettings:
             report.warnings.append(self._softer())
 
     def _softer(self) -> str:
-        """Why the coupling is softer than asked for."""
+        """Return why the coupling is softer than requested."""
         tool, poses = self._parameters.tools[self._bounded_by], self.poses[self._bounded_by]
         return (
             f"coupling_stiffness is {self.coupling_stiffness:.0f} instead of"
@@ -141,21 +162,27 @@ class LiveSettings:
 
     @property
     def marker_rate(self) -> float:
-        """Markers and surfaces a second, Hz."""
+        """Rate of markers and surfaces, Hz."""
         wanted = float(self._parameters["marker_rate"])
         return min(wanted, degrade.MARKER_RATE) if self.level >= degrade.MARKERS else wanted
 
     def helps(self, level: int) -> bool:
-        """Whether a level of degradation gives anything up that the one before didn't."""
+        """Return whether a level of degradation gives anything up that the one before didn't.
+
+        Parameters
+        ----------
+        level : int
+            The level.
+        """
         if level == degrade.MARKERS:
             return bool(self._parameters["marker_rate"] > degrade.MARKER_RATE)
-        if level == degrade.REGION:  # the other kinds of region either are as small already, or have no tables
+        if level == degrade.REGION:  # the other kinds of region are as small already, or have no tables
             return self._first.local_region == "auto"
         tick_time = 2.0 ** degrade.halvings(level) / self._parameters["rate"]
         return tick_time * LEAST_RATE <= 1.0 and self._work(tick_time) <= WORTH * self._work(0.5 * tick_time)
 
     def _work(self, tick_time: float) -> float:
-        """Substeps a second with ticks of so many s. Beyond one in a tick, fewer ticks leave as many substeps."""
+        """Return the substeps per second with ticks of so many s; below one per tick, fewer ticks save none."""
         longest = min(one.longest_step for one in self._served.simulations)
         return substeps_for(tick_time, longest) / tick_time
 

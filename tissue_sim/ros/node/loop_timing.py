@@ -1,4 +1,4 @@
-"""How the loop keeps time, from what it notes about every tick."""
+"""Timing of the loop, from its notes about every tick."""
 
 from __future__ import annotations
 
@@ -11,50 +11,50 @@ from tissue_sim.array_types import Floats
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.ros.shared.organs import Organs
 
-LEAST_ELAPSED = 50_000_000  # ns, over which simulated time is compared with the clock
-MOST_BEHIND = 0.005  # s that simulated and wall time may be apart before it is told
+LEAST_ELAPSED = 50_000_000  # ns, at least, over which simulated time is compared with the clock
+MOST_BEHIND = 0.005  # s that simulated and wall time may be apart without a report
 
 
 @dataclass(frozen=True)
 class Timing:
-    """How the loop kept time since the last look."""
+    """Timing of the loop since the last check."""
 
     ticks: int
     seconds: float  # of wall time
     late: Floats  # (ticks,) s that each began after it was due
     busy: Floats  # (ticks,) s that each took
-    behind: float  # s, farthest that simulated time was behind the clock
+    behind: float  # s, largest lag of simulated time behind the clock
     late_ticks: int  # ticks that began more than a period late
-    dropped_ticks: int  # ticks that were given up
+    dropped_ticks: int  # ticks that were dropped
     overruns: int  # ticks that began more than a period late, in all
-    dropped: int  # ticks given up because the loop was too far behind, in all
-    real_time_factor: float  # simulated time over that of the clock; 1 while that stands
+    dropped: int  # ticks dropped because the loop was too far behind, in all
+    real_time_factor: float  # simulated time over that of the clock; 1 while the clock stands
 
     @property
     def rate(self) -> float:
-        """Ticks a second of wall time."""
+        """Ticks per second of wall time."""
         return self.ticks / self.seconds
 
     @property
     def load(self) -> float:
-        """Share of the wall time that the ticks took."""
+        """Fraction of the wall time that the ticks took."""
         return float(self.busy.sum()) / self.seconds
 
     @property
     def late_share(self) -> float:
-        """Share of the ticks that began more than a period late."""
+        """Fraction of the ticks that began more than a period late."""
         return self.late_ticks / max(self.ticks, 1)
 
 
 class TimingReader:
-    """Looks at what a loop notes now and then; each reader has its own last look."""
+    """Reader of a loop's notes; each reader has its own last check."""
 
     def __init__(self, organs: Organs) -> None:
         self._organs, self._words = organs, organs.loop.words
         self._last = self._look()
 
     def read(self) -> Timing:
-        """Timing since the last call."""
+        """Return the timing since the last call."""
         control, last = self._words.control, self._last
         held = self._organs.loop.hold.active  # before and after: the loop may begin to be held, or end, in between
         due, napping = int(control.due), int(control.napping)
@@ -66,7 +66,7 @@ class TimingReader:
         # Posted times come in steps; the loop itself notes how far it was from one when the next one comes.
         if due and not new.posted and not napping and not held:
             behind = max(behind, new.wall - 1e-9 * due - self._tick_time())
-        # After a change of the clock, a jump back, or for as good as no time there is nothing to compare.
+        # After a change of the clock, a jump back, or within a very short time there is nothing to compare.
         elapsed = new.clock - last.clock if new.posted == last.posted else 0
         return Timing(
             ticks=new.ticks - last.ticks,
@@ -96,13 +96,13 @@ class TimingReader:
         )
 
     def _tick_time(self) -> float:
-        """s, of the newest settings."""
+        """Return the tick time of the newest settings, s."""
         return self._organs.tick_time
 
 
 @dataclass(frozen=True)
 class _Counters:
-    """The loop's counters at one look."""
+    """The loop's counters at one check."""
 
     wall: float  # s
     posted: int  # 1 while ticks follow a posted time

@@ -1,7 +1,7 @@
-"""Markers as bytes: typed once, then written in place by kernels and published as they are.
+"""Markers as bytes: serialised once, then written in place by kernels and published as they are.
 
-A message lies cold in memory when its turn comes, every 16 ms, and so does the code that fills it: one call into one
-kernel takes a third of the time that a dozen of NumPy's take.
+A message lies cold in memory when its turn comes, every 16 ms, and so does the code that fills it: one call of one
+kernel takes a third of the time of a dozen of NumPy's.
 """
 
 from __future__ import annotations
@@ -31,16 +31,36 @@ FORCE_COLOUR = (0.20, 0.55, 0.95, 1.0)
 SURFACE_COLOUR = (*(part / 255.0 for part in TISSUE), 1.0)
 SKELETON_COLOUR = (0.95, 0.90, 0.55, 1.0)
 ARROW_LENGTH = 0.03  # m for 1 N
-LEAST_FORCE = 1e-4  # N that gets an arrow
+LEAST_FORCE = 1e-4  # N, least force with an arrow
 ADD, DELETE = int(Marker.ADD), int(Marker.DELETE)
 
 
 class MarkerBytes:
     """A MarkerArray as bytes whose stamps, actions, poses, points and colours are written in place.
 
-    markers keep their kinds and numbers of points and colours; of marker i, poses[i] (7,) are m and a quaternion xyzw,
-    points[i] (k, 3) m and colours[i] (c, 4) red, green, blue, alpha. For kernels, words and numbers are the message as
-    int32 and float64; stamps[i] and actions[i] count words, starts[i] counts the numbers before the first point.
+    Parameters
+    ----------
+    markers : Sequence[Marker]
+        The markers, which keep their kinds and numbers of points and colours.
+
+    Attributes
+    ----------
+    poses : shape (7,) each, m and quaternion xyzw
+        Pose of each marker.
+    points : shape (k, 3) each, m
+        Points of each marker.
+    colours : shape (c, 4) each
+        Red, green, blue, alpha of each marker.
+    words
+        The message as int32, for kernels.
+    numbers
+        The message as float64, for kernels.
+    stamps
+        Index of each marker's stamp in words.
+    actions
+        Index of each marker's action in words.
+    starts
+        Index of each marker's first point in numbers.
     """
 
     def __init__(self, markers: Sequence[Marker]) -> None:
@@ -84,23 +104,47 @@ class MarkerBytes:
         self.words[self.actions] = ADD
 
     def stamp(self, stamp: int) -> None:
-        """Set the stamp of every marker, ns."""
+        """Set the stamp of every marker, ns.
+
+        Parameters
+        ----------
+        stamp : int, ns
+            The stamp.
+        """
         write_stamp(self.words, self.stamps, *divmod(stamp, 1_000_000_000))
 
     def show(self, index: int, is_shown: bool) -> None:
-        """Add a marker, or delete it."""
+        """Add a marker, or delete it.
+
+        Parameters
+        ----------
+        index : int
+            Index of the marker.
+        is_shown : bool
+            Whether to add it.
+        """
         self.words[self.actions[index]] = ADD if is_shown else DELETE
 
     def draw_force(self, index: int, start: Floats, force: Floats) -> None:
-        """Let an arrow start at (3,) m and show a force (3,) N; without a force it is deleted."""
+        """Show a force as an arrow; without a force the arrow is deleted.
+
+        Parameters
+        ----------
+        index : int
+            Index of its marker.
+        start : Floats, shape (3,), m
+            Start of the arrow.
+        force : Floats, shape (3,), N
+            The force.
+        """
         write_force(self.words, self.numbers, self.actions[index], self.starts[index], start, force)
 
     def message(self) -> bytes:
-        """The message as it stands."""
+        """Return the message as it stands."""
         return self._bytes.tobytes()
 
     def deletion(self) -> bytes:
-        """The same markers, all deleted: for the shutdown."""
+        """Return the same markers, all deleted: for the shutdown."""
         self.words[self.actions] = DELETE
         return self.message()
 
@@ -108,8 +152,16 @@ class MarkerBytes:
 class OrganMarkers:
     """The MarkerArray of organs: the surface and the skeleton of each, and an arrow for each tool's contact force.
 
-    organs: by what stands in front of their markers' namespaces, nothing for an only one. Coloured, a surface has a
-    colour for each corner of a triangle, which makes the message two thirds longer.
+    Parameters
+    ----------
+    frame_id : str
+        Frame of the positions.
+    organs : Mapping[str, Organ]
+        The organs by the prefix of their markers' namespaces, empty for a single one.
+    n_tools : int
+        Number of tools.
+    coloured : bool, optional
+        Whether a surface has a colour for each corner of a triangle, which makes the message two thirds longer.
     """
 
     def __init__(self, frame_id: str, organs: Mapping[str, Organ], n_tools: int, coloured: bool = False) -> None:
@@ -149,10 +201,20 @@ class OrganMarkers:
     def message(
         self, stamp: int, positions: Floats, centre: Floats, wrench: Floats, share: Floats | None = None
     ) -> bytes:
-        """The message for a stamp in ns and positions (n, 3) m of all nodes, those of one organ behind another's.
+        """Return the message.
 
-        centre (T, 3) m where each tool touches, wrench (T, 6) what it feels; a tool without force has its arrow
-        deleted. share (n,): where each node stands on the scale of colours, 0 to 1, if they are coloured.
+        Parameters
+        ----------
+        stamp : int, ns
+            Its time.
+        positions : Floats, shape (n, 3), m
+            Positions of all nodes, one organ after the other.
+        centre : Floats, shape (T, 3), m
+            Where each tool touches.
+        wrench : Floats, shape (T, 6), N and N m
+            What each tool feels; a tool without force has its arrow deleted.
+        share : Floats | None, shape (n,), optional
+            Each node's place on the colour scale, 0 to 1, if they are coloured.
         """
         template = self._bytes
         write_organs(
@@ -174,7 +236,7 @@ class OrganMarkers:
         return template.message()
 
     def deletion(self) -> bytes:
-        """The same markers, all deleted: for the shutdown."""
+        """Return the same markers, all deleted: for the shutdown."""
         return self._bytes.deletion()
 
 
@@ -207,7 +269,7 @@ def write_organs(
 
 @kernel
 def write_stamp(words: Any, stamps: Longs, seconds: int, nanoseconds: int) -> None:
-    """Write the time in front of every marker."""
+    """Write the time of every marker."""
     for index in range(len(stamps)):
         words[stamps[index]] = seconds
         words[stamps[index] + 1] = nanoseconds
@@ -215,7 +277,7 @@ def write_stamp(words: Any, stamps: Longs, seconds: int, nanoseconds: int) -> No
 
 @kernel
 def write_points(numbers: Any, start: int, positions: Floats, nodes: Longs) -> None:
-    """Write the positions (n, 3) m of nodes (k,) one behind the other."""
+    """Write the positions (n, 3) m of nodes (k,), one after the other."""
     for index in range(len(nodes)):
         node, at = nodes[index], start + 3 * index
         numbers[at] = positions[node, 0]
@@ -236,7 +298,7 @@ def write_force(words: Any, numbers: Any, action: int, at: int, start: Floats, f
 
 @kernel
 def write_colours(colours: Any, corners: Longs, share: Floats, scale: Any) -> None:
-    """Write the colour (4,) of each corner from a scale (m, 4) and where on it each node's share (n,) is."""
+    """Write the colour (4,) of each corner from a scale (m, 4) and each node's place on it, share (n,)."""
     for index in range(len(corners)):
         place = int(min(share[corners[index]], 1.0) * (len(scale) - 1))
         for channel in range(4):
@@ -245,7 +307,19 @@ def write_colours(colours: Any, corners: Longs, share: Floats, scale: Any) -> No
 
 @kernel
 def write_displacement(share: Floats, positions: Floats, rest: Floats, full: float) -> None:
-    """Write how far each of the positions (n, 3) m is from rest, as a share (n,) of so many m."""
+    """Write how far each position is from rest, as a fraction.
+
+    Parameters
+    ----------
+    share : Floats, shape (n,)
+        The fractions; updated.
+    positions : Floats, shape (n, 3), m
+        The positions.
+    rest : Floats, shape (n, 3), m
+        The same at rest.
+    full : float, m
+        Displacement whose fraction is 1.
+    """
     for node in range(len(positions)):
         square = 0.0
         for axis in range(3):
@@ -255,7 +329,13 @@ def write_displacement(share: Floats, positions: Floats, rest: Floats, full: flo
 
 @kernel
 def all_finite(positions: Floats) -> bool:
-    """Whether positions (n, 3) hold neither NaN nor infinity."""
+    """Return whether positions hold neither NaN nor infinity.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        The positions.
+    """
     for node in range(len(positions)):
         for axis in range(3):
             if not math.isfinite(positions[node, axis]):
@@ -267,7 +347,23 @@ def all_finite(positions: Floats) -> bool:
 def empty_marker(
     frame_id: str, namespace: str, number: int, kind: int, colour: tuple[float, ...], scale: tuple[float, ...]
 ) -> Marker:
-    """A marker without points: a colour red, green, blue, alpha, a scale (3,) as its kind has it."""
+    """Return a marker without points.
+
+    Parameters
+    ----------
+    frame_id : str
+        Its frame.
+    namespace : str
+        Its namespace.
+    number : int
+        Its id.
+    kind : int
+        Its type.
+    colour : tuple[float, ...]
+        Red, green, blue, alpha.
+    scale : tuple[float, ...], shape (3,)
+        Its scale, whose meaning depends on the type.
+    """
     marker = Marker()
     marker.header.frame_id = frame_id
     marker.ns, marker.id, marker.type = namespace, number, kind
@@ -280,20 +376,30 @@ def empty_marker(
 
 
 def force_arrow(frame_id: str, namespace: str, number: int) -> Marker:
-    """The arrow of a force, its points to be written by draw_force."""
+    """Return the arrow of a force, whose points draw_force writes.
+
+    Parameters
+    ----------
+    frame_id : str
+        Its frame.
+    namespace : str
+        Its namespace.
+    number : int
+        Its id.
+    """
     marker = empty_marker(frame_id, namespace, number, Marker.ARROW, FORCE_COLOUR, (0.002, 0.004, 0.006))
     marker.points = [Point(), Point()]
     return marker
 
 
 def skeleton_lines(organ: Organ) -> Any:
-    """Atom indices (2 b,) of the skeleton's line list: each atom and its parent."""
+    """Return the atom indices (2 b,) of the skeleton's line list: each atom and its parent."""
     child = np.flatnonzero(organ.atom_parent >= 0)
     return np.stack([child, organ.atom_parent[child]], axis=1).ravel()
 
 
 def _aligned(raw: bytes) -> NDArray[np.uint8]:
-    """A message's bytes in memory whose float64 lie where the processor wants them: CDR aligns behind its header."""
+    """Return a message's bytes with its float64 aligned in memory: CDR aligns relative to the end of its header."""
     room = np.empty(len(raw) + 8, dtype=np.uint8)
     start = (-CDR_HEADER - room.ctypes.data) % 8
     aligned = room[start : start + len(raw)]

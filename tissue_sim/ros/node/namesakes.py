@@ -1,4 +1,4 @@
-"""Notices other nodes of the same fully qualified name: their topics and services would mix with ours."""
+"""Detection of other nodes of the same fully qualified name, whose topics and services would mix with ours."""
 
 from __future__ import annotations
 
@@ -8,14 +8,20 @@ from tissue_sim.ros.shared.report import Report
 
 
 class Namesakes:
-    """Counts the nodes in the graph that are called like this one."""
+    """Count of the nodes in the graph that have this one's name."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self.count = 0
 
     def report(self, report: Report) -> None:
-        """Add how many there are besides this one; a line is logged when there are more than before."""
+        """Add how many there are besides this one; log a line when there are more than before.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         node = self._node
         own = (node.get_name(), node.get_namespace())
         count = max(0, node.get_node_names_and_namespaces().count(own) - 1)

@@ -1,8 +1,8 @@
-"""`tissue_node`: serves one organ, or those of a scene, at a fixed rate.
+"""The node `tissue_node`: serves one organ, or those of a scene, at a fixed rate.
 
-Threads: the physics loop (compiled, without the GIL); the contact worker (FCL); the outlet (markers,
-fading wrenches, journal, diagnostics); the answers (a wrench for the pose that a tick took up); and
-the executor here, whose callbacks leave the newest pose.
+Threads: the physics loop (compiled, without the GIL); the contact worker (FCL); the outlet (markers, fading wrenches,
+journal, diagnostics); the answers (a wrench for the pose that a tick applied); and the executor here, whose callbacks
+leave the newest pose.
 """
 
 from __future__ import annotations
@@ -61,13 +61,16 @@ from tissue_sim.ros.shared.report import Report, Reports
 from tissue_sim.version import __version__
 
 NAME = "tissue_sim"
-BAG_PATIENCE = 0.4  # s that the bag's queue gets at the end; what it holds then is left out
+BAG_PATIENCE = 0.4  # s for writing the bag's queue at the end; the rest of it is left out
 
 
 class TissueNode(GuardedNode):
-    """The node: wires parameters, simulation, tools and topics together.
+    """The node: connects parameters, simulation, tools and topics.
 
-    Raises UserError for a parameter or file that can't be used.
+    Raises
+    ------
+    UserError
+        When a parameter or file can't be used.
     """
 
     def __init__(self) -> None:
@@ -147,7 +150,7 @@ class TissueNode(GuardedNode):
 
     # life --------------------------------------------------------------------------------------
     def start(self) -> None:
-        """Start the threads; returns when the loop runs. To be called by the thread that spins the node."""
+        """Start the threads; return when the loop runs. To be called by the thread that spins the node."""
         self.live.update()
         self.loop.start()
         self.answers.start()
@@ -193,7 +196,7 @@ class TissueNode(GuardedNode):
         self._ready.publish(Bool(data=True))
 
     def _warn_of_fine_tools(self) -> None:
-        """Name tools that are finer than the coarsest organ's surface can tell, and what helps."""
+        """Warn about tools that are finer than the coarsest organ's surface resolves, and say what helps."""
         coarsest = max(self.scene.organs, key=mean_edge)
         for tool in (tool_of(self.parameters, name) for name in self.parameters.tools):
             why = too_coarse(coarsest, tool.radius) if tool.is_round else None
@@ -201,9 +204,9 @@ class TissueNode(GuardedNode):
                 self.get_logger().warning(f"tool '{tool.name}': {why}")
 
     def close(self) -> None:
-        """Leave no force standing, close the bag, delete the markers, end the threads; well under a second."""
+        """End with zero forces, close the bag, delete the markers, end the threads; in well under a second."""
         self.pausing.close()
-        noted = self.mishaps.noted  # where one of them fails, the others are done
+        noted = self.mishaps.noted  # where one of them fails, the others are still done
         if self._outlet is not None:
             self._outlet.stop()
         self.answers.stop()
@@ -229,7 +232,7 @@ class TissueNode(GuardedNode):
             self.get_logger().info(f"bag closed: {path}{lost}")
 
     def _prefer(self, priority: int) -> None:
-        """The loop before all other threads; after it the one that answers, and the calling one, which takes poses."""
+        """Give the loop the highest priority, and one below it to the answering and to the calling thread."""
         try:
             self.loop.prefer(priority)
             self.answers.prefer(below(priority))
@@ -305,14 +308,14 @@ class TissueNode(GuardedNode):
             self.recorder.of_organ[organ].settings(self.organs.each[organ].post_settings(settings), settings)
 
     def _place_frames(self) -> None:
-        """Tell tf and bags where the organ is."""
+        """Publish on tf and to bags where the organ is."""
         if self._broadcast is not None:
             placed = placed_frames(self.parameters, self.parameters.tools)
             self._broadcast.fix(self.get_clock().now().nanoseconds, placed)
         self.recorder.organ_pose(self.parameters["organ_pose"])
 
     def _register(self) -> None:
-        """Take poses and wrenches to and from the organ where it is now."""
+        """Transform poses and wrenches to and from where the organ is now."""
         for port in self.ports:
             port.renew_frames(frames_of(self.parameters, port.name, self._lookup))
         self._place_frames()

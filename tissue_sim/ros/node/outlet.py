@@ -1,4 +1,4 @@
-"""What leaves the node at rates of its own: fading wrenches, markers, diagnostics; in a thread of its own."""
+"""Outputs of the node at rates of their own: fading wrenches, markers, diagnostics; in a separate thread."""
 
 from __future__ import annotations
 
@@ -18,27 +18,46 @@ from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import Report, Trouble
 
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
-IDLE_MARKER_RATE = 20.0  # Hz, how often is looked whether anything moved while nothing does
+IDLE_MARKER_RATE = 20.0  # Hz, of checks for motion while nothing moves
 REPORT_EVERY = 1.0  # s
 GIVE_BACK_EVERY = 60.0  # s
 AFTER_FAILURE = 0.01  # s until the next turn
 
 
 class Logger(Protocol):
-    """What takes lines for people."""
+    """Receiver of lines for people."""
 
     def info(self, message: str) -> Any:
-        """Something that happens."""
+        """Log something that happens."""
 
     def warning(self, message: str) -> Any:
-        """Something to look after."""
+        """Log something that needs attention."""
 
 
 class Outlet:
-    """Fading wrenches at the tick rate, markers at their rate, journal; four looks a second at whether machine and
-    executor keep up, and a report every second.
+    """Thread of fading wrenches at the tick rate, markers at their rate, and the journal.
 
-    Where one of them fails, the others go on: no force is left standing because a picture could not be sent.
+    Four times a second it checks whether machine and executor keep up, and every second it reports. Where one of these
+    fails, the others go on: no force remains because a picture could not be sent.
+
+    Parameters
+    ----------
+    organs : Organs
+        The organs.
+    ports : Sequence[ToolPort]
+        The tools' ports.
+    show : Sequence[Callable[[], None]]
+        Functions that publish markers.
+    live : LiveSettings
+        Settings while the node runs.
+    sim_clock : SimClock
+        The clock that ticks follow.
+    backlog : Backlog
+        How far the executor is behind.
+    tell : Callable[[], None]
+        Publishes the report.
+    logger : Logger
+        Receives lines for people.
     """
 
     def __init__(
@@ -74,7 +93,13 @@ class Outlet:
             self._thread.join(timeout=0.3)
 
     def report(self, report: Report) -> None:
-        """Add what failed here."""
+        """Add what failed here.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         self._trouble.report(report)
 
     def _run(self) -> None:
@@ -87,7 +112,7 @@ class Outlet:
                 self._stop.wait(wait)
 
     def _turn(self) -> float:
-        """Do what is due; returns the s until something is."""
+        """Do what is due; return the time, s, until the next is."""
         noted, fading = self._trouble.noted, False
         for port in self._ports:
             with noted():
@@ -116,19 +141,19 @@ class Outlet:
         return min(wait, self._organs.tick_time) if fading else wait
 
     def _marker_rate(self) -> float:
-        """Nothing moves in an organ that sleeps, but somebody may have come to look."""
+        """Return the marker rate; low while nothing moves, though not 0, since a viewer may connect."""
         before, self._seen = self._seen, (*self._organs.surface_sequences, *(port.input.poses for port in self._ports))
         rate = self._live.marker_rate
         return rate if self._seen != before else min(rate, IDLE_MARKER_RATE)
 
     def _look(self, now: float) -> None:
-        """Whether the clock stands, and whether the machine keeps up."""
+        """Check whether the clock stands, and whether the machine keeps up."""
         self._sim_clock.watch()
         timing, ladder = self._load.read(), self._ladder
         was_stuck = ladder.stuck
         look = degrade.Look(timing.load, timing.late_share, timing.dropped_ticks)
         if ladder.look(now, look, self._live.helps):
-            # Not here: factoring the implicit matrix takes a while, and fading wrenches must go on.
+            # Not here: factorising the implicit matrix takes a while, and fading wrenches must go on.
             threading.Thread(target=self._degrade, args=(ladder.level, look.words), daemon=True).start()
         elif ladder.stuck and not was_stuck:
             self._logger.warning(
@@ -136,7 +161,7 @@ class Outlet:
             )
 
     def _degrade(self, level: int, why: str) -> None:
-        """Go to another level of degradation, and say so."""
+        """Go to another level of degradation, and log it."""
         with self._trouble.noted():
             worse = level > self._live.level
             self._live.update(level)

@@ -1,7 +1,12 @@
-"""A passivity observer and controller for the forces that go out to a device (Hannaford and Ryu 2002), in time domain.
+"""A time-domain passivity observer and controller [1]_ for the forces that are sent to a device.
 
-It sums the energy that the device has got so far, from the forces that went out and the poses that came. Where that is
-more than the device has put in, it adds as much damping as takes the rest out in the next period.
+It sums the energy that the device has received so far, from the forces sent and the poses received. Where that is more
+than the device has put in, it adds as much damping as removes the rest in the next period.
+
+References
+----------
+.. [1] B. Hannaford and J.-H. Ryu, "Time-domain passivity control of haptic interfaces", IEEE Transactions on Robotics
+   and Automation 18, 2002.
 """
 
 from __future__ import annotations
@@ -16,12 +21,12 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.model.settings import Settings
 
-LONGEST = 64  # forces that are remembered: those that are on their way
+LONGEST = 64  # remembered forces: those on their way
 LATE = 1.5  # periods without a pose, after which it is overdue
 
 
 class Observer:
-    """The energy of one device, and the damping that keeps it from getting more than it has put in."""
+    """The energy of one device, and the damping that keeps it from receiving more than it has put in."""
 
     def __init__(self) -> None:
         self._sent: deque[Floats] = deque(maxlen=LONGEST)  # (3,) N, the newest first
@@ -34,16 +39,33 @@ class Observer:
         self._energy, self._place = 0.0, None
 
     def damped(self, place: Floats, force: Floats, period: float, lag: float, most: float) -> Floats:
-        """Return the force (3,) N that is to go out, in place of one, in answer to a pose at a place (3,) m.
+        """Return the force to send instead of a given one in answer to a pose.
 
-        period s between poses; lag s from a pose until the force acts that answers it; most N s/m that is added. What
-        goes out in the end is reported to `sent`.
+        Report the force that is finally sent to `sent`.
+
+        Parameters
+        ----------
+        place : Floats, shape (3,), m
+            Position of the pose.
+        force : Floats, shape (3,), N
+            The given force.
+        period : float, s
+            Time between poses.
+        lag : float, s
+            Time from a pose until the force that answers it acts.
+        most : float, N s/m
+            Largest damping that is added.
+
+        Returns
+        -------
+        Floats
+            shape (3,), N
         """
         way = np.zeros(3) if self._place is None else place - self._place
         self._energy -= float(self._acted(lag / period) @ way)
         self._place = place.copy()
         square = float(way @ way)
-        if not force.any():  # nothing is touched: what was put in before is none of the next touch's
+        if not force.any():  # nothing is touched: earlier energy doesn't count for the next touch
             self._energy = 0.0
         elif self._energy < 0.0 and square > 0.0:
             damping = min(-self._energy * period / square, most)
@@ -51,7 +73,13 @@ class Observer:
         return force
 
     def sent(self, force: Floats) -> None:
-        """Note the force (3,) N that went out."""
+        """Note the force (3,) N that was sent.
+
+        Parameters
+        ----------
+        force : Floats, shape (3,), N
+            The force.
+        """
         self._sent.appendleft(force.copy())
 
     def _acted(self, periods: float) -> Floats:
@@ -69,29 +97,37 @@ class Stream(Protocol):
 
     @property
     def period(self) -> float:
-        """Seconds between two of them."""
+        """Time between two of them, s."""
 
     @property
     def delay(self) -> float:
-        """Seconds until one has come."""
+        """Time until one has come, s."""
 
 
 class DevicePort:
-    """A tool's force on its way to the device: damped as its observer asks, and within `force_clamp` still.
+    """A tool's force on its way to the device: damped as its observer requires, and still within `force_clamp`.
 
-    poses: of the tool; scale: m of the tool for one of the device; most: `passivity_damping`, N s/m, 0 for no observer;
-    settings: tells the newest ones.
+    Parameters
+    ----------
+    poses : Stream
+        Stream of the tool's poses.
+    scale : float
+        Motion of the tool for the same motion of the device.
+    most : float, N s/m
+        The parameter `passivity_damping`; 0: no observer.
+    settings : Callable[[], Settings]
+        Returns the newest settings.
     """
 
     def __init__(self, poses: Stream, scale: float, most: float, settings: Callable[[], Settings]) -> None:
         self.most = most
         self._poses, self._scale, self._settings = poses, scale, settings
         self._observer = Observer()
-        self.damped = 0  # forces that were
+        self.damped = 0  # number of damped forces
 
     @property
     def patience(self) -> float:
-        """Seconds for which a damped force stands, until the next pose is overdue or the last one stale."""
+        """Time, s, that a damped force stands: until the next pose is overdue or the last one stale."""
         return min(LATE * self._poses.period, self._settings().stale_time) if self.most > 0.0 else 0.0
 
     def forget(self) -> None:
@@ -99,7 +135,20 @@ class DevicePort:
         self._observer.forget()
 
     def felt(self, place: Floats, wrench: Floats) -> Floats:
-        """Return the wrench (6,) N, N m that answers a pose at a place (3,) m, all in the organ's axes."""
+        """Return the wrench that answers a pose, all in the organ's axes.
+
+        Parameters
+        ----------
+        place : Floats, shape (3,), m
+            Position of the pose.
+        wrench : Floats, shape (6,), N and N m
+            Wrench of the simulation.
+
+        Returns
+        -------
+        Floats
+            shape (6,), N and N m
+        """
         most = self.most
         if most == 0.0 or not np.isfinite(wrench).all():
             self._observer.forget()

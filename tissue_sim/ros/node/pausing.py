@@ -1,4 +1,4 @@
-"""Pausing and stepping: the services ~/pause and ~/step, and what simulation_interfaces asks for of the same."""
+"""Pausing and stepping: the services ~/pause and ~/step, and the same requests of simulation_interfaces."""
 
 from __future__ import annotations
 
@@ -21,10 +21,25 @@ PAUSED = "paused: no ticks and no forces until ~/pause is called with data: fals
 
 
 class Pausing:
-    """Pauses the node's ticks, and steps them. Methods are called by the executor, but for the work of a step.
+    """Pausing and stepping of the node's ticks; the executor calls it, except for the work of a step.
 
-    Poses that come meanwhile are kept as the newest; forces are zero until the node goes on. stopped: it was paused by
-    a reset to where it began, and has not been stepped since. step_ticks tells how many ticks ~/step takes.
+    Poses that come meanwhile are kept as the newest; forces are zero until the node goes on.
+
+    Parameters
+    ----------
+    node : GuardedNode
+        The node.
+    loop : Loop
+        The loop.
+    clock : SimClock
+        The clock that ticks follow.
+    step_ticks : Callable[[], int]
+        Returns how many ticks ~/step takes.
+
+    Attributes
+    ----------
+    stopped
+        Whether it was paused by a reset to the start, and has not been stepped since.
     """
 
     def __init__(self, node: GuardedNode, loop: Loop, clock: SimClock, step_ticks: Callable[[], int]) -> None:
@@ -48,7 +63,13 @@ class Pausing:
         return not self._clock.active
 
     def pause(self) -> None:
-        """Take no further tick. Raises UserError when ticks follow /clock."""
+        """Take no further tick.
+
+        Raises
+        ------
+        UserError
+            When ticks follow /clock.
+        """
         if not self.possible:
             raise UserError(BY_CLOCK)
         self._cancelled.set()
@@ -58,7 +79,13 @@ class Pausing:
             self._loop.hold.begin()
 
     def stop(self) -> None:
-        """Pause, with the organ back at rest as of the next tick. Raises UserError when ticks follow /clock."""
+        """Pause, with the organ back at rest as of the next tick.
+
+        Raises
+        ------
+        UserError
+            When ticks follow /clock.
+        """
         self.pause()
         self._loop.reset()
         self.stopped = True
@@ -74,7 +101,10 @@ class Pausing:
     def begin_step(self) -> None:
         """Begin a step, whose ticks `take` takes.
 
-        Raises UserError when the node isn't paused, or another step is being taken.
+        Raises
+        ------
+        UserError
+            When the node isn't paused, or another step is being taken.
         """
         if not self.possible:
             raise UserError(BY_CLOCK)
@@ -88,10 +118,24 @@ class Pausing:
         self._cancelled.clear()
 
     def take(self, ticks: int) -> int:
-        """Take the ticks of the step that was begun, no faster than the clock goes; returns how many were taken.
+        """Take the ticks of the step that was begun, no faster than the clock.
 
-        These are fewer where the node was paused anew, goes on, or ends meanwhile. Contacts are found beside the ticks
-        as often as in a node that runs. Raises TimeoutError when the loop doesn't answer.
+        Contacts are found beside the ticks as often as in a node that runs.
+
+        Parameters
+        ----------
+        ticks : int
+            Number of ticks.
+
+        Returns
+        -------
+        int
+            how many were taken: fewer where the node was paused anew, goes on, or ends meanwhile
+
+        Raises
+        ------
+        TimeoutError
+            When the loop doesn't answer.
         """
         try:
             due = time.monotonic()
@@ -109,13 +153,19 @@ class Pausing:
         self._cancelled.set()
 
     def report(self, report: Report) -> None:
-        """Add whether the node is paused."""
+        """Add whether the node is paused.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         report.values["paused"] = self.paused
         if self.paused:
             report.warnings.append(PAUSED)
 
     def _on_clock(self) -> None:
-        """Ticks are about to follow another clock."""
+        """Resume, as ticks are about to follow another clock."""
         if self.paused:
             self.resume()
 
@@ -145,7 +195,20 @@ class Pausing:
 
 
 def step_result(pausing: Pausing, ticks: int) -> tuple[bool, str]:
-    """Take the ticks of a step that was begun; returns whether all were taken, and a line about it."""
+    """Take the ticks of a step that was begun.
+
+    Parameters
+    ----------
+    pausing : Pausing
+        Takes them.
+    ticks : int
+        Number of ticks.
+
+    Returns
+    -------
+    tuple[bool, str]
+        whether all were taken, and a line about it
+    """
     try:
         taken = pausing.take(ticks)
     except TimeoutError as error:

@@ -1,4 +1,4 @@
-"""Publishes organs at the marker rate: markers, surface, skeleton; only what somebody looks at."""
+"""Publishing of organs at the marker rate: markers, surface, skeleton; only what somebody subscribes to."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tissue_sim.ros.shared.parameters import Values
 from tissue_sim.ros.shared.qos import LATCHED, STREAM
 from tissue_sim.ros.shared.report import Report
 
-REPEAT_AFTER = 0.5  # s after which an organ that stands still is streamed again
+REPEAT_AFTER = 0.5  # s after which an organ that stands still is published again
 
 
 class OrganPresenter:
@@ -70,7 +70,7 @@ class OrganPresenter:
         show_markers = n_markers > 0 and (
             self._moved("markers", sequence) or n_markers > self._had_markers or colour != self._colour
         )
-        # Best effort may lose the shape in which the organ comes to rest, or the first one of a viewer: say it again.
+        # Best effort may lose the shape in which the organ comes to rest, or a viewer's first one: publish it again.
         show_surface = n_surface > 0 and (
             self._moved("surface", sequence) or time.monotonic() - self._surface_sent >= REPEAT_AFTER
         )
@@ -106,7 +106,13 @@ class OrganPresenter:
         self.published += 1
 
     def report(self, report: Report) -> None:
-        """Add what was not published."""
+        """Add what was not published.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         for name, count in (("mesh_unchanged", self.unchanged_skips), ("no_subscriber", self.unseen_skips)):
             report.values[f"skipped.{name}"] = report.values.get(f"skipped.{name}", 0) + count  # of all organs
 
@@ -119,7 +125,7 @@ class OrganPresenter:
 
 
 class ScenePresenter:
-    """Publishes the markers of all organs of a scene as one array, and its ligaments, while somebody looks."""
+    """Publisher of the markers of a scene's organs as one array, and of its ligaments, while somebody subscribes."""
 
     def __init__(
         self,
@@ -144,13 +150,13 @@ class ScenePresenter:
         self._lines_sent: tuple[int, ...] = ()
 
     def present(self) -> None:
-        """Publish all organs when one has moved since, or somebody has just come; ligaments when their organs moved."""
+        """Publish all organs when one has moved since, or a viewer has come; ligaments when their organs moved."""
         count, colour = self._markers.get_subscription_count(), self._values["marker_colour"]
         came, self._had = count > self._had, count
         sequence = self._shown.sequence
         sent = (colour, sequence)
         shows = count > 0 and (sent != self._sent or came)
-        # Latched: whoever comes gets the last ones.
+        # Latched, so a new viewer gets the last ones.
         draws = (
             self._ligaments is not None and sequence != self._lines_sent and self._lines.get_subscription_count() > 0
         )

@@ -1,4 +1,4 @@
-"""The program `tissue_node`: signals are heard before what takes a second to load is loaded."""
+"""The program `tissue_node`: signals are handled before the slow imports begin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The breath as it is told from outside: checked, and handed on."""
+"""The breath as prescribed from outside: checked, and posted."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ PAUSE = 1.0  # s without a message after which a stream may begin anew, with any
 
 
 class RespirationInput:
-    """Subscribes ~/respiration: a JointState whose first position is a share of the breath's way, 0 to 1.
+    """Input of ~/respiration: a JointState whose first position is a fraction of the breath's way, 0 to 1.
 
-    When messages stop, the breath stays where it was told to be.
+    When messages stop, the breath stays where it was last.
     """
 
     def __init__(self, node: Node, loop: Loop, recorder: JoinedRecorder, clock: SimClock) -> None:
@@ -34,7 +34,13 @@ class RespirationInput:
         self._subscription = node.create_subscription(JointState, "~/respiration", self._on_share, STREAM)
 
     def report(self, report: Report) -> None:
-        """Add where the breath is to be, and what was refused."""
+        """Add where the breath is to be, and what was refused.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         report.values |= {"respiration": self.share, "respirations": self.taken}
         report.problems |= {f"respiration.refused.{why}": count for why, count in sorted(self.refused.items())}
 
@@ -54,7 +60,7 @@ class RespirationInput:
         self._loop.wake()
 
     def _wrong(self, message: JointState, stamp: int) -> tuple[str, str] | None:
-        """A short name and a line for what can't be used."""
+        """Return a short name and a line for what can't be used."""
         if not message.position:
             return "no_position", "it contains no position"
         share = message.position[0]

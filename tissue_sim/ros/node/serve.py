@@ -1,4 +1,4 @@
-"""Runs the node until it is asked to end."""
+"""The node's run until it is asked to end."""
 
 from __future__ import annotations
 
@@ -24,26 +24,36 @@ from tissue_sim.version import __version__
 
 RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
 PROGRAM = "tissue_node"
-# Those of rcl that people give without --ros-args before them.
+# Options of rcl that people give without --ros-args before them.
 ROS_OPTIONS = ("-p", "--param", "--params-file", "-r", "--remap", "-e", "--enclave", "--log-level")
-SPIN, AFTER_FAILURE = 0.1, 0.01  # s for an event to come; until the next try where rclpy fails
-TURN = 0.0005  # s at the GIL, ten times shorter than Python's own: a pose must not wait for a diagnostics message
+SPIN, AFTER_FAILURE = 0.1, 0.01  # s for an event to come; s until the next try where rclpy fails
+TURN = 0.0005  # s per turn of the GIL, a tenth of Python's own: a pose must not wait for diagnostics
 
 
 class LoopEnded(Exception):
-    """The physics loop is no more, and with it what the node is for."""
+    """Error: the physics loop has ended, without which the node has no purpose."""
 
 
 def serve(arguments: list[str], ending: Ending) -> int:
-    """Run the node until SIGINT or SIGTERM; returns the exit code. To be called in the main thread.
+    """Run the node until SIGINT or SIGTERM; to be called in the main thread.
 
-    arguments: the program's name, and behind it what ROS takes.
+    Parameters
+    ----------
+    arguments : list[str]
+        The program's name, and behind it ROS's arguments.
+    ending : Ending
+        Tells when it is asked to end.
+
+    Returns
+    -------
+    int
+        the exit code
     """
     asked = {"-h": usage, "--help": usage, "--version": lambda: f"{PROGRAM} {__version__}"}
     for answer in (asked[word] for word in arguments[1:] if word in asked):
         try:
             print(answer(), flush=True)
-        except BrokenPipeError:  # piped into head: the rest has nowhere to go
+        except BrokenPipeError:  # piped into head: nobody reads the rest
             give_up_output()
         return 0
     sys.setswitchinterval(TURN)
@@ -81,7 +91,7 @@ def serve(arguments: list[str], ending: Ending) -> int:
 
 
 def _go_on(node: TissueNode, executor: Executor, ending: Ending) -> None:
-    """Spin until asked to end, whatever fails. Raises LoopEnded when nothing ticks any more."""
+    """Spin until asked to end, whatever fails; raise LoopEnded when nothing ticks any more."""
     threading.excepthook = lambda given: _noted(node, given.exc_value)
     while not ending.asked.is_set():
         try:
@@ -100,7 +110,7 @@ def _noted(node: TissueNode, error: BaseException | None) -> None:
 
 
 def usage() -> str:
-    """What the program takes, with every parameter."""
+    """Return the program's usage, with every parameter."""
 
     def line(prefix: str, spec: Spec) -> str:
         bounds = f" [{spec.low:g}..{spec.high:g}]" if spec.low is not None else ""
@@ -135,12 +145,12 @@ def _check_own(arguments: list[str]) -> None:
 
 
 def _start_rclpy(arguments: list[str]) -> None:
-    """Raises UserError for arguments that rcl can't use."""
+    """Initialise rclpy; raise UserError for arguments that rcl can't use."""
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except UnknownROSArgsError as error:
         raise UserError(f"ROS does not know {shown(str(error).strip('[]'), 200)} behind --ros-args") from None
     except RCLError as error:
-        reason = str(error).split(", at /")[0]  # where in rcl's sources
+        reason = str(error).split(", at /")[0]  # the place in rcl's sources
         hint = "; write each number of a list as 0.0, not 0" if "same type" in reason else ""
         raise UserError(f"{reason}{hint}") from None

@@ -20,7 +20,7 @@ from tissue_sim.ros.shared.physics import Physics
 
 @dataclass(frozen=True)
 class ServedOrgan:
-    """An organ of the node; name: empty for an only one that no scene names."""
+    """An organ of the node; name: empty for a single one that no scene names."""
 
     name: str
     organ: Organ
@@ -28,7 +28,7 @@ class ServedOrgan:
 
     @property
     def below(self) -> str:
-        """What its topics begin with."""
+        """Prefix of its topics."""
         return path_of("~", self.name)
 
 
@@ -52,17 +52,30 @@ class ServedScene:
 
     @property
     def organs(self) -> list[Organ]:
-        """Of each."""
+        """The organs."""
         return [one.organ for one in self.simulations]
 
     @property
     def is_scene(self) -> bool:
-        """True when organs have names, and topics below these."""
+        """Whether organs have names, and topics below these."""
         return self.names != ("",)
 
     @classmethod
     def of_parameters(cls, values: Parameters, shapes: Shapes) -> ServedScene:
-        """What a node's parameters say, for tools of these shapes. Raises UserError for what can't be used."""
+        """Return what a node's parameters name.
+
+        Parameters
+        ----------
+        values : Parameters
+            Parameters of the node.
+        shapes : Shapes
+            Shapes of the tools.
+
+        Raises
+        ------
+        UserError
+            When something can't be used.
+        """
         scene_file, organ_file = values["scene_file"], values["organ_file"]
         if scene_file and organ_file:
             raise UserError("organ_file and scene_file are both set; choose one, since a scene names its own organs")
@@ -86,14 +99,28 @@ class ServedScene:
         return cls(Path(scene_file).stem, said.names, said.stiffness, said.join(simulations))
 
     def apply(self, values: Parameters) -> None:
-        """Write the parameters that are settings, with the scene's own factors; substeps are yet to be worked out."""
+        """Write the parameters that are settings, with the scene's own factors; without the substeps.
+
+        Parameters
+        ----------
+        values : Parameters
+            Parameters of the node.
+        """
         for simulation, stiffness in zip(self.simulations, self.stiffness, strict=True):
             values.apply(simulation.settings)
             simulation.settings.stiffness_scale *= stiffness
 
 
 def told(names: Sequence[str], organs: Sequence[Organ]) -> str:
-    """What is served, for people."""
+    """Return what is served, for people.
+
+    Parameters
+    ----------
+    names : Sequence[str]
+        Names of the organs.
+    organs : Sequence[Organ]
+        The organs.
+    """
     if names == ("",):
         organ = organs[0]
         return f"organ '{organ.name}': {organ.n_surface} surface nodes, {organ.n_atoms} medial atoms"

@@ -1,4 +1,4 @@
-"""What a tool's input and its output both know of it."""
+"""What a tool's input and its output both know about it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,22 @@ from tissue_sim.ros.shared.tool_messages import ToolTopics
 
 @dataclass(frozen=True)
 class ServedTool:
-    """A tool of the node: its number and name, the set that it is one of, how its bridge speaks, and in which frames.
+    """A tool of the node.
 
-    organ_frame: that of everything inside the node, and of what a bag holds.
+    Attributes
+    ----------
+    index : int
+        Its number.
+    name : str
+        Its name.
+    tools : ToolSet
+        The set that it belongs to.
+    topics : ToolTopics
+        Its topics and message types.
+    frames : Frames
+        Its frames.
+    organ_frame : str
+        Frame of everything inside the node and in bags.
     """
 
     index: int
@@ -37,12 +50,12 @@ class ServedTool:
 
     @property
     def is_gripper(self) -> bool:
-        """True for a tool of two jaws."""
+        """Whether it is a tool of two jaws."""
         return len(self.bodies) > 1
 
     @property
     def is_unmoved(self) -> bool:
-        """True when its poses come in the organ's frame, under that name, and are not scaled."""
+        """Whether its poses come in the organ's frame, under that name, and are not scaled."""
         topics = self.topics
         return topics.frame_id == self.organ_frame and self.frames.to_organ(topics.frame_id).is_identity
 
@@ -54,28 +67,53 @@ class ServedTool:
         return NewestPose(0, pose, np.tile(pose, (len(self.bodies), 1)), self.topics.frame_id, to_organ, b"", b"")
 
     def axes(self, pose: NewestPose) -> str:
-        """Return the frame along whose axes the wrench goes out that answers a pose."""
+        """Return the frame whose axes the wrench that answers a pose is in.
+
+        Parameters
+        ----------
+        pose : NewestPose
+            The pose.
+        """
         return wrench_frame(self.name) if self.topics.has_axes_of_its_own else self._unturned_axes(pose)
 
     def _unturned_axes(self, pose: NewestPose) -> str:
         return tip_frame(self.name) if self.topics.wrench_frame == "body" else pose.frame_id
 
     def moving_frames(self, pose: NewestPose) -> Placed:
-        """Return the frames that a pose places: the tip, and the wrench's axes where no other frame has them."""
+        """Return the frames that a pose places: the tip, and the wrench's axes where no other frame has them.
+
+        Parameters
+        ----------
+        pose : NewestPose
+            The pose.
+        """
         found: Placed = {tip_frame(self.name): (self.organ_frame, pose.pose.tolist())}
         if self.topics.has_axes_of_its_own and hasattr(self.topics.outgoing(), "header"):
             found[wrench_frame(self.name)] = (self._unturned_axes(pose), (0.0, 0.0, 0.0, *self.topics.wrench_rotation))
         return found
 
     def wrench(self, of_bodies: Floats, pose: NewestPose) -> Floats:
-        """The tool's wrench (6,), N and N m about its origin, of those of all bodies, (B, 6)."""
+        """Return the tool's wrench about its origin.
+
+        Parameters
+        ----------
+        of_bodies : Floats, shape (B, 6), N and N m
+            Wrenches of all bodies.
+        pose : NewestPose
+            Pose of the tool.
+
+        Returns
+        -------
+        Floats
+            shape (6,), N and N m
+        """
         if not self.is_gripper:
             return of_bodies[self.bodies[0]]
         return about(pose.pose[:3], of_bodies[self.bodies], pose.placed[:, :3])
 
 
 class NewestPose(NamedTuple):
-    """A pose that was taken up, and what a bag holds of it; replaced as one, so that its parts belong together."""
+    """A pose that was applied, and its bytes for a bag; replaced as a whole, so that its parts belong together."""
 
     sequence: int
     pose: Floats  # (7,)
@@ -87,6 +125,14 @@ class NewestPose(NamedTuple):
 
 
 def turned(wrench: Sequence[float], turn: Callable[[Vector], Vector]) -> tuple[float, ...]:
-    """A wrench (6,) with its force and its torque turned."""
+    """Return a wrench (6,) with its force and its torque rotated.
+
+    Parameters
+    ----------
+    wrench : Sequence[float], shape (6,)
+        The wrench.
+    turn : Callable[[Vector], Vector]
+        Rotates a vector.
+    """
     fx, fy, fz, tx, ty, tz = wrench
     return (*turn((fx, fy, fz)), *turn((tx, ty, tz)))

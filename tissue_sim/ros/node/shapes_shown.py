@@ -1,4 +1,4 @@
-"""Where organs are, one behind the other, and as markers."""
+"""Positions of organs, one after the other, and as markers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Feels(Protocol):
     """An organ, or all of them."""
 
     def wrenches(self) -> tuple[int, Floats]:
-        """The newest tick, and what tools feel, (T, 6) N, N m."""
+        """Return the newest tick, and what tools feel, (T, 6) N, N m."""
 
 
 class Touches:
@@ -31,7 +31,7 @@ class Touches:
         self._tips, self._felt = np.zeros((len(ports), 3)), np.zeros((len(ports), 6))
 
     def now(self) -> tuple[Floats, Floats]:
-        """Where each tool's origin is, (T, 3) m, and its wrench, (T, 6) N, N m; written anew by the next call."""
+        """Return each tool's origin, (T, 3) m, and its wrench, (T, 6) N, N m; the next call overwrites them."""
         _, wrenches = self._felt_of.wrenches()
         for index, port in enumerate(self._ports):
             self._tips[index] = port.newest.pose[:3]
@@ -40,9 +40,20 @@ class Touches:
 
 
 class ShapesShown:
-    """Organs where they are, (n, 3) m one behind the other, and their MarkerArray as bytes.
+    """Positions of organs, (n, 3) m, one after the other, and their MarkerArray as bytes.
 
-    organs: by the name that stands in front of their markers' namespaces; physics: of each.
+    Parameters
+    ----------
+    frame_id : str
+        Frame of the positions.
+    organs : Mapping[str, Organ]
+        The organs by the prefix of their markers' namespaces.
+    physics : Sequence[Physics]
+        Simulation of each.
+    touches : Touches
+        Where tools are.
+    n_tools : int
+        Number of tools.
     """
 
     def __init__(
@@ -52,7 +63,7 @@ class ShapesShown:
         self._rest = np.concatenate([organ.rest_positions for organ in organs.values()])
         ends = np.cumsum([organ.n_nodes for organ in organs.values()]).tolist()
         self._parts = [slice(first, last) for first, last in zip([0, *ends[:-1]], ends, strict=True)]
-        self.positions = self._rest.copy()  # where the breath has carried them
+        self.positions = self._rest.copy()  # where breathing has moved them
         self._own, self._share = self._rest.copy(), np.zeros(len(self._rest))
         self._new_markers = partial(OrganMarkers, frame_id, organs, n_tools)
         self._plain = self._new_markers()
@@ -60,16 +71,16 @@ class ShapesShown:
 
     @property
     def first_rows(self) -> list[int]:
-        """Return the row of each organ's first node in `positions`."""
+        """Row of each organ's first node in `positions`."""
         return [part.start for part in self._parts]
 
     @property
     def sequence(self) -> tuple[int, ...]:
-        """Another one whenever any organ moved."""
+        """Value that changes whenever any organ moved."""
         return tuple(one.surface_sequence for one in self._physics)
 
     def refresh(self) -> int:
-        """Take the newest positions; returns the tick of the first organ's, or -1 for what is never to be seen."""
+        """Take the newest positions; return the tick of the first organ's, or -1 if they must not be shown."""
         first = -1
         for one, part in zip(reversed(self._physics), reversed(self._parts), strict=True):
             first, carried = one.positions(self._own[part])
@@ -77,7 +88,15 @@ class ShapesShown:
         return first if all_finite(self.positions) else -1  # RViz would drop the marker
 
     def markers(self, stamp: int, colour: str) -> bytes:
-        """The MarkerArray for a stamp, ns; colour: what surfaces are coloured by, one of MARKER_COLOURS."""
+        """Return the MarkerArray.
+
+        Parameters
+        ----------
+        stamp : int, ns
+            Its time.
+        colour : str
+            What surfaces are coloured by, one of MARKER_COLOURS.
+        """
         tips, wrenches = self._touches.now()
         if colour == "none":
             return self._plain.message(stamp, self.positions, tips, wrenches)
@@ -86,12 +105,12 @@ class ShapesShown:
         return self._coloured.message(stamp, self.positions, tips, wrenches, self._shares(colour))
 
     def deletion(self) -> bytes:
-        """The same markers, all deleted: for the shutdown."""
+        """Return the same markers, all deleted: for the shutdown."""
         return self._plain.deletion()
 
     def _shares(self, colour: str) -> Floats:
-        """Where each node stands on the scale of colours, (n,), 0 to 1."""
-        if colour == "displacement":  # from where the breath has carried it
+        """Return each node's place on the colour scale, (n,), 0 to 1."""
+        if colour == "displacement":  # without the motion of the breath
             write_displacement(self._share, self._own, self._rest, FULL_DISPLACEMENT)
             return self._share
         for one, part in zip(self._physics, self._parts, strict=True):

@@ -15,10 +15,17 @@ NANOSECOND = Duration(nanoseconds=1)
 
 
 class SimClock:
-    """Hands every time of /clock to the loop. Without a clock there is no tick; a jump back resets the organ.
+    """The clock that ticks follow; hands every time of /clock to the loop.
 
-    What is in `jumped` is called when times begin anew: after a jump back, before the organ goes back to rest, and
-    when ticks follow another clock. active: whether they follow /clock.
+    Without a clock there is no tick; a jump back resets the organ.
+
+    Attributes
+    ----------
+    jumped
+        Functions that are called when times begin anew: after a jump back, before the organ goes back to rest, and when
+        ticks follow another clock.
+    active
+        Whether ticks follow /clock.
     """
 
     def __init__(self, node: GuardedNode, loop: Loop) -> None:
@@ -30,15 +37,32 @@ class SimClock:
         self._follow(bool(node.get_parameter("use_sim_time").value))
 
     def now(self) -> float:
-        """Seconds on the clock that ticks follow: of /clock, or monotonic, which stands while the loop is held."""
+        """Return the time of /clock, or of the monotonic clock, which stands while the loop is held.
+
+        Returns
+        -------
+        float
+            s
+        """
         return 1e-9 * self._clock.now().nanoseconds if self.active else self._loop.hold.now()
 
     def age_of(self, stamp: int) -> float:
-        """Seconds since a stamp, ns, by ROS's clock; negative for one of a clock that is ahead."""
+        """Return the time since a stamp, by ROS's clock; negative for one of a clock that is ahead.
+
+        Parameters
+        ----------
+        stamp : int, ns
+            The stamp.
+
+        Returns
+        -------
+        float
+            s
+        """
         return 1e-9 * float(self._clock.now().nanoseconds - stamp)
 
     def state(self) -> str:
-        """wall, /clock, or why nothing ticks: no /clock yet, /clock stands."""
+        """Return wall, /clock, or why nothing ticks: no /clock yet, /clock stands."""
         if not self.active:
             return "wall"
         if self._waiting:
@@ -46,11 +70,17 @@ class SimClock:
         return "/clock stands" if self._loop.clock_stands else "/clock"
 
     def report(self, report: Report) -> None:
-        """Add the state."""
+        """Add the state.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         report.values["clock"] = self.state()
 
     def watch(self) -> None:
-        """Say once when the clock stands, and when it goes on; call it often."""
+        """Log once when the clock stands, and when it goes on; call it often."""
         stands = self.active and not self._waiting and self._loop.clock_stands
         if stands and not self._stood:
             self._log.info("/clock stands still: no ticks and no forces until it continues")

@@ -1,7 +1,6 @@
-"""The node's part of simulation_interfaces, the services by which simulators are controlled, where that is installed.
+"""The node's part of simulation_interfaces, services that control simulators, where that is installed.
 
-Names, states and result codes are those of its definitions:
-https://github.com/ros-simulation/simulation_interfaces
+Names, states and result codes are those of its definitions: https://github.com/ros-simulation/simulation_interfaces
 """
 
 from __future__ import annotations
@@ -46,12 +45,12 @@ INFO = (
 
 
 def installed() -> bool:
-    """Whether the package simulation_interfaces is there."""
+    """Return whether the package simulation_interfaces is there."""
     return Result is not None
 
 
 class SimulationServices:
-    """Serves them below the node's name; make one only where the package is installed."""
+    """The services, below the node's name; make one only where the package is installed."""
 
     def __init__(self, node: GuardedNode, loop: Loop, pausing: Pausing, entities: Entities) -> None:
         self._loop, self._pausing, self._entities = loop, pausing, entities
@@ -208,7 +207,7 @@ def _numbers(vector: Any) -> tuple[float, float, float]:
 
 
 def _sphere_of(bounds: Any) -> Sphere | None:
-    """The sphere that bounds describe; None where they are empty. Raises ValueError for points that make none."""
+    """Return the sphere that bounds describe; None where they are empty; raise ValueError for other points."""
     if bounds.type == Bounds.TYPE_EMPTY:
         return None
     if len(bounds.points) != 2 or not bounds.points[1].x >= 0.0:

@@ -1,4 +1,4 @@
-"""Where organ and tools are, told to tf where tf2_ros is installed (apt): RViz shows them in any frame then."""
+"""Frames of organ and tools on tf, where tf2_ros is installed (apt), so that RViz shows them in any frame."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from tissue_sim.ros.shared.frames import Placed
 
 
 class TfBroadcast:
-    """Broadcasts the frames that parameters place, latched, and those that move.
+    """Broadcaster of the frames that parameters place, latched, and of those that move.
 
-    To be made where tf_installed() alone.
+    To be made only where tf_installed().
     """
 
     def __init__(self, node: Node) -> None:
@@ -25,12 +25,28 @@ class TfBroadcast:
         self._moving = tf2_ros.TransformBroadcaster(node)
 
     def fix(self, stamp: int, placed: Placed) -> None:
-        """Broadcast where frames stay, for a stamp in ns."""
+        """Broadcast static frames.
+
+        Parameters
+        ----------
+        stamp : int, ns
+            Their time.
+        placed : Placed
+            The frames.
+        """
         if placed:
             self._static.sendTransform(_messages(stamp, placed))
 
     def move(self, stamp: int, placed: Placed) -> None:
-        """Broadcast where frames are for a stamp in ns."""
+        """Broadcast moving frames.
+
+        Parameters
+        ----------
+        stamp : int, ns
+            Their time.
+        placed : Placed
+            The frames.
+        """
         if placed:
             self._moving.sendTransform(_messages(stamp, placed))
 
@@ -40,7 +56,7 @@ def _messages(stamp: int, placed: Placed) -> list[TransformStamped]:
 
 
 def transform_message(stamp: int, parent: str, child: str, pose: Sequence[float]) -> Any:
-    """A frame at a pose (7,) in its parent, as tf2_ros takes it; stamp in ns."""
+    """Return a frame at a pose (7,) in its parent, as tf2_ros takes it; stamp in ns."""
     message = TransformStamped(child_frame_id=child)
     message.header.frame_id, message.header.stamp = parent, Time(nanoseconds=stamp).to_msg()
     offset, turn = message.transform.translation, message.transform.rotation

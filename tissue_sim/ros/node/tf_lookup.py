@@ -16,18 +16,18 @@ try:
 except ImportError:  # the PyPI wheels have none
     tf2_ros = None
 
-KEPT = 0.01  # s that an answer is used again; tf is published less often
+KEPT = 0.01  # s that an answer is reused; tf is published less often
 
 
 def tf_installed() -> bool:
-    """True where frames can be looked up."""
+    """Return whether frames can be looked up."""
     return tf2_ros is not None
 
 
 class TfLookup:
-    """Looks up frames against one target. Listens to /tf only after the first question, since that costs time.
+    """Lookup of frames against one target; call it from the executor's thread only.
 
-    Call it from the executor's thread alone.
+    It listens to /tf only after the first question, since that costs time.
     """
 
     def __init__(self, node: Node, target: str) -> None:
@@ -37,7 +37,7 @@ class TfLookup:
         self._answers: dict[str, tuple[float, Transform]] = {}
 
     def __call__(self, frame_id: str) -> Transform:
-        """The newest transform from a frame to the target; raises UnknownFrame with tf's reason."""
+        """Return the newest transform from a frame to the target; raise UnknownFrame with tf's reason."""
         now = time.monotonic()
         asked, answer = self._answers.get(frame_id, (-KEPT, None))
         if answer is not None and now - asked < KEPT:

@@ -1,4 +1,4 @@
-"""A tool's poses, forces and jaws as they come in: read, checked, led to the organ's frame, and handed on."""
+"""Input of a tool: poses, forces and jaws, read, checked, transformed to the organ's frame, and posted."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ WARN_EVERY = 5.0  # s between two lines about the same kind of bad input
 
 
 class Refused(Exception):
-    """Input that is not taken up: a short name for the counter, and the line for the user."""
+    """Input that is not applied: a short name for the counter, and the line for the user."""
 
     def __init__(self, name: str, line: str) -> None:
         super().__init__(line)
@@ -40,13 +40,29 @@ class Refused(Exception):
 
 
 class ToolInput:
-    """Subscribes a tool's measured_cp, external_cf where it has a name, and of a gripper measured_js.
+    """Input of a tool's measured_cp, external_cf where it has a name, and of a gripper measured_js.
 
-    Posts what comes to the loop and the bag.
+    It posts messages to the loop and the bag. Inside, and in a bag, a pose is a PoseStamped and a force a
+    WrenchStamped, both in the organ's frame. While the executor is behind by its backlog, some of them are skipped.
 
-    Inside, and in a bag, a pose is a PoseStamped and a force a WrenchStamped, both in the organ's frame.
-    pose_came is called after each pose, force_came after each force that was taken up. While the executor is behind by
-    its backlog, some of them are passed over.
+    Parameters
+    ----------
+    node : Node
+        The node.
+    tool : ServedTool
+        The tool.
+    organs : Organs
+        The organs.
+    recorder : Recorder
+        The recorder.
+    freshness : tuple[Freshness, Freshness]
+        Freshness of poses and of forces.
+    backlog : Backlog
+        How far the executor is behind.
+    pose_came : Callable[[], None]
+        Called after each pose that was applied.
+    force_came : Callable[[], None]
+        Called after each force that was applied.
     """
 
     def __init__(
@@ -98,17 +114,17 @@ class ToolInput:
 
     @property
     def passed_over(self) -> int:
-        """Poses and forces that were not looked at, as the executor was behind."""
+        """Number of poses and forces that were skipped, as the executor was behind."""
         return self._pose_gate.passed_over + self._force_gate.passed_over
 
     @property
     def topic(self) -> str:
-        """The full name of the topic of its poses."""
+        """Full name of the topic of its poses."""
         return str(self._subscriptions[0].topic_name)
 
     @property
     def bridges(self) -> int:
-        """Publishers of its poses."""
+        """Number of publishers of its poses."""
         return self._count_publishers(self.topic)
 
     def place(self, values: tuple[float, ...], frame_id: str, to_organ: Transform) -> None:
@@ -132,7 +148,7 @@ class ToolInput:
         self.newest = self.newest._replace(pose=pose, placed=placed, to_organ=to_organ)
 
     def newest_messages(self) -> dict[str, tuple[int, bytes]]:
-        """Sequence number and bytes of what came last, by its topic in a bag."""
+        """Return sequence number and bytes of the last messages, by their topic in a bag."""
         pose, found = self.newest, {}
         if pose.raw:
             found[self._bagged_pose] = (pose.sequence, pose.raw)
@@ -143,7 +159,7 @@ class ToolInput:
         return found
 
     def _on_enable(self, message: Bool) -> None:
-        """A clutch: while it is false, poses and forces are passed over, and the tool lets go as if these stopped."""
+        """Apply a clutch: while it is false, poses and forces are skipped, as if they had stopped."""
         if message.data != self.enabled:
             self.enabled = bool(message.data)
             name, now = self._tool.name, "enabled" if self.enabled else "disabled: its poses are ignored"
@@ -160,7 +176,7 @@ class ToolInput:
             self._take(message, frame_id, to_organ, raw if is_as_bagged else b"")
 
     def _take(self, message: Stamped, frame_id: str, to_organ: Transform, raw: bytes) -> None:
-        """Take up a pose in the organ's frame that came in frame_id; raw: its bytes where a bag holds these.
+        """Apply a pose in the organ's frame that came in frame_id; raw: its bytes where a bag holds these.
 
         Raises Refused.
         """
@@ -184,7 +200,7 @@ class ToolInput:
         self._pose_came()
 
     def _on_angle(self, message: JointState) -> None:
-        """The jaws open and close with the next pose: an angle alone must not keep a stale tool in touch."""
+        """Keep an angle, which counts from the next pose on: alone it must not keep a stale tool in touch."""
         with self._refusing("angle"):
             if not message.position:
                 raise Refused("no_angle", "it contains no position")
@@ -211,14 +227,14 @@ class ToolInput:
     def _read(
         self, raw: bytes, kind: Incoming, n_values: int, what: str, freshness: Freshness
     ) -> tuple[Stamped, str, Transform]:
-        """A message whose values can be used, the frame that they are in, and the transform from it to the organ's."""
+        """Return a message whose values can be used, their frame, and the transform from it to the organ's."""
         tool = self._tool
         usual = tool.topics.frame_id
         with self._as("malformed"):
             message = kind.parse(raw, n_values)
         if not all(map(math.isfinite, message.values)):
             raise Refused(f"nan_{what}", "it contains a value that is not finite")
-        if message.stamp == UNSTAMPED:  # nor has it a frame; what arrives later is newer
+        if message.stamp == UNSTAMPED:  # it has no frame either; later arrival is newer
             return message, usual, tool.frames.to_organ(usual)
         try:
             unnamed = not message.frame_id and tool.topics.allow_empty_frame
@@ -241,7 +257,7 @@ class ToolInput:
         return message, frame_id, to_organ
 
     def _is_as_bagged(self, message: Stamped, to_organ: Transform) -> bool:
-        """Whether a bag may hold it as it came; there everything has the organ's frame."""
+        """Return whether a bag may hold it as it came; there everything has the organ's frame."""
         return to_organ.is_identity and message.frame_id == self._tool.organ_frame and message.stamp != UNSTAMPED
 
     def _stamp(self, message: Stamped) -> int:
@@ -250,7 +266,7 @@ class ToolInput:
     @staticmethod
     @contextmanager
     def _as(name: str) -> Iterator[None]:
-        """What a check raises in here is refused by this name."""
+        """Refuse by this name what a check raises in here."""
         try:
             yield
         except ValueError as error:
@@ -258,7 +274,7 @@ class ToolInput:
 
     @contextmanager
     def _refusing(self, what: str) -> Iterator[None]:
-        """What is refused in here is counted, and told about now and then."""
+        """Count what is refused in here, and log it now and then."""
         try:
             yield
         except Refused as refused:

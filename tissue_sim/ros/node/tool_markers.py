@@ -22,10 +22,17 @@ class ToolMarkers:
     """The MarkerArray of a scene's tools; the markers of each have its name for a namespace, the arrow comes last.
 
     A sphere is one marker; a capsule a cylinder between two spheres; a mesh its triangles; a gripper two of those.
+
+    Parameters
+    ----------
+    frame_id : str
+        Frame of the poses.
+    tools : ToolSet
+        The tools.
     """
 
     def __init__(self, frame_id: str, tools: ToolSet) -> None:
-        self._parts: list[list[tuple[int, int, Floats]]] = []  # of a tool: marker, which of its bodies, its place on it
+        self._parts: list[list[tuple[int, int, Floats]]] = []  # of a tool: marker, index of its body, its place on it
         self._arrows: list[int] = []
         markers: list[Marker] = []
         for tool, bodies in zip(tools.tools, tools.bodies, strict=True):
@@ -42,10 +49,18 @@ class ToolMarkers:
         self._bytes = MarkerBytes(markers)
 
     def message(self, stamp: int, placed: Sequence[Floats | None], tips: Floats, forces: Floats) -> bytes:
-        """The message for a stamp in ns.
+        """Return the message.
 
-        placed: for each tool the poses (b, 7) of its bodies, m and quaternions xyzw, or None where nobody moves it;
-        tips (T, 3) m where the arrows start, forces (T, 3) N.
+        Parameters
+        ----------
+        stamp : int, ns
+            Its time.
+        placed : Sequence[Floats | None], shape (b, 7) each, m and quaternion xyzw
+            Poses of each tool's bodies, or None where nobody moves it.
+        tips : Floats, shape (T, 3), m
+            Starts of the arrows.
+        forces : Floats, shape (T, 3), N
+            Forces on the tools.
         """
         self._bytes.stamp(stamp)
         for tool, poses in enumerate(placed):
@@ -60,12 +75,12 @@ class ToolMarkers:
         return self._bytes.message()
 
     def deletion(self) -> bytes:
-        """The same markers, all deleted: for the shutdown."""
+        """Return the same markers, all deleted: for the shutdown."""
         return self._bytes.deletion()
 
 
 class _Part(NamedTuple):
-    """One marker of a body: its kind, where on the body it is, m, its scale, and points (k, 3) m if it has some."""
+    """One marker of a body: its kind, its place on the body, m, its scale, and points (k, 3) m if it has any."""
 
     kind: int
     scale: tuple[float, float, float]
@@ -79,7 +94,7 @@ def _parts(tools: ToolSet, body: int) -> list[_Part]:
     if mesh is not None:
         return [_Part(Marker.TRIANGLE_LIST, (1.0, 1.0, 1.0), corners=np.array(mesh.triangles).reshape(-1, 3))]
     ball = _Part(Marker.SPHERE, (wide, wide, wide))
-    if length == 0.0:  # a sphere; and RViz shows a cylinder of no height as an error
+    if length == 0.0:  # a sphere: RViz shows a cylinder without height as an error
         return [ball]
     shaft = _Part(Marker.CYLINDER, (wide, wide, length), (0.0, 0.0, -0.5 * length))
     return [ball, shaft, ball._replace(place=(0.0, 0.0, -length))]

@@ -1,4 +1,4 @@
-"""A tool's wrench as it goes out: of its bridge's type, along its axes, until it has faded."""
+"""Output of a tool's wrench: of its bridge's type, along its axes, until it has faded."""
 
 from __future__ import annotations
 
@@ -23,18 +23,29 @@ from tissue_sim.ros.shared.tool_messages import N_WRENCH
 
 
 class ToolOutput:
-    """Publishes a tool's servo_cf, and what the tissue does to it in the organ's frame, which a bag holds.
+    """Output of a tool's servo_cf, and of the tissue's wrench on it in the organ's frame, which a bag holds.
 
-    A wrench goes out in answer to each pose, from that pose's own callback; `keep_publishing` goes on at the tick
+    A wrench is published in answer to each pose, from that pose's own callback; `keep_publishing` goes on at the tick
     rate when poses stop, until the wrench is zero.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    tool : ServedTool
+        The tool.
+    organs : Organs
+        The organs.
+    recorder : Recorder
+        The recorder.
     """
 
-    device: DevicePort  # what may damp a force on its way out; the node sets it
+    device: DevicePort  # may damp a force on its way out; the node sets it
 
     def __init__(self, node: Node, tool: ServedTool, organs: Organs, recorder: Recorder) -> None:
         self._tool, self._organs, self._recorder = tool, organs, recorder
         self._clock = node.get_clock()
-        self._pose = tool.nowhere  # what was answered last
+        self._pose = tool.nowhere  # the last one that was answered
         self.force = 0.0  # N, magnitude last published
         self.not_finite = 0  # wrenches that were zeroed
         topics = tool.topics
@@ -45,27 +56,47 @@ class ToolOutput:
         self._published = -math.inf  # monotonic s
         qos = RELIABLE if topics.reliable else STREAM
         self._servo = node.create_publisher(type(topics.outgoing()), topics.names["servo_cf"], qos)
-        # Bytes that go out just as a bag holds them are not made a second time.
+        # Bytes that are published just as a bag holds them are not made a second time.
         self._as_bagged = tool.is_unmoved and topics.wrench_type == "WrenchStamped" and not topics.turns_wrench
         name = self._servo.topic_name if self._as_bagged else ""
         self._bagged = recorder.add_topic(tool.name, "servo_cf", name, qos)
 
     def answer(self, pose: NewestPose) -> None:
-        """Publish the newest wrench, in answer to a pose."""
+        """Publish the newest wrench, in answer to a pose.
+
+        Parameters
+        ----------
+        pose : NewestPose
+            The pose.
+        """
         with self._lock:
             self._pose = pose
             tick, wrench = self._newest()
             self._send(tick, wrench, self.device.felt(pose.pose[:3], wrench))
 
     def renew(self, pose: NewestPose) -> None:
-        """Take the frames of the newest pose anew."""
+        """Use the frames of the newest pose.
+
+        Parameters
+        ----------
+        pose : NewestPose
+            The pose.
+        """
         with self._lock:
             self._pose = pose
 
     def keep_publishing(self, silence: float) -> bool:
-        """Publish the newest wrench if nothing went out for `silence` s and the last one wasn't zero.
+        """Publish the newest wrench if none was published for a while and the last one wasn't zero.
 
-        Returns True while there is something left to fade.
+        Parameters
+        ----------
+        silence : float, s
+            That while.
+
+        Returns
+        -------
+        bool
+            True while something is left to fade
         """
         with self._lock:
             if self.force == 0.0:
@@ -77,18 +108,18 @@ class ToolOutput:
             return self.force != 0.0
 
     def publish_zero(self) -> None:
-        """A last wrench of zero, for the shutdown."""
+        """Publish a last wrench of zero, for the shutdown."""
         with self._lock:
             self._send(-1, np.zeros(6), np.zeros(6))
 
     def _newest(self) -> tuple[int, Floats]:
-        """The newest tick, and the tool's wrench (6,) of it."""
+        """Return the newest tick, and the tool's wrench (6,) of it."""
         tick, wrenches = self._organs.wrenches()
         return tick, self._tool.wrench(wrenches, self._pose)
 
     def _send(self, tick: int, wrench: Floats, felt: Floats) -> None:
         """Publish what a hand is to feel; a bag holds the wrench of the tick, which a replay repeats."""
-        if not np.all(np.isfinite(felt)):  # never seen, and never to be felt
+        if not np.all(np.isfinite(felt)):  # has not occurred yet, and must never be felt
             wrench = felt = np.zeros(6)
             self.not_finite += 1
         stamp = self._clock.now().nanoseconds
@@ -107,13 +138,13 @@ class ToolOutput:
             self._recorder.wrench(self._bagged, self._tool.index, tick, raw)
 
     def _template_for(self, axes: str) -> NumbersTemplate:
-        """A message whose numbers are along the axes of a frame."""
+        """Return a message whose numbers are along the axes of a frame."""
         topics = self._tool.topics
         n_numbers = topics.array_length if topics.wrench_type == "Float64MultiArray" else N_WRENCH
         return NumbersTemplate(topics.outgoing(), n_numbers, axes)
 
     def _along_axes(self, wrench: Floats) -> Sequence[float] | Floats:
-        """A wrench in the organ's axes, along those that the bridge takes it in; about the tool's origin still."""
+        """Return a wrench in the organ's axes along those that the bridge expects; still about the tool's origin."""
         pose, topics = self._pose, self._tool.topics
         if pose.to_organ.is_identity and not topics.turns_wrench:
             return wrench

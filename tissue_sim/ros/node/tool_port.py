@@ -1,4 +1,4 @@
-"""One tool's port: what comes in, what goes out, and how fresh it is."""
+"""Port of one tool: its input, its output, and how fresh it is."""
 
 from __future__ import annotations
 
@@ -28,10 +28,26 @@ SAY_EVERY = 1.0  # s between two lines that a tool is held off
 
 
 class ToolPort:
-    """A tool's input and output, joined: a pose is answered by the wrench of the tick that takes it up.
+    """A tool's input and output, joined: a pose is answered by the wrench of the tick that applies it.
 
-    Where no tick comes, as a clock or the loop stands, it is answered at once. woken is set when there is something new
-    to find contacts for.
+    Where no tick comes, as a clock or the loop stands, it is answered at once.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    tool : ServedTool
+        The tool.
+    organs : Organs
+        The organs.
+    recorder : Recorder
+        The recorder.
+    clock : SimClock
+        The clock that ticks follow.
+    backlog : Backlog
+        How far the executor is behind.
+    woken : threading.Event
+        Set when there is something new to find contacts for.
     """
 
     def __init__(
@@ -58,7 +74,7 @@ class ToolPort:
 
     @property
     def name(self) -> str:
-        """The tool's name."""
+        """Name of the tool."""
         return self._tool.name
 
     @property
@@ -68,19 +84,32 @@ class ToolPort:
 
     @property
     def newest(self) -> NewestPose:
-        """The newest pose that was taken up."""
+        """Newest pose that was applied."""
         return self.input.newest
 
     @property
     def extents(self) -> Floats:
-        """Radii (b,) m of the balls about the origins of its bodies that hold them."""
+        """Radii (b,) m of the balls about the origins of its bodies that enclose them."""
         return np.asarray(self._tool.tools.shapes.extent[self.bodies])
 
     def place(self, frame_id: str, pose: Sequence[float]) -> None:
-        """Take up a pose (7,), m and quaternion xyzw, in a frame, as if its bridge had sent it but for motion_scale.
+        """Apply a pose in a frame, as if its bridge had sent it, but without motion_scale.
 
-        Raises UserError while a bridge publishes, UnknownFrame for a frame that nothing leads from to the organ, and
-        Refused for a pose that can't be used.
+        Parameters
+        ----------
+        frame_id : str
+            The frame.
+        pose : Sequence[float], shape (7,), m and quaternion xyzw
+            The pose.
+
+        Raises
+        ------
+        UserError
+            While a bridge publishes.
+        UnknownFrame
+            When nothing leads from the frame to the organ.
+        Refused
+            When the pose can't be used.
         """
         if self.input.bridges:
             raise UserError(f"tool '{self.name}' is moved by its bridge, which publishes {self.input.topic}")
@@ -113,15 +142,32 @@ class ToolPort:
             self.input.move_newest(np.array(pose), to_organ)
 
     def moving_frames(self, pose: NewestPose) -> Placed:
-        """The frames that a pose of the tool places."""
+        """Return the frames that a pose of the tool places.
+
+        Parameters
+        ----------
+        pose : NewestPose
+            The pose.
+        """
         return self._tool.moving_frames(pose)
 
     def wrench(self, of_bodies: Floats) -> Floats:
-        """The tool's wrench (6,), N and N m about its origin, in the organ's axes, of those of all bodies, (B, 6)."""
+        """Return the tool's wrench about its origin, in the organ's axes.
+
+        Parameters
+        ----------
+        of_bodies : Floats, shape (B, 6), N and N m
+            Wrenches of all bodies.
+
+        Returns
+        -------
+        Floats
+            shape (6,), N and N m
+        """
         return self._tool.wrench(of_bodies, self.newest)
 
     def state(self) -> str:
-        """disabled, none, fresh, stale, or held_off (until it leaves the organ)."""
+        """Return disabled, none, fresh, stale, or held_off (until it leaves the organ)."""
         if not self.input.enabled:
             return "disabled"
         if self.input.poses == 0:
@@ -131,10 +177,15 @@ class ToolPort:
         return "held_off" if self._organs.hold_off(self.bodies) else "fresh"
 
     def was_held_off(self, organ: str) -> None:
-        """Say that the tool appeared inside an organ, and is not resisted until it has been outside.
+        """Log that the tool appeared inside an organ, and is not resisted until it has been outside.
 
-        Where that happens many times a second, as with poses that come more seldom than `stale_time`, a line tells of
+        Where that happens many times a second, as with poses that come more seldom than `stale_time`, one line covers
         all of them.
+
+        Parameters
+        ----------
+        organ : str
+            Name of the organ.
         """
         with self._saying:
             self.held_off += 1
@@ -142,7 +193,7 @@ class ToolPort:
         self._say_held_off()
 
     def _say_held_off(self) -> None:
-        """Log that the tool was held off since it was said last, no more than once in SAY_EVERY."""
+        """Log that the tool was held off since the last such line, at most once in SAY_EVERY."""
         with self._saying:
             now, organs = time.monotonic(), self._unsaid
             if not organs or now - self._said < SAY_EVERY:
@@ -156,7 +207,7 @@ class ToolPort:
         )
 
     def _too_slow(self) -> str:
-        """What is wrong with poses that are stale before the next one comes; logged once when it begins."""
+        """Return a line about poses that are stale before the next one comes; log it once when that begins."""
         gap, was_slow = self.pose_freshness.too_slow, self._was_slow
         self._was_slow = gap > 0.0
         if gap == 0.0:
@@ -171,7 +222,13 @@ class ToolPort:
         return line
 
     def report(self, report: Report) -> None:
-        """Add the state, the force, the poses that came and what was refused."""
+        """Add the state, the force, the poses that came and what was refused.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         self._say_held_off()
         own = report.part(f"tool {self.name}", f"{self.name}.")
         own.state = self.state()
@@ -195,13 +252,19 @@ class ToolPort:
         report.values["force_n"] = report.values.get("force_n", 0.0) + self.output.force  # of all tools
 
     def answer(self, taken: int) -> None:
-        """Publish the newest wrench, unless it answers no new pose; taken: number of the one that a tick took up."""
+        """Publish the newest wrench, unless it answers no new pose.
+
+        Parameters
+        ----------
+        taken : int
+            Number of the pose that a tick applied.
+        """
         if taken not in (0, self._answered):
             self._answered = taken
             self.output.answer(self.newest)
 
     def _came(self) -> None:
-        """A pose has come. What ticks take up is answered by `answers.Answers`."""
+        """Handle a new pose; those that ticks apply are answered by `answers.Answers`."""
         if self._organs.loop.standing or not self._organs.answers:
             self.output.answer(self.newest)
             self._woken.set()

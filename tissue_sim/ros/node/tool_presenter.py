@@ -1,4 +1,4 @@
-"""Publishes the tools at the marker rate: as markers, and to tf."""
+"""Publishing of the tools at the marker rate: as markers, and to tf."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ POSE_LASTS = 1.0  # s that a tool is shown without a new pose
 
 
 class ToolPresenter:
-    """Where the tools are, and what they feel of all organs."""
+    """Publisher of where the tools are, and what they feel of all organs."""
 
     def __init__(
         self,
@@ -42,7 +42,7 @@ class ToolPresenter:
         self._sent = -math.inf
 
     def present(self) -> None:
-        """Publish where the tools are, if somebody looks and they have moved or feel something else."""
+        """Publish where the tools are, if somebody subscribes and they have moved or feel something else."""
         if self._tools.get_subscription_count() == 0:
             return
         now = time.monotonic()
@@ -58,7 +58,7 @@ class ToolPresenter:
         self._tools.publish(self._bytes.message(self._clock.now().nanoseconds, placed, tips, forces))
 
     def broadcast_tips(self) -> None:
-        """Tell tf where the tools are, of those with a new pose."""
+        """Publish the tips of tools with a new pose on tf."""
         if self._broadcast is None:
             return
         newest = [port.newest for port in self._ports]

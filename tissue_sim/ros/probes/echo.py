@@ -1,6 +1,6 @@
-"""`python -m tissue_sim.ros.probes.echo [PRIORITY]`: sends poses back.
+"""Probe `python -m tissue_sim.ros.probes.echo [PRIORITY]`: sends poses back.
 
-What a round trip over this middleware and executor takes at least, to hold the node's against.
+It measures the shortest round trip over this middleware and executor, with which the node's is compared.
 """
 
 from __future__ import annotations

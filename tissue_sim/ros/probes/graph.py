@@ -1,4 +1,4 @@
-"""A ROS graph of its own for a benchmark: the node and what it is held against, as processes that end with it."""
+"""A ROS graph of its own for a benchmark: the node and its references, as processes that end with it."""
 
 from __future__ import annotations
 
@@ -17,18 +17,33 @@ from tissue_sim.ros.shared.children import Child
 from tissue_sim.ros.shared.domains import claim_domain
 
 NODE = "tissue_sim"
-START_TIME = 240.0  # s for the node to be there, with kernels to compile
+START_TIME = 240.0  # s for the node to start, with kernels to compile
 _PLACE = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")
 
 
 def check_rclpy() -> None:
-    """Raises UserError when rclpy is not installed."""
+    """Raise UserError when rclpy is not installed."""
     if importlib.util.find_spec("rclpy") is None:
         raise UserError("this benchmark needs rclpy: pip install 'tissue_sim[ros]', or source a ROS 2")
 
 
 def first_within[Found](find: Callable[[], Found], seconds: float, problem: str) -> Found:
-    """The first answer that is true. Raises UserError when there is none within so many s."""
+    """Return the first answer that is true.
+
+    Parameters
+    ----------
+    find : Callable[[], Found]
+        Gives an answer.
+    seconds : float, s
+        Time for it.
+    problem : str
+        What is wrong without one.
+
+    Raises
+    ------
+    UserError
+        When there is none in time.
+    """
     end = time.monotonic() + seconds
     while not (found := find()):
         if time.monotonic() > end:
@@ -38,16 +53,26 @@ def first_within[Found](find: Callable[[], Found], seconds: float, problem: str)
 
 
 def free_port() -> int:
-    """A TCP port that nothing is served at."""
+    """Return a TCP port that nothing is served at."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 class Graph(ExitStack):
-    """While entered, this process and what it starts here are in a ROS domain that nobody else uses; then that ends.
+    """Context in which this process and its children are in a ROS domain that nobody else uses.
 
-    reach: of discovery, LOCALHOST or SUBNET. Raises UserError when rclpy is not installed or no domain is free.
+    The children end with it.
+
+    Parameters
+    ----------
+    reach : str, optional
+        Range of discovery, LOCALHOST or SUBNET.
+
+    Raises
+    ------
+    UserError
+        When rclpy is not installed or no domain is free.
     """
 
     def __init__(self, reach: str = "LOCALHOST") -> None:
@@ -68,12 +93,32 @@ class Graph(ExitStack):
         within: Sequence[str] = (),
         environment: Mapping[str, str] | None = None,
     ) -> Child:
-        """Start a module of tissue_sim.ros as a program; within: the command, if any, that runs it."""
+        """Start a module of tissue_sim.ros as a program.
+
+        Parameters
+        ----------
+        module : str
+            Its name below tissue_sim.ros.
+        within : Sequence[str], optional
+            The command, if any, that runs it.
+        environment : Mapping[str, str] | None, optional
+            Its environment variables.
+        words : str
+            Its arguments.
+        """
         command = [*within, sys.executable, "-m", f"tissue_sim.ros.{module}", *words]
         return self._begin(module.rpartition(".")[2], command, environment)
 
     def start_command(self, name: str, *words: str) -> Child:
-        """Start a command of tissue_sim."""
+        """Start a command of tissue_sim.
+
+        Parameters
+        ----------
+        name : str
+            The command.
+        words : str
+            Its arguments.
+        """
         return self._begin(name, [sys.executable, "-m", "tissue_sim", name, *words])
 
     def _begin(self, name: str, command: Sequence[str], environment: Mapping[str, str] | None = None) -> Child:
@@ -88,19 +133,52 @@ class Graph(ExitStack):
         within: Sequence[str] = (),
         environment: Mapping[str, str] | None = None,
     ) -> Child:
-        """Start the node with an organ and parameters like `rate:=500.0`."""
+        """Start the node with an organ and parameters like `rate:=500.0`.
+
+        Parameters
+        ----------
+        organ_file : str
+            File of the organ.
+        within : Sequence[str], optional
+            The command, if any, that runs it.
+        environment : Mapping[str, str] | None, optional
+            Its environment variables.
+        parameters : str
+            The parameters.
+        """
         return self.serve(f"organ_file:={organ_file}", *parameters, within=within, environment=environment)
 
     def serve(
         self, *parameters: str, within: Sequence[str] = (), environment: Mapping[str, str] | None = None
     ) -> Child:
-        """Start the node with parameters, of which one names its organ or scene."""
+        """Start the node with parameters, of which one names its organ or scene.
+
+        Parameters
+        ----------
+        within : Sequence[str], optional
+            The command, if any, that runs it.
+        environment : Mapping[str, str] | None, optional
+            Its environment variables.
+        parameters : str
+            The parameters.
+        """
         words = [word for parameter in parameters for word in ("-p", parameter)]
         return self.start("node.program", "--ros-args", *words, within=within, environment=environment)
 
 
 def ticks(node: Child) -> None:
-    """Return when the node has done its first tick. Raises UserError when it ends, or has not for START_TIME."""
+    """Return when the node has done its first tick.
+
+    Parameters
+    ----------
+    node : Child
+        The node.
+
+    Raises
+    ------
+    UserError
+        When it ends, or has not for START_TIME.
+    """
 
     def tells() -> bool:
         if node.exit_code is not None:
@@ -111,7 +189,18 @@ def ticks(node: Child) -> None:
 
 
 def told(child: Child) -> str:
-    """The last line that a process has printed, when it has ended. Raises UserError when it failed."""
+    """Return the last line that a process has printed, when it has ended.
+
+    Parameters
+    ----------
+    child : Child
+        The process.
+
+    Raises
+    ------
+    UserError
+        When it failed.
+    """
     first_within(lambda: child.exit_code is not None, START_TIME, f"the {child.name} did not end")
     words = child.last_words()
     if child.exit_code:

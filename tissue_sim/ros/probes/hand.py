@@ -1,6 +1,6 @@
-"""Leads a tool of a node.
+"""A hand that moves a tool of a node.
 
-`python -m tissue_sim.ros.probes.hand ORGAN` presses it into the organ and lets go.
+The program `python -m tissue_sim.ros.probes.hand ORGAN` presses it into the organ and stops sending.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from tissue_sim.ros.probes.graph import NODE, START_TIME, first_within
 from tissue_sim.ros.shared import client
 from tissue_sim.unexpected import catch_all
 
-RADIUS, DEPTH, SWING = 0.005, 0.003, 2e-4  # m: the tool, how deep it is, by how much it moves
+RADIUS, DEPTH, SWING = 0.005, 0.003, 2e-4  # m: radius of the tool, its depth, its amplitude
 FAR = -0.1  # m, a depth out of the organ's reach
 UNTURNED = (0.0, 0.0, 0.0, 1.0)
 
 
 class Hand:
-    """Sends poses of the tool `left` from a rclpy node, `rate` times a second, Hz."""
+    """Sender of poses of the tool `left` from a rclpy node, `rate` times a second, Hz."""
 
     def __init__(self, node: Node, organ: Organ, rate: float = 1000.0) -> None:
         self._node, self._period = node, 1.0 / rate
@@ -37,17 +37,29 @@ class Hand:
         self._touch: Floats = points[np.argmax(points[:, 0])] - RADIUS * self._way
 
     def meet(self) -> None:
-        """Wait until the node hears the hand. Raises UserError when it doesn't."""
+        """Wait until the node hears the hand.
+
+        Raises
+        ------
+        UserError
+            When it doesn't.
+        """
         first_within(self._to_node.get_subscription_count, 20.0, "the node was not found over DDS")
 
     def approach(self) -> None:
-        """Lead the tool from outside into contact: one that appears inside would be held off."""
+        """Move the tool from outside into contact: one that appears inside would be held off."""
         for depth in np.linspace(-0.02, DEPTH, 400):
             self.send(depth)
             time.sleep(self._period)
 
     def wait_for_answer(self) -> None:
-        """Send poses far from the organ until the first is answered. Raises UserError when none is."""
+        """Send poses far from the organ until the first is answered.
+
+        Raises
+        ------
+        UserError
+            When none is.
+        """
         answers = client.Inbox(self._node, WrenchStamped, "left/servo_cf", client.stream_qos(), raw=True)
 
         def answered() -> bool:
@@ -58,11 +70,27 @@ class Hand:
         answers.close()
 
     def send(self, depth: float, publisher: Any = None) -> None:
-        """Send a pose so deep in the organ, m; to the node, or by another publisher."""
+        """Send a pose at a depth in the organ; to the node, or by another publisher.
+
+        Parameters
+        ----------
+        depth : float, m
+            The depth.
+        publisher : Any, optional
+            The other publisher.
+        """
         self.send_pose(np.concatenate([self._touch + depth * self._way, UNTURNED]), publisher)
 
     def send_pose(self, pose: Floats, publisher: Any = None) -> None:
-        """Send a pose (7,), m and a unit quaternion xyzw; to the node, or by another publisher."""
+        """Send a pose; to the node, or by another publisher.
+
+        Parameters
+        ----------
+        pose : Floats, shape (7,), m and a unit quaternion xyzw
+            The pose.
+        publisher : Any, optional
+            The other publisher.
+        """
         message = self._message
         position, turn = message.pose.position, message.pose.orientation
         position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w = pose.tolist()

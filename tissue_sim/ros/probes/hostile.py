@@ -1,4 +1,4 @@
-"""Sends a node what no bridge and no person would mean, and looks at what comes back."""
+"""A hostile client: sends a node what no bridge and no person would mean, and checks what comes back."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from tissue_sim.ros.shared.report import STARVED
 
 Rng = np.random.Generator
 TOOLS = ("left", "right", "jaws")
-SECONDS = 0.25  # that an act lasts
-PATIENCE = 10.0  # s for what a node that lives answers at once
-QUIET, STARVED_QUIET = 0.15, 1.0  # s without a wrench after which none comes: usually, and where no zero has come
+SECONDS = 0.25  # duration of an act
+PATIENCE = 10.0  # s for an answer that a live node gives at once
+QUIET, STARVED_QUIET = 0.15, 1.0  # s without a wrench that count as silence: usually, and before a zero
 ALL = QoSProfile(depth=4000, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 STREAM = client.stream_qos()
 KEPT = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
@@ -37,13 +37,21 @@ USUAL_CLAMP, HIGHEST_CLAMP = float(LIVE["force_clamp"].default), float(LIVE["for
 
 
 class Fault(Exception):
-    """What a node promises and has not done, in one line."""
+    """A promise that a node has broken, in one line."""
 
 
 class Hostile:
-    """Sends what acts (hostile_acts) ask for to the node `target`, and checks it. Raises Fault.
+    """Client that sends what acts (hostile_acts) request to the node `target`, and checks it; methods raise Fault.
 
-    organs: by name, where they lie in the scene that it serves, which follows `~/respiration`; one alone has no name.
+    Parameters
+    ----------
+    node : Node
+        The rclpy node that sends.
+    target : str
+        Name of the node that is tested.
+    organs : Mapping[str, Organ]
+        The organs by name, in their places in the scene that it serves, which follows `~/respiration`; a single one has
+        no name.
     """
 
     def __init__(self, node: Node, target: str, organs: Mapping[str, Organ]) -> None:
@@ -72,12 +80,18 @@ class Hostile:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(asking)
         self._report: dict[str, str] = {}
-        self._stands, self.starved = False, 0  # by the newest report; how many told that
+        self._stands, self.starved = False, 0  # by the newest report; number of such reports
         self._stamp, self.clamp = 0, HIGHEST_CLAMP
-        self.felt, self.wrenches = 0.0, 0  # N, the highest so far; how many came
+        self.felt, self.wrenches = 0.0, 0  # N, the highest so far; number of wrenches
 
     def meet(self) -> None:
-        """Wait until the node hears and answers. Raises Fault."""
+        """Wait until the node hears and answers.
+
+        Raises
+        ------
+        Fault
+            When it doesn't.
+        """
         heard = [*self.poses.values(), *self.forces.values(), *filter(None, (self.angles, self.breath))]
         ready = self._services.values()
         if not client.wait_until(
@@ -89,7 +103,15 @@ class Hostile:
 
     # what acts send ------------------------------------------------------------------------------
     def during(self, period: float, act: Callable[[], object]) -> None:
-        """Act for SECONDS, with a pause of `period` s after each time."""
+        """Act for SECONDS.
+
+        Parameters
+        ----------
+        period : float, s
+            Pause after each time.
+        act : Callable[[], object]
+            The act.
+        """
         end = time.monotonic() + SECONDS
         while time.monotonic() < end:
             act()
@@ -101,7 +123,19 @@ class Hostile:
         return self._stamp
 
     def pose(self, position: Any, quaternion: Any, stamp: int | None = None, frame: str = "organ") -> PoseStamped:
-        """A pose of m and a quaternion xyzw, of now unless a stamp in ns is given."""
+        """Return a pose of m and a quaternion xyzw.
+
+        Parameters
+        ----------
+        position : Any, shape (3,), m
+            Its position.
+        quaternion : Any, shape (4,)
+            Its rotation xyzw.
+        stamp : int | None, ns, optional
+            Its time; now unless given.
+        frame : str, optional
+            Its frame.
+        """
         message = PoseStamped()
         message.header.frame_id = frame
         stamp = self._now() if stamp is None else stamp
@@ -112,7 +146,15 @@ class Hostile:
         return message
 
     def force(self, force: Any, frame: str = "organ") -> WrenchStamped:
-        """A force in N, of now."""
+        """Return a force of now.
+
+        Parameters
+        ----------
+        force : Any, shape (3,), N
+            The force.
+        frame : str, optional
+            Its frame.
+        """
         message = WrenchStamped()
         message.header.frame_id = frame
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(self._now(), 1_000_000_000)
@@ -120,23 +162,54 @@ class Hostile:
         return message
 
     def open_jaws(self, angle: float) -> None:
-        """Send an angle in rad between the jaws."""
+        """Send an angle between the jaws.
+
+        Parameters
+        ----------
+        angle : float, rad
+            The angle.
+        """
         self.angles.publish(JointState(name=["jaw"], position=[angle]))
 
     def respiration(self, shares: list[float], stamp: int | None = None) -> JointState:
-        """Shares of the breath's way, of which the first counts; of now unless a stamp in ns is given."""
+        """Return fractions of the breath's way, of which the first counts.
+
+        Parameters
+        ----------
+        shares : list[float]
+            The fractions.
+        stamp : int | None, ns, optional
+            Its time; now unless given.
+        """
         message = JointState(name=["breath"], position=shares)
         stamp = self._now() if stamp is None else stamp
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
         return message
 
     def somewhere(self, rng: Rng) -> Floats:
-        """A place (3,) m in the organ's box, or 20 mm around it."""
+        """Return a place in the organ's box, or 20 mm around it.
+
+        Parameters
+        ----------
+        rng : Rng
+            Draws it.
+
+        Returns
+        -------
+        Floats
+            shape (3,), m
+        """
         return np.asarray(rng.uniform(self._low - 0.02, self._high + 0.02))
 
     # afterwards ------------------------------------------------------------------------------------
     def calm_down(self) -> dict[str, str]:
-        """Have the settings that it began with; then no force is left, and it answers. Returns what it reports."""
+        """Restore the initial settings; check that no force is left and that it answers; return its report.
+
+        Raises
+        ------
+        Fault
+            When it fails.
+        """
         usual = [Parameter(name, value=spec.default).to_parameter_msg() for name, spec in LIVE.items()]
         answer = self.call("set_parameters", SetParameters.Request(parameters=usual))
         if refused := [result.reason for result in answer.results if not result.successful]:
@@ -149,7 +222,13 @@ class Hostile:
         return self._told()
 
     def look(self) -> None:
-        """All wrenches that came are finite and within the clamp; surfaces, finite and near."""
+        """Check that all wrenches are finite and within the clamp, and that surfaces are finite and near.
+
+        Raises
+        ------
+        Fault
+            When they aren't.
+        """
         for tool in TOOLS:
             self._take(tool)
         for rest, surfaces in self._surfaces:
@@ -161,7 +240,7 @@ class Hostile:
                     raise Fault("a surface more than 1 m away")
 
     def _take(self, tool: str) -> Floats | None:
-        """The newest of a tool's wrenches (6,) that came, None where none has. Raises Fault for what none may be."""
+        """Return the newest of a tool's wrenches (6,), None where none came; raise Fault for an invalid one."""
         wrench = None
         for raw in self._wrenches[tool].take_all():
             wrench = np.array(parse_stamped(bytes(raw), 6).values)
@@ -174,7 +253,7 @@ class Hostile:
         return wrench
 
     def _faded(self) -> None:
-        """Tools that send nothing feel nothing: no wrench comes any more, and the last one was zero."""
+        """Check that tools that send nothing feel nothing: no wrench comes any more, and the last one was zero."""
         last = dict.fromkeys(TOOLS, 0.0)
         quiet = begun = time.monotonic()
         while time.monotonic() - quiet < (STARVED_QUIET if any(last.values()) else QUIET):
@@ -189,7 +268,7 @@ class Hostile:
             raise Fault(f"a force of {last[standing[0]]:.3g} N remains for '{standing[0]}', whose poses have stopped")
 
     def _answers(self) -> None:
-        """A pose far away is answered, by nothing; a node that stood still may have to answer earlier ones first."""
+        """Check that a pose far away is answered by zero; a node that stood still may answer earlier ones first."""
         begun, first = time.monotonic(), 0.0
         while time.monotonic() - begun < PATIENCE:
             self.poses["left"].publish(self.pose(self.middle + 1.0, (0, 0, 0, 1)))
@@ -203,7 +282,7 @@ class Hostile:
         raise Fault(f"no pose was answered for {PATIENCE:g} s")
 
     def _told(self) -> dict[str, str]:
-        """The newest report; empty before the first. Raises Fault where it tells a failure.
+        """Return the newest report; empty before the first; raise Fault for one of a failure.
 
         A loop that got no time to run on a busy machine has to go on by the next reports.
         """
@@ -215,7 +294,7 @@ class Hostile:
         return self._report
 
     def _hear_reports(self) -> bool:
-        """Take the reports that have come; returns whether the loop stood still by the newest."""
+        """Take the reports that have come; return whether the loop stood still by the newest."""
         for message in self._reports.take_all():
             status = client.newest_status([message], self.target)
             if status is None:
@@ -234,7 +313,20 @@ class Hostile:
         return self._stands
 
     def call(self, name: str, request: Any) -> Any:
-        """What a service of the node answers. Raises Fault where it doesn't."""
+        """Return the answer of a service of the node.
+
+        Parameters
+        ----------
+        name : str
+            The service.
+        request : Any
+            The request.
+
+        Raises
+        ------
+        Fault
+            When it doesn't answer.
+        """
         service, end = self._services[name], time.monotonic() + PATIENCE
         pending = service.call_async(request)
         while not pending.done():

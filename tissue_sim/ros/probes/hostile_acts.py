@@ -1,4 +1,4 @@
-"""What a hostile client does to a node: each act lasts for SECONDS."""
+"""Acts of a hostile client on a node; each lasts for SECONDS."""
 
 from __future__ import annotations
 
@@ -28,7 +28,22 @@ STORM = "sets parameters"  # the clamp among them
 
 
 def play(hostile: Hostile, rng: Rng, acts: list[str]) -> None:
-    """Play acts of ACTS, or OF_SCENES, one after the other, and look at what comes of each. Raises Fault."""
+    """Play acts of ACTS, or OF_SCENES, one after the other, and check the result of each.
+
+    Parameters
+    ----------
+    hostile : Hostile
+        The client.
+    rng : Rng
+        Draws what they send.
+    acts : list[str]
+        Names of the acts.
+
+    Raises
+    ------
+    Fault
+        When the node breaks a promise.
+    """
     hostile.clamp = USUAL_CLAMP
     for act in acts:
         if act == STORM:
@@ -56,7 +71,7 @@ def _spin(hostile: Hostile, rng: Rng) -> None:
 
 
 def _race(hostile: Hostile, rng: Rng) -> None:
-    """A hundred times as fast as a hand."""
+    """Move a hundred times as fast as a hand."""
     speed, way, begun = rng.uniform(5.0, 50.0), _turn(rng)[:3], time.monotonic()
 
     def act() -> None:
@@ -78,7 +93,7 @@ def _inside(hostile: Hostile, rng: Rng) -> None:
 
 
 def _snap(hostile: Hostile, rng: Rng) -> None:
-    """Jaws through each other, and open beyond all measure, around tissue."""
+    """Close jaws through each other, and open them beyond all measure, around tissue."""
     at = hostile.rest[rng.integers(len(hostile.rest))]
 
     def act() -> None:
@@ -89,7 +104,7 @@ def _snap(hostile: Hostile, rng: Rng) -> None:
 
 
 def _push(hostile: Hostile, rng: Rng) -> None:
-    """Forces up to 1e9 N, at a tip that touches, that fall at once."""
+    """Send forces up to 1e9 N, at a tip that touches."""
     at, size = hostile.rest[rng.integers(len(hostile.rest))], 10.0 ** rng.uniform(0.0, 9.0)
 
     def act() -> None:
@@ -101,7 +116,7 @@ def _push(hostile: Hostile, rng: Rng) -> None:
 
 
 def _nonsense(hostile: Hostile, rng: Rng) -> None:
-    """Numbers that are none, or hardly any."""
+    """Send numbers that are none, or hardly any."""
 
     def act() -> None:
         tool, numbers = rng.choice(TOOLS), hostile.somewhere(rng)
@@ -116,7 +131,7 @@ def _nonsense(hostile: Hostile, rng: Rng) -> None:
 
 
 def _stamps(hostile: Hostile, rng: Rng) -> None:
-    """Of the past, of the future, none, and before 1970."""
+    """Send stamps of the past, of the future, zero, and before 1970."""
 
     def act() -> None:
         stamp = int(rng.choice([0, 1, 10**9, int(time.time() * 1e9), 2**31 * 10**9 - 1, -(10**9), -1]))
@@ -138,7 +153,7 @@ def _frames(hostile: Hostile, rng: Rng) -> None:
 
 
 def _flood(hostile: Hostile, rng: Rng) -> None:
-    """As many as this process can send, on every topic."""
+    """Send as many messages as this process can, on every topic."""
     pose, force = hostile.pose(hostile.somewhere(rng), (0, 0, 0, 1)), hostile.force((0, 0, 0.1))
     poses, forces, angle = serialize_message(pose), serialize_message(force), JointState(position=[0.2])
 
@@ -155,7 +170,7 @@ def _flood(hostile: Hostile, rng: Rng) -> None:
 
 
 def _bytes(hostile: Hostile, rng: Rng) -> None:
-    """CDR cut short, with lengths that lie, of the other byte order, or no CDR at all."""
+    """Send CDR cut short, with wrong lengths, of the other byte order, or no CDR at all."""
     good = [
         (hostile.poses["left"], serialize_message(hostile.pose(hostile.middle, (0, 0, 0, 1)))),
         (hostile.forces["left"], serialize_message(hostile.force((0, 0, 1)))),
@@ -185,7 +200,7 @@ def _bytes(hostile: Hostile, rng: Rng) -> None:
 
 
 def _parameters(hostile: Hostile, rng: Rng) -> None:
-    """Values in and out of range, and of other types, of every parameter; several at once."""
+    """Set values in and out of range, and of other types, of every parameter; several at once."""
     names = [*LIVE, *(f"{tool}.{spec.name}" for tool in TOOLS for spec in TOOL_SPECS), "rate", "model", "nothing"]
     strange = (True, -1, 0, 10**12, 1.0, 1e308, float("nan"), "", "x" * 10_000, [1.0, 2.0], ["a"], [True], b"\0")
 
@@ -205,7 +220,7 @@ def _parameters(hostile: Hostile, rng: Rng) -> None:
 
 
 def _ask(hostile: Hostile, rng: Rng) -> None:
-    """Services in the middle of a touch."""
+    """Call services in the middle of a touch."""
 
     def act() -> None:
         hostile.poses["left"].publish(hostile.pose(hostile.somewhere(rng), (0, 0, 0, 1)))
@@ -221,7 +236,7 @@ def _ask(hostile: Hostile, rng: Rng) -> None:
 
 
 def _never_read(hostile: Hostile, rng: Rng) -> None:
-    """Subscribers that are told everything, and take nothing."""
+    """Subscribe to everything, and take nothing."""
     deep = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
     lazy = [
         client.Inbox(hostile.node, MarkerArray, f"/{hostile.target}/markers", client.latched_qos()),
@@ -234,7 +249,7 @@ def _never_read(hostile: Hostile, rng: Rng) -> None:
 
 
 def _pant(hostile: Hostile, rng: Rng) -> None:
-    """A breath that jumps, beside shares and stamps that are none."""
+    """Send a breath that jumps, between invalid fractions and stamps."""
     assert hostile.breath is not None
 
     def act() -> None:

@@ -1,4 +1,4 @@
-"""`python -m tissue_sim.ros.probes.listener NODE`: somebody who looks at a node's markers."""
+"""Probe `python -m tissue_sim.ros.probes.listener NODE`: a subscriber of a node's markers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two network namespaces joined by a link that loses and delays: netem where the kernel has it, else a relay.
+"""Two network namespaces joined by a link with loss and delay: netem where the kernel has it, else a relay.
 
 As a program, with LOSS DELAY ONE OTHER, it is that relay: it carries frames between two interfaces until SIGTERM, and
 then prints how many it carried and lost.
@@ -24,21 +24,21 @@ from contextlib import contextmanager
 from tissue_sim.errors import UserError
 from tissue_sim.unexpected import catch_all
 
-OWN_FRAME = 4  # PACKET_OUTGOING: what we sent ourselves
+OWN_FRAME = 4  # PACKET_OUTGOING: frames that we sent ourselves
 ALL_PROTOCOLS = 3  # ETH_P_ALL
 SIOCETHTOOL, SET_TX_CHECKSUM = 0x8946, 0x17
 ADDRESSES = "10.201.7.1", "10.201.7.2"  # of the two sides
 
 
 class Unavailable(UserError):
-    """Why there is no such link on this machine."""
+    """Error that says why there is no such link on this machine."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(f"a lossy link needs network namespaces, and root: {reason}")
 
 
 def run(*words: str) -> None:
-    """Run a command. Raises Unavailable when it fails, FileNotFoundError when there is none of that name."""
+    """Run a command; raise Unavailable when it fails, FileNotFoundError when there is none of that name."""
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise Unavailable(f"'{' '.join(words)}': {done.stderr.strip() or done.returncode}")
@@ -46,9 +46,24 @@ def run(*words: str) -> None:
 
 @contextmanager
 def lossy_link(loss: float, delay: float) -> Iterator[tuple[str, str]]:
-    """Names of two namespaces whose link loses a share of the frames and delays them by s, each way.
+    """Join two namespaces by a link that loses and delays frames, each way.
 
-    Raises Unavailable.
+    Parameters
+    ----------
+    loss : float
+        Fraction of the frames that are lost.
+    delay : float, s
+        Delay of the others.
+
+    Yields
+    ------
+    Iterator[tuple[str, str]]
+        names of the two namespaces
+
+    Raises
+    ------
+    Unavailable
+        When there can't be one on this machine.
     """
     tag = f"tissue{os.getpid()}"
     sides, middle = (f"{tag}a", f"{tag}b"), f"{tag}m"
@@ -101,7 +116,13 @@ def lossy_link(loss: float, delay: float) -> Iterator[tuple[str, str]]:
 
 @contextmanager
 def inside(namespace: str) -> Iterator[None]:
-    """This thread, and what it starts meanwhile, in a network namespace of that name."""
+    """Move this thread, and what it starts meanwhile, to a network namespace.
+
+    Parameters
+    ----------
+    namespace : str
+        Its name.
+    """
     with open("/proc/thread-self/ns/net") as own, open(f"/run/netns/{namespace}") as other:
         os.setns(other.fileno(), os.CLONE_NEWNET)
         try:
@@ -143,7 +164,7 @@ def carry(loss: float, delay: float, names: tuple[str, str]) -> None:
 
 
 def fill_checksums(name: str) -> None:
-    """Let the kernel fill in checksums of what leaves an interface."""
+    """Let the kernel fill in checksums of the frames that leave an interface."""
     command = bytearray(struct.pack("II", SET_TX_CHECKSUM, 0))
     buffer = (ctypes.c_char * len(command)).from_buffer(command)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:

@@ -1,7 +1,7 @@
-"""Looks at a page as a browser does, but draws nothing: counts the pictures that come over its websocket.
+"""A watcher of a page without drawing: counts the pictures that come over its websocket, as for a browser.
 
-`python -m tissue_sim.ros.probes.page_watcher ADDRESS SECONDS` prints a line when it begins to count, and at the end, as
-JSON, when pictures of each organ came, s, and how many bytes.
+The program `python -m tissue_sim.ros.probes.page_watcher ADDRESS SECONDS` prints a line when it begins to count, and at
+the end, as JSON, when pictures of each organ came, s, and how many bytes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tissue_sim.ros.probes.graph import START_TIME, first_within
 from tissue_sim.unexpected import catch_all
 
 SETTLING = 2.0  # s after the first picture, in which the page is still being filled
-# What a browser says first; without that nobody is there for whom to draw.
+# First message of a browser; without it the page draws nothing.
 CAMERA = {
     "type": "ViewerCameraMessage",
     "wxyz": (1.0, 0.0, 0.0, 0.0),
@@ -32,7 +32,7 @@ CAMERA = {
 
 
 def pictures(message: bytes) -> Iterator[str]:
-    """Whose pictures a message of the page brings, as names within it; viser's protocol (viser.infra)."""
+    """Yield the names of the organs whose pictures a message of the page brings; viser's protocol (viser.infra)."""
     import msgspec
     import zstandard
 
@@ -44,7 +44,7 @@ def pictures(message: bytes) -> Iterator[str]:
 
 
 def watch(address: str, seconds: float) -> dict[str, Any]:
-    """When pictures come, monotonic s, by whose they are, and how many bytes come, for so many s from when it began.
+    """Return when pictures come, monotonic s, by organ, and how many bytes, for some s from when it began.
 
     address: of the page, as the viewer prints it.
     """
@@ -83,7 +83,7 @@ def watch(address: str, seconds: float) -> dict[str, Any]:
 
 
 def main(address: str, seconds: str) -> None:
-    """Watch and tell."""
+    """Watch and print."""
     print(json.dumps(watch(address, float(seconds))))
 
 

@@ -1,4 +1,4 @@
-"""Pokes an organ once a second by the clock, as a hand does, and takes what that hand feels."""
+"""A hand that pokes an organ once a second by the clock, and records the forces that it feels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.priority import with_priority
 
 POKES = 1.0  # Hz
-SHORTEST = 3.0  # s of poking in which the node has told something twice
+SHORTEST = 3.0  # s of poking in which the node has reported twice
 
 
 class Told(NamedTuple):
@@ -28,29 +28,40 @@ class Told(NamedTuple):
     seconds: float  # s, its stamp
     tick: int  # so far
     late: int  # ticks late by more than a period, so far
-    dropped: int  # ticks given up, so far
-    pace: float  # simulated time over that of the clock, since the report before
+    dropped: int  # ticks dropped, so far
+    pace: float  # simulated time over that of the clock, since the previous report
     busy: float  # s, median time of a tick
     degraded: str  # what is given up
 
 
 class Poked(NamedTuple):
-    """What was felt and told during pokes."""
+    """Forces and reports during pokes."""
 
     peaks: Floats  # N, the highest force of each whole poke
-    gap: float  # s, the longest between two poses: what the hand itself was kept waiting
+    gap: float  # s, the longest between two poses: delay of the hand itself
     told: list[Told]
 
 
 def depth_after(seconds: float) -> float:
-    """How deep the tool is, m, after so many s: as far out as it comes in, and out at first."""
+    """Return how deep the tool is, m, after so many s: it goes as far out as in, and begins outside."""
     return -DEPTH * float(np.cos(2.0 * np.pi * POKES * seconds))
 
 
 class Pokes(Hand):
-    """A hand that pokes; like a haptic bridge it sends the pose of the moment, and none for a moment that it missed.
+    """A hand that pokes; like a haptic bridge it sends the present pose, and none for a moment that it missed.
 
-    target: the node that is poked; priority: real-time priority of the hand.
+    Parameters
+    ----------
+    node : Node
+        The rclpy node that sends.
+    target : str
+        Name of the node that is poked.
+    organ : Organ
+        Its organ.
+    rate : float, Hz, optional
+        Poses per second.
+    priority : int, optional
+        Real-time priority of the hand.
     """
 
     def __init__(self, node: Node, target: str, organ: Organ, *, rate: float = 1000.0, priority: int = 0) -> None:
@@ -60,9 +71,19 @@ class Pokes(Hand):
         self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
 
     def poke(self, seconds: float, watch: Callable[[], object] = lambda: None) -> Poked:
-        """Poke for so many s, SHORTEST at least; watch is called after each poke.
+        """Poke for some time, SHORTEST at least.
 
-        Raises UserError when the node tells nothing meanwhile.
+        Parameters
+        ----------
+        seconds : float, s
+            That time.
+        watch : Callable[[], object], optional
+            Called after each poke.
+
+        Raises
+        ------
+        UserError
+            When the node sends no report meanwhile.
         """
         self._wrenches.take()
         self._reports.take_all()
@@ -72,7 +93,20 @@ class Pokes(Hand):
         return found
 
     def poke_until_whole(self, seconds: float, watch: Callable[[], object] = lambda: None) -> float:
-        """Poke until the node gives nothing up, but not much longer than `seconds`; returns how long that took, s."""
+        """Poke until the node gives nothing up, but not much longer than a limit.
+
+        Parameters
+        ----------
+        seconds : float, s
+            The limit.
+        watch : Callable[[], object], optional
+            Called after each poke.
+
+        Returns
+        -------
+        float
+            how long that took, s
+        """
         began = time.monotonic()
         while (took := time.monotonic() - began) < seconds:
             if self.poke(SHORTEST, watch).told[-1].degraded == "none":

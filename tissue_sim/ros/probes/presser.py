@@ -1,4 +1,4 @@
-"""Presses the tool `left` of a running node into its organ, and feels."""
+"""A hand that presses the tool `left` of a running node into its organ, and measures the force."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from tissue_sim.ros.probes.hand import Hand
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.executors import make_executor
 
-LOOKED_AT = 0.05  # s at the end of a press, whose wrenches are averaged
+LOOKED_AT = 0.05  # s at the end of a press whose wrenches are averaged
 PATIENCE = 2.0  # s for a service to answer, until it is asked again
 ANSWERED = 3  # poses outside that the node answers before a press begins: a tool first heard inside is held off
 
 
 class Presser(Hand):
-    """A hand that sends poses at a rate, like a haptic bridge: the one of the moment, and none for a moment missed.
+    """A hand that sends poses at a rate, like a haptic bridge: the present one, and none for a moment missed.
 
     target: the node.
     """
@@ -41,12 +41,12 @@ class Presser(Hand):
         self._target, self._felt = target, list[tuple[float, Floats]]()  # s, and the force (3,) N that came then
         self._reset = node.create_client(Trigger, f"{target}/reset")
         self._last, self._rate = np.zeros(7), 1.0  # pose of the end of the last press, and its rate, Hz
-        self.gap = 0.0  # s, longest between two poses of the last press: what the machine kept the hand waiting
+        self.gap = 0.0  # s, longest between two poses of the last press: the machine's delay of the hand
         self._executor = make_executor()
         self._executor.add_node(node)
 
     def meet(self) -> None:
-        """Wait until the node hears the hand. Raises UserError when it doesn't."""
+        """Wait until the node hears the hand; raise UserError when it doesn't."""
         super().meet()
         first_within(self._reset.service_is_ready, START_TIME, "the node's service was not found over DDS")
 
@@ -106,7 +106,7 @@ class Presser(Hand):
             self._felt.append((time.monotonic(), np.array([force.x, force.y, force.z])))
 
     def reset(self) -> None:
-        """Bring the organ back to rest, without tools. Raises UserError when the node doesn't answer."""
+        """Bring the organ back to rest, without tools; raise UserError when the node doesn't answer."""
         end = time.monotonic() + START_TIME
         while time.monotonic() < end:
             pending = self._reset.call_async(Trigger.Request())
@@ -120,7 +120,7 @@ class Presser(Hand):
 def force_in_the_end(felt: Sequence[tuple[float, Floats]]) -> Floats:
     """Return the mean force (3,) N of the last LOOKED_AT s of wrenches that came, s and N; zero where none did.
 
-    By time, not by their number: on a busy machine few come, and those before would be of another depth.
+    It counts by time, not by their number: on a busy machine few come, and earlier ones would be of another depth.
     """
     if not felt:
         return np.zeros(3)
@@ -131,7 +131,24 @@ def force_in_the_end(felt: Sequence[tuple[float, Floats]]) -> Floats:
 def pressing(organ_file: str, organ: Organ, parameters: Sequence[str]) -> Iterator[Presser]:
     """Start a node with an organ of a file and parameters, and a hand at it.
 
-    Raises UserError when the node doesn't start.
+    Parameters
+    ----------
+    organ_file : str
+        The file.
+    organ : Organ
+        The same organ.
+    parameters : Sequence[str]
+        Parameters of the node.
+
+    Yields
+    ------
+    Iterator[Presser]
+        the hand
+
+    Raises
+    ------
+    UserError
+        When the node doesn't start.
     """
     with Graph() as graph:
         served = graph.start_node(organ_file, *parameters)

@@ -1,4 +1,4 @@
-"""Sends poses to a node or an echo, and takes the time until one is felt, or comes back."""
+"""A probe of latency: sends poses to a node or an echo, and measures the time until the answer."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from tissue_sim.ros.shared.executors import make_executor
 from tissue_sim.ros.shared.tool_messages import N_WRENCH
 
 PATIENCE = 0.05  # s for an answer, after which it counts as lost
-STEP = 3e-4  # m that a pose goes deeper, or comes back
+STEP = 3e-4  # m by which a pose goes deeper, or comes back
 AT_REST, AFTER = 0.12, 0.1  # s of poses at one place before it, and after it
-CHANGED = 0.02  # of the whole change of the force, and
-RESTLESS = 3.0  # times what it did at rest: what counts as its first change
+CHANGED = 0.02  # fraction of the whole change of the force, and
+RESTLESS = 3.0  # times its variation at rest: the first change exceeds both
 SETTLING, PAUSE = 2.0, 0.25  # s until the organ rests, and between poses that are to find the node napping
 
 
@@ -37,18 +37,24 @@ class Trip(NamedTuple):
     lost: int
 
     def as_json(self) -> dict[str, float]:
-        """Percentiles in us."""
+        """Return percentiles in us."""
         p50, p99, p999 = 1e6 * np.percentile(self.seconds, [50.0, 99.0, 99.9])
         return {"p50_us": p50, "p99_us": p99, "p99_9_us": p999, "trips": len(self.seconds), "lost": self.lost}
 
 
 def together(trips: list[Trip]) -> Trip:
-    """Trips of all turns as one."""
+    """Return the trips of all turns as one.
+
+    Parameters
+    ----------
+    trips : list[Trip]
+        The trips of each turn.
+    """
     return Trip(np.concatenate([trip.seconds for trip in trips]), sum(trip.lost for trip in trips))
 
 
 def first_change(sent: float, felt: Sequence[tuple[float, Floats]]) -> float | None:
-    """Return the s from a pose to the first wrench that was computed with it; None where there is none.
+    """Return the time, s, from a pose to the first wrench that was computed with it; None where there is none.
 
     felt: when wrenches came, s, and their forces (3,) N, from a while at rest before the pose until the force has
     changed because of it.
@@ -65,14 +71,23 @@ def first_change(sent: float, felt: Sequence[tuple[float, Floats]]) -> float | N
 
 
 def swinging(seconds: float) -> float:
-    """How deep the tool is, m, after so many s."""
+    """Return how deep the tool is, m, after so many s."""
     return DEPTH + SWING * float(np.sin(2.0 * np.pi * 5.0 * seconds))
 
 
 class Probe(Hand):
-    """A hand that sends each pose when the last was answered, and takes the times; to the node or to the echo.
+    """A hand that sends each pose when the last was answered, and measures the times; to the node or to the echo.
 
-    target: the node that is measured.
+    Parameters
+    ----------
+    node : Node
+        The rclpy node that sends.
+    target : str
+        Name of the node that is measured.
+    organ : Organ
+        Its organ.
+    rate : float, Hz
+        Poses per second.
     """
 
     def __init__(self, node: Node, target: str, organ: Organ, rate: float) -> None:
@@ -91,12 +106,26 @@ class Probe(Hand):
         self._executor.add_node(node)
 
     def meet(self) -> None:
-        """Wait until everybody hears everybody. Raises UserError when they don't."""
+        """Wait until everybody hears everybody.
+
+        Raises
+        ------
+        UserError
+            When they don't.
+        """
         super().meet()
         first_within(self._to_echo.get_subscription_count, 20.0, "the echo was not found over DDS")
 
     def changes(self, seconds: float, rate: float) -> Trip:
-        """Pose to the first wrench that was computed with it: steps in contact, in a stream of poses at a rate, Hz."""
+        """Measure from a pose to the first wrench that was computed with it, by steps in contact.
+
+        Parameters
+        ----------
+        seconds : float, s
+            Duration.
+        rate : float, Hz
+            Poses per second.
+        """
         took, lost, before, after = [], 0, DEPTH, DEPTH + STEP
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -107,9 +136,9 @@ class Probe(Hand):
         return Trip(np.array(took), lost)
 
     def _step(self, before: float, after: float, period: float) -> float | None:
-        """Send poses at one depth and then at another; the s until that is felt."""
+        """Send poses at one depth and then at another; return the time, s, until that is felt."""
         self._felt.clear()
-        # Where in a tick poses come must not be the same each time.
+        # Poses must not always come at the same moment of a tick.
         deadline, sent = time.monotonic() + period * self._rng.random(), 0.0
         counts = max(3, round(AT_REST / period)), max(2, round(AFTER / period))
         for depth, count in zip((before, after), counts, strict=True):
@@ -124,11 +153,25 @@ class Probe(Hand):
         return first_change(sent, felt)
 
     def echoes(self, seconds: float, rate: float) -> Trip:
-        """Pose to the same bytes from the echo; the node gets no poses, and lets its force fade."""
+        """Measure from a pose to the same bytes from the echo; the node gets no poses, and its force fades.
+
+        Parameters
+        ----------
+        seconds : float, s
+            Duration.
+        rate : float, Hz
+            Poses per second.
+        """
         return self._exchange(self._to_echo, seconds, 1.0 / rate, swinging)
 
     def wakes(self, seconds: float) -> tuple[Trip, Trip]:
-        """Pose to wrench and pose to echo after a pause, in which the node, its organ at rest, has come to nap."""
+        """Measure from pose to wrench and from pose to echo after a pause in which the node, at rest, has begun to nap.
+
+        Parameters
+        ----------
+        seconds : float, s
+            Duration of each.
+        """
         self.send(FAR)
         self._spin(SETTLING)
         return (
@@ -137,7 +180,7 @@ class Probe(Hand):
         )
 
     def report(self) -> dict[str, float]:
-        """The node's newest figures: ticks, late ones, and the median time of a tick, us; poses go on meanwhile."""
+        """Return the node's newest ticks, late ticks and median time of a tick, us; poses go on meanwhile."""
         self._report = {}
         end = time.monotonic() + 5.0
         while not self._report:

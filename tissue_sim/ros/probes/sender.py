@@ -1,6 +1,6 @@
-"""`python -m tissue_sim.ros.probes.sender TOPIC KIND FILE RATE`: sends the bytes of a file, RATE times a second.
+"""Probe `python -m tissue_sim.ros.probes.sender TOPIC KIND FILE RATE`: publishes a file's bytes at a rate, Hz.
 
-What it takes at least to publish messages of that size over this middleware, to hold the node's share against.
+It measures the least processor time for messages of that size over this middleware, with which the node's is compared.
 KIND: markers, as the node sends them, or surface.
 """
 
@@ -24,7 +24,7 @@ def main(topic: str, kind: str, file: str, rate: str) -> None:
     """Run until SIGINT or SIGTERM."""
     message, period = Path(file).read_bytes(), 1.0 / float(rate)
     what, qos = KINDS[kind]
-    woken = threading.Event()  # as in the node: its outlet waits for one
+    woken = threading.Event()  # as in the node, whose outlet waits for one
     with Stop() as stop, client_node("sender", "") as node:
         publisher = node.create_publisher(what, topic, qos())
         due = time.monotonic()

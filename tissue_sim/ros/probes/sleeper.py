@@ -1,4 +1,4 @@
-"""`python -m tissue_sim.ros.probes.sleeper RATE`: a bare loop that wakes RATE times a second and does nothing."""
+"""Probe `python -m tissue_sim.ros.probes.sleeper RATE`: a bare loop that wakes RATE times a second."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is seen of a node while it runs for long: its memory, what it tells of itself, the surface that it shows."""
+"""Watch of a node in a long run: its memory, its reports, the surface that it shows."""
 
 from __future__ import annotations
 
@@ -16,27 +16,37 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 PATIENCE = 30.0  # s for the node to answer, or for the organ to come to rest
-# Counters in the diagnostics that stay at 0 while nothing is wrong; so do all with these ends and parts.
+# Counters in the diagnostics that stay at 0 while nothing is wrong, as do those whose names contain these parts.
 PROBLEMS = "faults", "false_rest_shapes", "clamped_ticks", "dropped_contacts", "lost_bag_messages"
 PROBLEM_PARTS = "_failures", ".refused."
 
 
 class Sample(NamedTuple):
-    """A look at the node."""
+    """A sample of the node's state."""
 
     seconds: float  # since the watch began
-    megabytes: float  # memory of its own that is resident
-    shared_megabytes: float  # memory that is resident and shared with others: the middleware's segments
+    megabytes: float  # resident memory of its own
+    shared_megabytes: float  # resident memory shared with others: the middleware's segments
     ticks: int  # so far
     late: int  # of these by more than a period, so far
     late_us: float  # 99th percentile of the last second
-    dropped: int  # ticks that were given up, so far
+    dropped: int  # ticks that were dropped, so far
 
 
 def resident(process: int) -> tuple[float, float]:
-    """Memory of a running process that is resident, its own and what it shares with others, MB.
+    """Return the resident memory of a running process, its own and what it shares with others, MB.
 
-    Files that are mapped, as libraries are, count for neither. Raises UserError when it has ended.
+    Mapped files, such as libraries, count for neither.
+
+    Parameters
+    ----------
+    process : int
+        Number of the process.
+
+    Raises
+    ------
+    UserError
+        When it has ended.
     """
     try:
         lines = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace").splitlines()
@@ -48,9 +58,16 @@ def resident(process: int) -> tuple[float, float]:
 
 
 class Watch:
-    """Hears a node from a rclpy node of this process that nothing spins.
+    """Observer of a node from a rclpy node of this process that nothing spins.
 
-    target: the node's name; process: its number.
+    Parameters
+    ----------
+    node : Node
+        That rclpy node.
+    target : str
+        Name of the watched node.
+    process : int
+        Number of its process.
     """
 
     def __init__(self, node: Node, target: str, process: int) -> None:
@@ -66,10 +83,10 @@ class Watch:
         self._record = node.create_client(SetBool, f"/{target}/record")
         self._began = time.monotonic()
         self.values: dict[str, str] = {}  # of the newest report
-        self.failures: list[str] = []  # what reports called an error, each once
+        self.failures: list[str] = []  # errors of the reports, each once
 
     def hear(self) -> bool:
-        """Take the reports that have come; returns whether there was one."""
+        """Take the reports that have come; return whether there was one."""
         from tissue_sim.ros.shared import client
 
         reports = self._reports.take_all()
@@ -81,7 +98,13 @@ class Watch:
         return bool(reports)
 
     def sample(self) -> Sample:
-        """Look at the node. Raises UserError when it has ended or tells nothing."""
+        """Take a sample of the node.
+
+        Raises
+        ------
+        UserError
+            When it has ended or sends no report.
+        """
         self.hear()
         memory = resident(self._process)
         first_within(lambda: self.values or (self.hear() and self.values), PATIENCE, "the node sent no diagnostics")
@@ -96,7 +119,7 @@ class Watch:
         )
 
     def problems(self) -> dict[str, int]:
-        """Counters of the newest report that should be 0 and are not."""
+        """Return the counters of the newest report that should be 0 and are not."""
         counts = {
             name: int(value)
             for name, value in self.values.items()
@@ -105,7 +128,18 @@ class Watch:
         return {name: count for name, count in counts.items() if count}
 
     def at_rest(self) -> NDArray[np.float32]:
-        """The surface (n, 3) m once the organ sleeps. Raises UserError when it does not come to rest."""
+        """Return the surface once the organ sleeps.
+
+        Returns
+        -------
+        NDArray[np.float32]
+            shape (n, 3), m
+
+        Raises
+        ------
+        UserError
+            When it does not come to rest.
+        """
         self.values = {}
         first_within(
             lambda: self.hear() and self.values.get("region") == "asleep", PATIENCE, "the organ did not come to rest"
@@ -114,14 +148,31 @@ class Watch:
         return self.surface()
 
     def surface(self) -> NDArray[np.float32]:
-        """The next surface (n, 3) m. Raises UserError when none comes."""
+        """Return the next surface.
+
+        Returns
+        -------
+        NDArray[np.float32]
+            shape (n, 3), m
+
+        Raises
+        ------
+        UserError
+            When none comes.
+        """
         from tissue_sim.ros.shared import client
 
         found: Any = first_within(self._surfaces.take, PATIENCE, "the node sent no surface")
         return client.cloud_array(found)[:, :3]
 
     def close_bag(self) -> Path:
-        """End the recording; returns the bag's folder. Raises UserError when the node does not, or can't."""
+        """End the recording; return the bag's folder.
+
+        Raises
+        ------
+        UserError
+            When the node does not, or can't.
+        """
         import rclpy
         from std_srvs.srv import SetBool
 

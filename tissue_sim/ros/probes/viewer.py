@@ -1,6 +1,7 @@
-"""Somebody who looks at a node as the viewer does: no callback, the newest message when asked for.
+"""A subscriber like the viewer: no callback, the newest message on request.
 
-`python -m tissue_sim.ros.probes.viewer SECONDS TOPIC ...` prints, as JSON, how many Hz of each come, once all do.
+The program `python -m tissue_sim.ros.probes.viewer SECONDS TOPIC ...` prints, as JSON, the rate of each topic, Hz, once
+all have come.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from tissue_sim.ros.probes.graph import first_within
 from tissue_sim.ros.shared.client import Inbox, client_node, latched_qos, stream_qos
 from tissue_sim.unexpected import catch_all
 
-TURN = 0.004  # s between two looks
+TURN = 0.004  # s between two checks
 KINDS = {
     "mesh": (Mesh, latched_qos),
     "markers": (MarkerArray, latched_qos),
@@ -33,7 +34,7 @@ KINDS = {
 
 
 class Viewer:
-    """While entered, subscribed to some topics, whose last word tells their kind. Counts what comes, as bytes."""
+    """Context with subscriptions to some topics, whose last word names their type; counts messages, as bytes."""
 
     def __init__(self, node: Node, *topics: str) -> None:
         self._node, self._topics = node, topics
@@ -53,7 +54,13 @@ class Viewer:
             inbox.close()
 
     def look(self, seconds: float) -> None:
-        """Take what comes for so many s; counted anew."""
+        """Take messages for some time, counted from zero.
+
+        Parameters
+        ----------
+        seconds : float, s
+            That time.
+        """
         self.count = dict.fromkeys(self._inboxes, 0)
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -61,7 +68,18 @@ class Viewer:
             time.sleep(TURN)
 
     def wait(self) -> float:
-        """Seconds until a message of every topic has come. Raises UserError when one doesn't within 40 s."""
+        """Wait until a message of every topic has come.
+
+        Returns
+        -------
+        float
+            how long that took, s
+
+        Raises
+        ------
+        UserError
+            When one doesn't come within 40 s.
+        """
         began = time.monotonic()
 
         def came() -> bool:

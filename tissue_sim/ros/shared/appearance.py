@@ -1,4 +1,4 @@
-"""What the organ's colours mean, for markers and viewer alike."""
+"""Meaning of the organ's colours, for markers and viewer alike."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 Colour = tuple[int, int, int]
 
 TISSUE: Colour = (146, 52, 46)
-# Of organs, by a word in their names.
+# Colours of organs, by a word in their names.
 BASE: dict[str, Colour] = {
     "liver": (122, 58, 44),
     "spleen": (108, 44, 62),
     "kidney": TISSUE,
 }
 LIGAMENT: Colour = (226, 214, 188)
-# Where the surface has moved by so many mm it has this colour, and what is between them in between.
+# Colour of the surface by its displacement in mm, interpolated in between.
 SCALE: tuple[tuple[float, Colour], ...] = (
     (0.5, (176, 66, 48)),
     (1.0, (201, 86, 48)),
@@ -29,11 +29,17 @@ SCALE: tuple[tuple[float, Colour], ...] = (
 MARKER_COLOURS = ("none", "displacement", "force", "region")
 FULL_DISPLACEMENT = 1e-3 * SCALE[-1][0]  # m with the last colour
 FULL_FORCE = 0.1  # N on a node with the last colour
-MOVING = 0.4  # share of the scale for a node that the last tick moved
+MOVING = 0.4  # place on the scale of a node that the last tick moved
 
 
 def tissue_colour(name: str) -> Colour:
-    """Of an organ at rest, by its name."""
+    """Return the colour of an organ at rest, by its name.
+
+    Parameters
+    ----------
+    name : str
+        The name.
+    """
     return next((colour for word, colour in BASE.items() if word in name.lower()), TISSUE)
 
 
@@ -42,7 +48,13 @@ _N_SHADES = 256
 
 
 def shades(tissue: Colour) -> NDArray[np.float64]:
-    """Colours (256, 3), 0 to 255, along the scale, which begins with that of the tissue at rest."""
+    """Return colours (256, 3), 0 to 255, along the scale, which begins with that of the tissue at rest.
+
+    Parameters
+    ----------
+    tissue : Colour
+        That colour.
+    """
     ramp = np.linspace(0.0, 1.0, _N_SHADES)
     colours = np.array([tissue, *(colour for _, colour in SCALE)], dtype=np.float64)
     return np.stack([np.interp(ramp, _AT, channel) for channel in colours.T], axis=1)

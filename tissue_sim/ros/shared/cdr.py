@@ -1,4 +1,4 @@
-"""Stamped messages read from their bytes, without ROS."""
+"""Reading of stamped messages from their bytes, without ROS."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 CDR_HEADER = 4  # bytes before the body; alignment counts from the body
-FARTHEST, HARDEST = 100.0, 1e6  # m and N: what lies beyond is in another unit
+FARTHEST, HARDEST = 100.0, 1e6  # m and N: larger values are in another unit
 
 
 UNSTAMPED = -1  # the stamp of a message that has none
 
 
 class Stamped(NamedTuple):
-    """What a message of doubles says: a pose (7: m, quaternion xyzw) or a wrench (6: N, N m)."""
+    """Contents of a message of doubles: a pose (7: m, quaternion xyzw) or a wrench (6: N, N m)."""
 
     stamp: int  # ns; 0: invalid; UNSTAMPED
     frame_id: str
@@ -25,28 +25,59 @@ class Stamped(NamedTuple):
 
 
 def parse_stamped(raw: bytes, n_values: int) -> Stamped:
-    """Read a little-endian CDR message of a header and n_values doubles.
+    """Read a little-endian CDR message of a header and doubles.
 
-    Raises ValueError when it is cut short or of another encoding.
+    Parameters
+    ----------
+    raw : bytes
+        The message.
+    n_values : int
+        Number of the doubles.
+
+    Raises
+    ------
+    ValueError
+        When it is cut short or of another encoding.
     """
     stamp, frame_id, end = _header(raw)
     return Stamped(stamp, frame_id, _doubles(raw, end, n_values))
 
 
 def parse_plain(raw: bytes, n_values: int) -> Stamped:
-    """Read a little-endian CDR message of n_values doubles without a header: a Pose or a Wrench.
+    """Read a little-endian CDR message of doubles without a header: a Pose or a Wrench.
 
-    Raises ValueError when it is cut short or of another encoding.
+    Parameters
+    ----------
+    raw : bytes
+        The message.
+    n_values : int
+        Number of the doubles.
+
+    Raises
+    ------
+    ValueError
+        When it is cut short or of another encoding.
     """
     _check_encoding(raw, CDR_HEADER)
     return Stamped(UNSTAMPED, "", _doubles(raw, CDR_HEADER, n_values))
 
 
 def parse_moving(raw: bytes, n_values: int) -> Stamped:
-    """Read a little-endian CDR message of a header, the name of a moving frame, and doubles: a TransformStamped or,
-    of which the pose comes first, an Odometry.
+    """Read a little-endian CDR message of a header, the name of a moving frame, and doubles.
 
-    Raises ValueError when it is cut short or of another encoding.
+    It is a TransformStamped or an Odometry, in which the pose comes first.
+
+    Parameters
+    ----------
+    raw : bytes
+        The message.
+    n_values : int
+        Number of the doubles.
+
+    Raises
+    ------
+    ValueError
+        When it is cut short or of another encoding.
     """
     stamp, frame_id, end = _header(raw)
     child = _aligned(end, 4)
@@ -56,32 +87,67 @@ def parse_moving(raw: bytes, n_values: int) -> Stamped:
 
 
 def parse_octets(raw: bytes) -> NDArray[np.uint8]:
-    """The data of a UInt8MultiArray without dimensions.
+    """Return the data of a UInt8MultiArray without dimensions.
 
-    Raises ValueError when it is cut short or of another encoding.
+    Parameters
+    ----------
+    raw : bytes
+        The message.
+
+    Raises
+    ------
+    ValueError
+        When it is cut short or of another encoding.
     """
     return np.frombuffer(raw, dtype=np.uint8, count=_counted(raw, CDR_HEADER + 8), offset=CDR_HEADER + 12)
 
 
 def parse_number(raw: bytes) -> float:
-    """The first number of a Float64MultiArray without dimensions.
+    """Return the first number of a Float64MultiArray without dimensions.
 
-    Raises ValueError when it is cut short or of another encoding.
+    Parameters
+    ----------
+    raw : bytes
+        The message.
+
+    Raises
+    ------
+    ValueError
+        When it is cut short or of another encoding.
     """
     _counted(raw, CDR_HEADER + 8, 8)
     return _doubles(raw, CDR_HEADER + 12, 1)[0]
 
 
 def parse_text(raw: bytes) -> str:
-    """The text of a String; raises ValueError when it is cut short or of another encoding."""
+    """Return the text of a String.
+
+    Parameters
+    ----------
+    raw : bytes
+        The message.
+
+    Raises
+    ------
+    ValueError
+        When it is cut short or of another encoding.
+    """
     length = _counted(raw, CDR_HEADER)
     return raw[CDR_HEADER + 4 : CDR_HEADER + 3 + length].decode()
 
 
 def parse_cloud(raw: bytes) -> NDArray[np.float32]:
-    """Columns (n, k) of a PointCloud2 that holds nothing but little-endian float32.
+    """Return the columns (n, k) of a PointCloud2 of little-endian float32 only.
 
-    Raises ValueError when it is cut short or of another encoding.
+    Parameters
+    ----------
+    raw : bytes
+        The message.
+
+    Raises
+    ------
+    ValueError
+        When it is cut short or of another encoding.
     """
     *_, at = _header(raw)
     at = _aligned(at, 4) + 8  # height, width
@@ -96,7 +162,7 @@ def parse_cloud(raw: bytes) -> NDArray[np.float32]:
 
 
 def _counted(raw: bytes, at: int, size: int = 1) -> int:
-    """A number of things of so many bytes each that follow it."""
+    """Return the number of items of so many bytes each that follow it."""
     _check_encoding(raw, at + 4)
     count = int(struct.unpack_from("<I", raw, at)[0])
     if at + 4 + size * count > len(raw):
@@ -110,7 +176,7 @@ def _check_encoding(raw: bytes, least: int) -> None:
 
 
 def _header(raw: bytes) -> tuple[int, str, int]:
-    """Stamp, ns, and frame of a message's header, and where it ends."""
+    """Return stamp, ns, and frame of a message's header, and where it ends."""
     _check_encoding(raw, CDR_HEADER + 12)
     seconds, nanoseconds, length = struct.unpack_from("<iII", raw, CDR_HEADER)
     if seconds < 0:
@@ -121,7 +187,7 @@ def _header(raw: bytes) -> tuple[int, str, int]:
 
 
 def _aligned(at: int, size: int) -> int:
-    """Where a value of so many bytes lies that comes next."""
+    """Return where the next value of so many bytes lies."""
     return CDR_HEADER + (at - CDR_HEADER + size - 1) // size * size
 
 
@@ -133,25 +199,56 @@ def _doubles(raw: bytes, at: int, count: int) -> tuple[float, ...]:
 
 
 def check_position(position: NDArray[np.float64]) -> None:
-    """Raise ValueError for a position (3,) m that is in another unit, or none."""
+    """Check that a position is in metres.
+
+    Parameters
+    ----------
+    position : NDArray[np.float64], shape (3,), m
+        The position.
+
+    Raises
+    ------
+    ValueError
+        When it is in another unit, or no number.
+    """
     if not (farthest := float(np.abs(position).max())) <= FARTHEST:
         raise ValueError(f"its position is {farthest:.3g} m away; positions are in metres")
 
 
 def check_force(force: NDArray[np.float64]) -> None:
-    """Raise ValueError for a force (3,) N that is in another unit, or none."""
+    """Check that a force is in newtons.
+
+    Parameters
+    ----------
+    force : NDArray[np.float64], shape (3,), N
+        The force.
+
+    Raises
+    ------
+    ValueError
+        When it is in another unit, or no number.
+    """
     if not (hardest := float(np.abs(force).max())) <= HARDEST:
         raise ValueError(f"its force is {hardest:.3g} N; forces are in newtons")
 
 
 def unit_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The pose (7,) with its quaternion scaled to length 1, in place.
+    """Scale a pose's quaternion to length 1, in place, and return the pose.
 
-    Node and replay share it, so that a pose is the same number in both. Raises ValueError for a quaternion of zero, or
-    of a length that is no number.
+    Node and replay share it, so that a pose is the same number in both.
+
+    Parameters
+    ----------
+    pose : NDArray[np.float64], shape (7,), m and quaternion xyzw
+        The pose; updated.
+
+    Raises
+    ------
+    ValueError
+        When the quaternion is zero, or its length no number.
     """
-    with np.errstate(over="ignore"):  # too large, which is told
-        norm = math.sqrt(sum((pose[3:] ** 2).tolist()))  # in this order: BLAS has one for each processor
+    with np.errstate(over="ignore"):  # too large, which is reported
+        norm = math.sqrt(sum((pose[3:] ** 2).tolist()))  # in a fixed order: BLAS sums in another one on each processor
     if not 1e-6 <= norm < math.inf:
         raise ValueError(f"its quaternion is {'zero' if norm < 1e-6 else 'too large'}; send a unit quaternion")
     pose[3:] /= norm

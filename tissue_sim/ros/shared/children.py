@@ -18,7 +18,14 @@ SECONDS_TO_TERMINATE = 2.0
 class Child:
     """A program that runs beside this one, in a session of its own: Ctrl-C in the terminal reaches only the parent.
 
-    name for messages; command its arguments; environment of the process.
+    Parameters
+    ----------
+    name : str
+        Its name for messages.
+    command : Sequence[str]
+        Its command line.
+    environment : Mapping[str, str]
+        Its environment variables.
     """
 
     def __init__(self, name: str, command: Sequence[str], environment: Mapping[str, str]) -> None:
@@ -51,7 +58,7 @@ class Child:
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs."""
+        """Exit code; None while it runs."""
         return self._process.poll()
 
     @property
@@ -60,7 +67,7 @@ class Child:
         return self._process.pid
 
     def last_words(self) -> str:
-        """How it ended, and the last line that it wrote about that."""
+        """Return how it ended, and the last line that it wrote about that."""
         for reader in self._readers:
             reader.join(timeout=1.0)
         code = self._process.poll()
@@ -69,7 +76,7 @@ class Child:
         return f"{how}: {line}" if line else how
 
     def stop(self) -> bool:
-        """SIGINT, later SIGTERM, and SIGKILL as the last resort; returns whether it ended by itself."""
+        """Send SIGINT, later SIGTERM, and SIGKILL as the last resort; return whether it ended by itself."""
         for number, patience in ((signal.SIGINT, SECONDS_TO_END), (signal.SIGTERM, SECONDS_TO_TERMINATE)):
             if self._process.poll() is None:
                 self._process.send_signal(number)
@@ -84,10 +91,24 @@ class Child:
 
 
 def stop_all(children: Sequence[Child]) -> list[str]:
-    """Stop children one after the other; returns the names of those that had to be killed."""
+    """Stop children one after the other; return the names of those that had to be killed.
+
+    Parameters
+    ----------
+    children : Sequence[Child]
+        The children.
+    """
     return [child.name for child in children if not child.stop()]
 
 
 def wait_a_little(deadline: float, longest: float = 0.05) -> None:
-    """Sleep until a monotonic deadline in s, but not longer than `longest` s, so that signals are noticed."""
+    """Sleep until a deadline, but only for a short time, so that signals are noticed.
+
+    Parameters
+    ----------
+    deadline : float, s
+        The deadline, monotonic.
+    longest : float, s, optional
+        The longest time.
+    """
     time.sleep(max(0.0, min(longest, deadline - time.monotonic())))

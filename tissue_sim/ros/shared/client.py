@@ -1,4 +1,4 @@
-"""What the programs beside the node share: arguments, signals, a rclpy node that is polled, messages as arrays."""
+"""Shared parts of the programs beside the node: arguments, signals, a polled rclpy node, messages as arrays."""
 
 from __future__ import annotations
 
@@ -24,7 +24,17 @@ WANTED = "expected letters, digits and _, not beginning with a digit"
 
 # arguments -------------------------------------------------------------------------------------
 def number(low: float, high: float, unit: str) -> Callable[[str], float]:
-    """An argparse type: a number within bounds."""
+    """Return an argparse type: a number within bounds.
+
+    Parameters
+    ----------
+    low : float
+        Lower bound.
+    high : float
+        Upper bound.
+    unit : str
+        Unit for messages.
+    """
 
     def convert(text: str) -> float:
         try:
@@ -39,14 +49,26 @@ def number(low: float, high: float, unit: str) -> Callable[[str], float]:
 
 
 def port_number(text: str) -> int:
-    """An argparse type: a TCP port."""
+    """Convert an argument to a TCP port.
+
+    Parameters
+    ----------
+    text : str
+        The argument.
+    """
     if not text.isdecimal() or not 1 <= int(text) <= 65535:
         raise argparse.ArgumentTypeError(f"'{text}' is not a port; choose one in 1..65535")
     return int(text)
 
 
 def names(text: str) -> tuple[str, ...]:
-    """An argparse type: names of tools, separated by commas."""
+    """Convert an argument to names of tools, separated by commas.
+
+    Parameters
+    ----------
+    text : str
+        The argument.
+    """
     found = tuple(word.strip() for word in text.split(","))
     for name in found:
         if not (name.isidentifier() and name.isascii()) or found.count(name) > 1:
@@ -55,7 +77,13 @@ def names(text: str) -> tuple[str, ...]:
 
 
 def node_name(text: str) -> str:
-    """An argparse type: a node's name, with its namespace if it has one."""
+    """Convert an argument to a node's name, with its namespace if it has one.
+
+    Parameters
+    ----------
+    text : str
+        The argument.
+    """
     for part in text.strip("/").split("/"):
         if not (part.isidentifier() and part.isascii()):
             raise argparse.ArgumentTypeError(f"'{text}' is not a node name ({WANTED})")
@@ -90,7 +118,20 @@ class Stop:
 # ROS -------------------------------------------------------------------------------------------
 @contextmanager
 def client_node(name: str, target: str) -> Iterator[Node]:
-    """A node of its own beside the node `target`, in the same namespace; rclpy is running meanwhile."""
+    """Provide a node beside the node `target`, in the same namespace; rclpy is running meanwhile.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    target : str
+        Name of the other node.
+
+    Yields
+    ------
+    Iterator[Node]
+        the node
+    """
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
@@ -112,7 +153,15 @@ def client_node(name: str, target: str) -> Iterator[Node]:
 
 
 def node_beside(node: Node, what: str) -> Node:
-    """Another node of a program, in the same namespace and with its name before `what`."""
+    """Return another node of a program, in the same namespace and with its name before `what`.
+
+    Parameters
+    ----------
+    node : Node
+        Node of the program.
+    what : str
+        End of the name.
+    """
     import rclpy
 
     return rclpy.create_node(
@@ -124,7 +173,22 @@ def node_beside(node: Node, what: str) -> Node:
 
 
 def wait_until(ask: Callable[[], Any], longest: float, stop: object = False) -> Any:
-    """Ask until the answer is neither None nor False, or `stop` is true; what it is then, or after `longest` s."""
+    """Ask until the answer is neither None nor False, a condition is true, or time is over.
+
+    Parameters
+    ----------
+    ask : Callable[[], Any]
+        Gives an answer.
+    longest : float, s
+        That time.
+    stop : object, optional
+        That condition.
+
+    Returns
+    -------
+    Any
+        the last answer
+    """
     end = time.monotonic() + longest
     while (answer := ask()) in (None, False) and not stop and time.monotonic() < end:
         time.sleep(0.02)
@@ -132,23 +196,36 @@ def wait_until(ask: Callable[[], Any], longest: float, stop: object = False) -> 
 
 
 def stream_qos() -> QoSProfile:
-    """Of poses, wrenches and surfaces."""
+    """Return the QoS of poses, wrenches and surfaces."""
     from tissue_sim.ros.shared.qos import STREAM
 
     return STREAM
 
 
 def latched_qos() -> QoSProfile:
-    """Of mesh and markers."""
+    """Return the QoS of mesh and markers."""
     from tissue_sim.ros.shared.qos import LATCHED
 
     return LATCHED
 
 
 class Inbox:
-    """The newest message of a topic, fetched when asked for.
+    """The newest message of a topic, fetched on request.
 
-    No callback runs for the messages in between: a 1 kHz stream costs what its reader's rate costs.
+    No callback runs for the messages in between: a 1 kHz stream costs as little as its reader's rate.
+
+    Parameters
+    ----------
+    node : Node
+        The rclpy node that subscribes.
+    kind : type
+        Type of the messages.
+    topic : str
+        The topic.
+    qos : QoSProfile
+        How it is subscribed.
+    raw : bool, optional
+        Whether messages are returned as bytes.
     """
 
     def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile, raw: bool = False) -> None:
@@ -156,11 +233,11 @@ class Inbox:
         self._subscription: Subscription = node.create_subscription(kind, topic, _unused, qos, raw=raw)
 
     def take(self) -> Any:
-        """The newest message since the last call (bytes when raw), or None."""
+        """Return the newest message since the last call (bytes when raw), or None."""
         return next(reversed(self.take_all()), None)
 
     def take_all(self) -> list[Any]:
-        """The messages since the last call that the topic's depth has kept, oldest first."""
+        """Return the messages since the last call that the topic's depth has kept, oldest first."""
         messages, subscription = [], self._subscription
         with subscription.handle:
             while (found := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
@@ -173,24 +250,44 @@ class Inbox:
 
 
 def _unused(_: Any) -> None:
-    """Never called: nothing spins the node."""
+    """Do nothing: it is never called, since nothing spins the node."""
 
 
 # messages --------------------------------------------------------------------------------------
 def mesh_arrays(message: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices (n, 3) m and triangles (t, 3) of a shape_msgs/Mesh."""
+    """Return vertices (n, 3), m, and triangles (t, 3) of a shape_msgs/Mesh.
+
+    Parameters
+    ----------
+    message : Any
+        The message.
+    """
     vertices = np.array([(p.x, p.y, p.z) for p in message.vertices], dtype=np.float64).reshape(-1, 3)
     triangles = np.array([t.vertex_indices for t in message.triangles], dtype=np.int64).reshape(-1, 3)
     return vertices, triangles
 
 
 def cloud_array(message: Any) -> NDArray[np.float32]:
-    """Columns (n, k) of a PointCloud2 that holds nothing but little-endian float32."""
+    """Return the columns (n, k) of a PointCloud2 of little-endian float32 only.
+
+    Parameters
+    ----------
+    message : Any
+        The message.
+    """
     return np.frombuffer(message.data, dtype="<f4").reshape(-1, message.point_step // 4)
 
 
 def newest_status(reports: Sequence[Any], target: str) -> Any:
-    """A node's newest physics DiagnosticStatus in DiagnosticArrays, or None when it isn't in there."""
+    """Return a node's newest physics DiagnosticStatus, or None without one.
+
+    Parameters
+    ----------
+    reports : Sequence[Any]
+        DiagnosticArrays.
+    target : str
+        Name of the node.
+    """
     name = f"{target.strip('/')}: physics"
     for report in reversed(reports):
         for status in report.status:
@@ -200,6 +297,14 @@ def newest_status(reports: Sequence[Any], target: str) -> Any:
 
 
 def physics_status(reports: Sequence[Any], target: str) -> dict[str, str] | None:
-    """Values of a node's newest physics status in DiagnosticArrays, or None when it isn't in there."""
+    """Return the values of a node's newest physics status, or None without one.
+
+    Parameters
+    ----------
+    reports : Sequence[Any]
+        DiagnosticArrays.
+    target : str
+        Name of the node.
+    """
     status = newest_status(reports, target)
     return None if status is None else {item.key: item.value for item in status.values}

@@ -1,4 +1,4 @@
-"""Who hears us over DDS, and the profiles of Fast DDS that ship with the package."""
+"""Reach of this process over DDS, and the profiles of Fast DDS that ship with the package."""
 
 from __future__ import annotations
 
@@ -12,20 +12,28 @@ REACH = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 ONLY_HERE, PEERS, SERVER = "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"
 
 DOMAIN = "ROS_DOMAIN_ID"
-LAST_DOMAIN, LAST_OWN_DOMAIN = 232, 101  # the last with ports (DDSI-RTPS 9.6.1), and below the ephemeral ones of Linux
+LAST_DOMAIN, LAST_OWN_DOMAIN = 232, 101  # last with ports (DDSI-RTPS 9.6.1); last below Linux's ephemeral ones
 
 # Fast DDS 2 (Jazzy) reads the first, Fast DDS 3 the second.
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 CHOSEN_BY_HAND = "FASTDDS_BUILTIN_TRANSPORTS"  # the usual cure in containers; a profile with transports would undo it
-# Discovery alone is no bound: a machine that names this one in its ROS_STATIC_PEERS is answered all the same. The
-# second profile opens no socket but on loopback.
+# Discovery alone is no bound: a machine that names this one in its ROS_STATIC_PEERS is answered nevertheless. The
+# second profile opens sockets on loopback only.
 PROFILE, LOCAL_PROFILE = "config/fastdds.xml", "config/fastdds_local.xml"
 
 
 def prepare(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Before rclpy.init: be heard on this machine only, and carry large organs, unless the user chose otherwise.
+    """Limit the reach to this machine and allow large organs, unless the user chose otherwise; before rclpy.init.
 
-    Raises UserError for a domain that there can't be.
+    Parameters
+    ----------
+    environment : MutableMapping[str, str], optional
+        The environment variables; updated.
+
+    Raises
+    ------
+    UserError
+        For a domain that can't exist.
     """
     check_domain(environment)
     keep_to_this_machine(environment)
@@ -43,23 +51,29 @@ def check_domain(environment: Mapping[str, str] = os.environ) -> None:
 
 
 def keep_to_this_machine(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Set the discovery range to LOCALHOST, unless the user has set one of the variables that say who is found."""
+    """Set the discovery range to LOCALHOST, unless the user has set one of the variables for it.
+
+    Parameters
+    ----------
+    environment : MutableMapping[str, str], optional
+        The environment variables; updated.
+    """
     if not any(environment.get(name) for name in (REACH, ONLY_HERE, PEERS, SERVER)):
         environment[REACH] = "LOCALHOST"
 
 
 def is_local(environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether nobody beyond this machine is meant to be talked to."""
+    """Return whether nobody beyond this machine is to be reached."""
     if environment.get(ONLY_HERE) == "1":
-        return True  # ROS lets it win over the other two
+        return True  # in ROS it overrides the other two
     return environment.get(REACH) == "LOCALHOST" and not environment.get(PEERS) and not environment.get(SERVER)
 
 
 def use_shipped_profile(environment: MutableMapping[str, str] = os.environ) -> None:
     """Let Fast DDS carry large organs, and keep to loopback where that is meant.
 
-    Not where the user has named a profile or transports; other middleware ignores it. What was chosen here before, for
-    this process or its parent, is chosen anew: the range may be another by now.
+    Not where the user has named a profile or transports; other middleware ignores it. An earlier choice here, for this
+    process or its parent, is made again: the range may have changed.
     """
     ours = [str(path) for path in map(shipped_file, (PROFILE, LOCAL_PROFILE)) if path is not None]
     if any(environment.get(name, "") not in ("", *ours) for name in (*PROFILE_VARIABLES, CHOSEN_BY_HAND)):
@@ -70,8 +84,14 @@ def use_shipped_profile(environment: MutableMapping[str, str] = os.environ) -> N
 
 
 def told_reach(environment: Mapping[str, str] = os.environ) -> str:
-    """How far a program with this environment is heard, for a log."""
-    reach = environment.get(REACH) or "SUBNET"  # that of ROS
+    """Return how far a program with this environment is heard, for a log.
+
+    Parameters
+    ----------
+    environment : Mapping[str, str], optional
+        The environment variables.
+    """
+    reach = environment.get(REACH) or "SUBNET"  # the default of ROS
     if is_local(environment):
         return f"discoverable on this machine only; {REACH}=SUBNET extends that to the subnet"
     if environment.get(SERVER):

@@ -10,18 +10,22 @@ from tissue_sim.errors import UserError
 from tissue_sim.ros.shared.dds import LAST_OWN_DOMAIN
 
 DOMAINS = range(1, LAST_OWN_DOMAIN + 1)
-PARTICIPANTS = 4  # of a domain that are looked for
+PARTICIPANTS = 4  # of a domain that are checked
 
 
 def claim_domain() -> tuple[int, socket.socket]:
-    """A free ROS domain, and the socket that keeps others from claiming it, until it is closed.
+    """Return a free ROS domain, and the socket that keeps others from claiming it until it is closed.
 
-    Participants come and go in a domain that is in use: their ports alone don't tell. Raises UserError when none is
-    free.
+    Participants come and go in a domain that is in use, so their ports alone don't tell.
+
+    Raises
+    ------
+    UserError
+        When none is free.
     """
     for domain in random.sample(DOMAINS, len(DOMAINS)):
         # Ports of a domain (DDSI-RTPS 9.6.1): its first two and those from the tenth on are for participants, the
-        # third one is nobody's, and so can hold the claim.
+        # third one is unused, and so can hold the claim.
         first = 7400 + 250 * domain
         claim = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:

@@ -1,4 +1,4 @@
-"""How SIGINT and SIGTERM end the node in time, whatever it is doing."""
+"""End of the node on SIGINT and SIGTERM in time, whatever it is doing."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ GRACE = 5.0  # s in which a node that runs may close
 
 
 class Interrupted(BaseException):
-    """A signal came while the node was starting; not an Exception, so that nothing on the way takes it for its own."""
+    """A signal during the node's start; not an Exception, so that no handler on the way catches it."""
 
 
 class Ending:
-    """Notices the signals, also while the main thread is inside the compiler, which no Python handler interrupts.
+    """Handler of the signals, also while the main thread is inside the compiler, which no Python handler interrupts.
 
-    While starting, a signal raises Interrupted in the main thread; where that comes too late, and inside the
-    compiler, which may crash on what it would leave half made, the process ends without it: no bag is open yet, and
-    no force was published. Once running, the node closes; one that can't in 5 s ends as it is. Further signals change
-    nothing: a launcher often sends its own after the terminal's. Make it in the main thread.
+    While starting, a signal raises Interrupted in the main thread; where that comes too late, and inside the compiler,
+    which may crash on half-made state, the process ends without it: no bag is open yet, and no force was published.
+    Once running, the node closes; one that can't in 5 s ends as it is. Further signals change nothing: a launcher often
+    sends its own after the terminal's. Make it in the main thread.
     """
 
     def __init__(self) -> None:
@@ -50,17 +50,17 @@ class Ending:
         return self._raised
 
     def started(self) -> None:
-        """The node runs, and closes itself when asked to. Raises Interrupted if it was asked before."""
+        """Note that the node runs, and closes itself when asked to; raise Interrupted if it was asked before."""
         self.closes()
         if self._signalled or self.asked.is_set():
             raise Interrupted
 
     def closes(self) -> None:
-        """The main thread is able to close what there is."""
+        """Note that the main thread is able to close what there is."""
         self._starting = False
 
     def _on_signal(self, _: int, frame: FrameType | None) -> None:
-        """In the main thread, as soon as it is back in Python."""
+        """Handle a signal in the main thread, as soon as it is back in Python."""
         self._signalled = True
         # A second one must not disturb what the first one has begun.
         if self._starting and not self._raised and not _is_compiling(frame):
@@ -68,15 +68,15 @@ class Ending:
             raise Interrupted
 
     def _on_unraisable(self, unraisable: Any) -> None:
-        """Interrupted is lost in a callback from C, and what it left half made fails once more.
+        """Ignore the error: Interrupted is lost in a callback from C, and its half-made state fails once more.
 
-        The process ends all the same.
+        The process ends nevertheless.
         """
         if not self._raised:
             self._unraisable(unraisable)
 
     def _watch(self, pipe: int) -> None:
-        """In a thread of its own: the pipe is written to by the system's handler."""
+        """Wait in a separate thread for the pipe that the system's handler writes to."""
         os.read(pipe, 1)
         self.asked.set()
         if self._starting:
@@ -88,7 +88,7 @@ class Ending:
 
 
 def _is_compiling(frame: FrameType | None) -> bool:
-    """Whether the compiler's code is running, or what it calls."""
+    """Return whether the compiler's code, or code that it calls, is running."""
     while frame is not None:
         if frame.f_globals.get("__name__", "").partition(".")[0] in ("numba", "llvmlite"):
             return True

@@ -1,4 +1,4 @@
-"""The executor that node and probes spin with."""
+"""The executor of node and probes."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ OLD_RCLPY = (
 
 
 def make_executor() -> Executor:
-    """The one that costs least for a pose, or in an old rclpy the usual one."""
+    """Return the one that costs least for a pose, or in an old rclpy the usual one."""
     return SingleThreadedExecutor() if EventsExecutor is None else EventsExecutor()

@@ -1,4 +1,4 @@
-"""Where a tool's poses come from: rigid transforms between its frame and the organ's, fixed or looked up."""
+"""Frames of a tool's poses: rigid transforms between its frame and the organ's, fixed or looked up."""
 
 from __future__ import annotations
 
@@ -12,24 +12,44 @@ IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def tip_frame(tool: str) -> str:
-    """Return the frame at a tool's tip, its origin, along the tool's own axes."""
+    """Return the frame at a tool's tip, its origin, along the tool's own axes.
+
+    Parameters
+    ----------
+    tool : str
+        Name of the tool.
+    """
     return f"{tool}_tip"
 
 
 def wrench_frame(tool: str) -> str:
-    """Return the frame of a tool's wrench where `wrench_rotation` turns that away from every other frame."""
+    """Return the frame of a tool's wrench where `wrench_rotation` turns that away from every other frame.
+
+    Parameters
+    ----------
+    tool : str
+        Name of the tool.
+    """
     return f"{tool}_wrench"
 
 
 class UnknownFrame(ValueError):
-    """A frame that nothing leads from to the organ; the message is the end of a sentence that names the frame."""
+    """A frame without a transform to the organ; the message is the end of a sentence that names the frame."""
 
 
 class Transform(NamedTuple):
-    """A rigid transform, its translation in m and its unit quaternion xyzw.
+    """A rigid transform.
 
-    `scale` is applied to positions before it: m of the tool for one m of the hand. Plain floats, because it runs for
-    each pose at up to 1 kHz, where small arrays would cost more.
+    Plain floats, because it runs for each pose at up to 1 kHz, where small arrays would cost more.
+
+    Attributes
+    ----------
+    translation : Vector, shape (3,), m
+        Its translation.
+    rotation : Quaternion, shape (4,)
+        Its unit quaternion xyzw.
+    scale : float
+        Factor on positions before it: m of the tool for one m of the hand.
     """
 
     translation: Vector = (0.0, 0.0, 0.0)
@@ -38,9 +58,17 @@ class Transform(NamedTuple):
 
     @classmethod
     def of_pose(cls, pose: Sequence[float]) -> Transform:
-        """The transform of a pose (7,): from the axes at that pose to the frame it is given in.
+        """Return the transform of a pose: from the axes at that pose to the frame it is given in.
 
-        Raises ValueError when it isn't seven finite numbers with a quaternion that isn't zero.
+        Parameters
+        ----------
+        pose : Sequence[float], shape (7,), m and quaternion xyzw
+            The pose.
+
+        Raises
+        ------
+        ValueError
+            When it isn't seven finite numbers with a quaternion that isn't zero.
         """
         if len(pose) != 7 or not all(map(math.isfinite, pose)):
             raise ValueError("must be seven finite numbers: x, y, z (m) and a quaternion x, y, z, w")
@@ -49,28 +77,46 @@ class Transform(NamedTuple):
 
     @property
     def is_identity(self) -> bool:
-        """True when it changes no pose."""
+        """Whether it changes no pose."""
         return self == UNMOVED
 
     def inverse(self) -> Transform:
-        """The transform back; of a transform without scale."""
+        """Return the transform back; of a transform without scale."""
         x, y, z, w = self.rotation
         back = (-x, -y, -z, w)
         tx, ty, tz = rotate(back, self.translation)
         return Transform((-tx, -ty, -tz), back)
 
     def after(self, first: Transform) -> Transform:
-        """This transform after another one; a scale may be in the first one alone."""
+        """Return this transform after another one; only the first one may have a scale.
+
+        Parameters
+        ----------
+        first : Transform
+            The other one.
+        """
         x, y, z = rotate(self.rotation, first.translation)
         tx, ty, tz = self.translation
         return Transform((tx + x, ty + y, tz + z), multiply(self.rotation, first.rotation), first.scale)
 
     def scaled(self, scale: float) -> Transform:
-        """This transform, with positions scaled before it."""
+        """Return this transform, with positions scaled before it.
+
+        Parameters
+        ----------
+        scale : float
+            The factor.
+        """
         return Transform(self.translation, self.rotation, scale)
 
     def of(self, pose: Sequence[float]) -> tuple[float, ...]:
-        """A pose (7,) taken through it; a quaternion keeps its length."""
+        """Return a transformed pose; a quaternion keeps its length.
+
+        Parameters
+        ----------
+        pose : Sequence[float], shape (7,), m and quaternion xyzw
+            The pose.
+        """
         px, py, pz, qx, qy, qz, qw = pose
         scale = self.scale
         x, y, z = rotate(self.rotation, (scale * px, scale * py, scale * pz))
@@ -86,9 +132,16 @@ Placed = dict[str, tuple[str, Sequence[float]]]
 
 
 class Frames:
-    """Leads the frames that a tool's poses may come in to the organ.
+    """Transforms to the organ from the frames that a tool's poses may come in.
 
-    known: from each to the organ's frame. lookup: asked for any other, raises UnknownFrame; None without tf.
+    Parameters
+    ----------
+    known : dict[str, Transform]
+        From each frame to the organ's.
+    scale : float, optional
+        Factor on positions.
+    lookup : Callable[[str], Transform] | None, optional
+        Called for any other frame, raises UnknownFrame; None without tf.
     """
 
     def __init__(
@@ -98,11 +151,28 @@ class Frames:
         self._scale, self._lookup = scale, lookup
 
     def become(self, other: Frames) -> None:
-        """Lead as other frames do from now on."""
+        """Take over the transforms of other frames.
+
+        Parameters
+        ----------
+        other : Frames
+            The other frames.
+        """
         self._known, self._scale, self._lookup = other._known, other._scale, other._lookup
 
     def to_organ(self, frame_id: str) -> Transform:
-        """The transform from a frame to the organ's; raises UnknownFrame."""
+        """Return the transform from a frame to the organ's.
+
+        Parameters
+        ----------
+        frame_id : str
+            The frame.
+
+        Raises
+        ------
+        UnknownFrame
+            When there is none.
+        """
         transform = self._known.get(frame_id)
         if transform is not None:
             return transform

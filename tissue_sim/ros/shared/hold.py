@@ -1,4 +1,4 @@
-"""A loop that is held: it takes no tick but those that it is given one by one."""
+"""Holding of a loop: it takes no ticks but those that it is given one by one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 LONGEST = 1.0  # s that the loop may need until it stands, goes on, or has done a tick
-LOOK = 1e-4  # s between two looks at whether it has
+LOOK = 1e-4  # s between two checks whether it has
 SECOND = 1_000_000_000  # ns
 
 
@@ -37,16 +37,21 @@ class Holdable(Protocol):
 
 
 class Hold:
-    """Holds a running loop that follows the monotonic clock. Any thread may call.
+    """Control that holds a running loop that follows the monotonic clock; any thread may call it.
 
-    A held loop follows a time of its own, as others follow /clock: that stands, and goes on by a tick at a time, so
+    A held loop follows a time of its own, as others follow /clock: that stands, and advances by a tick at a time, so
     that exactly those ticks are due.
+
+    Parameters
+    ----------
+    loop : Loop
+        The loop.
     """
 
     def __init__(self, loop: Holdable) -> None:
         self._loop = loop
-        self._time = 0  # ns, that a held loop follows
-        self._lost = 0.0  # s of the monotonic clock that held loops took no part in
+        self._time = 0  # ns, followed by a held loop
+        self._lost = 0.0  # s of the monotonic clock for which loops were held
         self._frozen: float | None = None  # s, the time of `now` while held
         self._lock = threading.Lock()
 
@@ -56,14 +61,23 @@ class Hold:
         return self._frozen is not None
 
     def now(self) -> float:
-        """Seconds on the monotonic clock, without those for which the loop was held, and with the ticks in them."""
+        """Return the monotonic time, without that for which the loop was held, and with the ticks in it.
+
+        Returns
+        -------
+        float
+            s
+        """
         frozen = self._frozen
         return time.monotonic() - self._lost if frozen is None else frozen
 
     def begin(self) -> None:
-        """Hold the loop; returns when its last tick is done.
+        """Hold the loop; return when its last tick is done.
 
-        Raises TimeoutError when the loop doesn't answer; it is held as soon as it does.
+        Raises
+        ------
+        TimeoutError
+            When the loop doesn't answer; it is held as soon as it does.
         """
         with self._lock:
             if self.active:
@@ -76,9 +90,12 @@ class Hold:
             self._wait(lambda: control.standing and pace.seen == self._time)
 
     def end(self) -> None:
-        """Let the loop follow the monotonic clock again; returns when it has done a tick.
+        """Let the loop follow the monotonic clock again; return when it has done a tick.
 
-        Raises TimeoutError when the loop doesn't answer.
+        Raises
+        ------
+        TimeoutError
+            When the loop doesn't answer.
         """
         with self._lock:
             if self._frozen is None:
@@ -92,9 +109,12 @@ class Hold:
                 self._frozen = None
 
     def step(self) -> bool:
-        """Have one tick done; returns whether it was: False where the loop is no longer held.
+        """Have one tick done; return whether it was: False where the loop is no longer held.
 
-        Raises TimeoutError when the loop doesn't answer.
+        Raises
+        ------
+        TimeoutError
+            When the loop doesn't answer.
         """
         with self._lock:
             if self._frozen is None:

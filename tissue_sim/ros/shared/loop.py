@@ -22,7 +22,7 @@ from tissue_sim.model.world import make_world
 from tissue_sim.ros.shared.hold import Hold
 from tissue_sim.ros.shared.priority import prefer
 
-_libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothing
+_libc = ctypes.PyDLL(None)  # keeps the GIL: functions called here never wait
 _waiting_libc = ctypes.CDLL(None)
 
 
@@ -40,24 +40,24 @@ class Loop:
         self._pairs, self._respiration = handle(self.joined_box.pairs), handle(self.joined_box.respiration)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self.ended = False  # though nobody has asked for that
-        self.failure: BaseException | None = None  # what ended it
+        self.failure: BaseException | None = None  # error that ended it
         self._bell = ctypes.c_void_p(self.words.bell.ctypes.data)
         self._answered = ctypes.c_void_p(self.words.answered.ctypes.data)
         control = self.words.control
         self._asked, self._waiting = field_of(control, "asked"), field_of(control, "waiting")
         self._napping, self._standing = field_of(control, "napping"), field_of(control, "standing")
         self._looked_up, self._sim_time = field_of(control, "looked_up"), field_of(control, "sim_time")
-        self._snapshot_lock = threading.Lock()  # held while somebody reads the states that were asked for
+        self._snapshot_lock = threading.Lock()  # held while somebody reads the requested states
         for semaphore in (self._bell, self._answered):
             _libc.sem_init(semaphore, 0, 0)
-        # Settings of their own: those of a simulation change between ticks, when a parameter does.
+        # Separate settings: those of a simulation change between ticks, when a parameter does.
         self._settings = [copy_of(one.settings) for one in self.simulations]
         self.hold = Hold(self)
 
     def _run(self) -> None:
         try:
             self._tick_on()
-        except Exception as error:  # the node tells, and ends
+        except Exception as error:  # the node reports it, and ends
             self.failure = error
         self.ended = not self.words.control.stop or self.failure is not None
 
@@ -70,13 +70,19 @@ class Loop:
         rt.run_loop(row(worlds), boxes, handle(self.words), self.joined.handle, handle(self.joined_box))
 
     def start(self) -> None:
-        """Start the loop; returns when it runs (compiling takes a while)."""
+        """Start the loop; return when it runs (compiling takes a while)."""
         self._thread.start()
         while not self.words.control.started and self._thread.is_alive():
             time.sleep(0.01)
 
     def prefer(self, priority: int) -> None:
-        """Let the running loop go before other threads, see `priority.prefer`."""
+        """Give the running loop a priority, see `priority.prefer`.
+
+        Parameters
+        ----------
+        priority : int
+            The priority.
+        """
         prefer(priority, self._thread.native_id or 0)
 
     @property
@@ -94,13 +100,18 @@ class Loop:
 
     @property
     def alive(self) -> bool:
-        """True while the loop runs."""
+        """Whether the loop runs."""
         return self._thread.is_alive()
 
     def answers_within(self, age: int) -> bool:
-        """False while the loop is not there, hangs, or gets no time to run: what it handed out last is old.
+        """Return whether the loop is there and posts its state: False where it hangs or gets no time to run.
 
-        Older than age ns, that is; a loop that waits for /clock looks up less often.
+        A loop that waits for /clock wakes less often.
+
+        Parameters
+        ----------
+        age : int, ns
+            Largest age of its last post.
         """
         if self.ended:
             return False
@@ -109,27 +120,27 @@ class Loop:
 
     @property
     def standing(self) -> bool:
-        """True while no tick is due: the loop is held, or the clock stands that it follows."""
+        """Whether no tick is due: the loop is held, or the clock that it follows stands."""
         return self.hold.active or self.clock_stands
 
     @property
     def clock_stands(self) -> bool:
-        """True while ticks follow a posted time that has not come yet, or that has stood still for half a second."""
+        """Whether ticks follow a posted time that has not come yet, or has stood still for half a second."""
         return bool(self._standing[0]) and not self.hold.active
 
     @property
     def tick_time(self) -> float:
-        """Simulated time of the next tick, s, by the settings that the last one took up."""
+        """Simulated time of the next tick, by the settings that the last one applied, s."""
         return float(self._settings[0].tick_time)
 
     @property
     def ticks(self) -> int:
-        """That it has done."""
+        """Number of ticks done."""
         return int(self.words.control.loop_ticks)
 
     # in ----------------------------------------------------------------------------------------
     def wake(self) -> None:
-        """Ask for a tick at once: what has been posted is not to wait."""
+        """Request a tick at once, so that posted inputs don't wait."""
         self._asked[0] += 1
         if self._waiting[0] or self._napping[0]:
             self._ring()
@@ -138,54 +149,100 @@ class Loop:
         _libc.sem_post(self._bell)
 
     def reset(self) -> None:
-        """All organs back to the rest shape before the next tick."""
+        """Return all organs to the rest shape before the next tick."""
         self.words.control.resets += 1
         self.wake()
 
     @property
     def resets(self) -> int:
-        """How often it was asked to go back to the rest shape."""
+        """Number of resets requested."""
         return int(self.words.control.resets)
 
     def post_respiration(self, share: float) -> int:
-        """Where the breath is to be, as a share of its way; returns its sequence number."""
+        """Post where the breath is to be; return its sequence number.
+
+        Parameters
+        ----------
+        share : float
+            Fraction of its way.
+        """
         return int(mb.put(self._respiration, 0, np.array([share]).view(np.int64)))
 
     def post_pairs(self, found: PairSet) -> int:
-        """Where organs that are joined touch each other; returns its sequence number."""
+        """Post where joined organs touch each other; return its sequence number.
+
+        Parameters
+        ----------
+        found : PairSet
+            The pairs.
+        """
         return int(mb.put(self._pairs, 0, used_words(found)))
 
     def follow_posted_time(self, follow: bool) -> None:
-        """Let ticks follow the times of `post_time` instead of the monotonic clock, or no longer."""
+        """Let ticks follow the times of `post_time` instead of the monotonic clock, or no longer.
+
+        Parameters
+        ----------
+        follow : bool
+            Whether they do.
+        """
         self.words.control.sim_time = follow
         self._ring()
 
     def post_time(self, nanoseconds: int) -> None:
-        """The newest time of /clock: ticks up to it are due."""
+        """Post the newest time of /clock: ticks up to it are due.
+
+        Parameters
+        ----------
+        nanoseconds : int, ns
+            That time.
+        """
         self.words.control.posted_time = nanoseconds
         self._ring()
 
     # out ---------------------------------------------------------------------------------------
     def wait_for_answer(self, longest: float) -> bool:
-        """Wait for the end of a tick that was asked for, `longest` s at most; return whether there was one."""
+        """Wait for the end of a requested tick; return whether there was one.
+
+        Parameters
+        ----------
+        longest : float, s
+            The longest time.
+        """
         end = time.monotonic_ns() + round(1e9 * longest)
         timespec = (ctypes.c_long * 2)(*divmod(end, 1_000_000_000))
         return bool(_waiting_libc.sem_clockwait(self._answered, rt.CLOCK_MONOTONIC, timespec) == 0)
 
     @contextmanager
     def snapshots(self, timeout: float = 1.0) -> Iterator[None]:
-        """The whole state after one tick is in the boxes of all organs in here, whoever else asks for it.
+        """Provide the whole state after one tick in the boxes of all organs, whoever else requests it.
 
-        Raises TimeoutError when the loop doesn't answer.
+        Parameters
+        ----------
+        timeout : float, s, optional
+            The longest time.
+
+        Raises
+        ------
+        TimeoutError
+            When the loop doesn't answer.
         """
         with self._snapshot_lock:
             self.take_snapshots(timeout)
             yield
 
     def take_snapshots(self, timeout: float = 1.0) -> None:
-        """Have the whole state after one tick in the boxes of all organs.
+        """Copy the whole state after one tick to the boxes of all organs.
 
-        Raises TimeoutError when the loop doesn't answer.
+        Parameters
+        ----------
+        timeout : float, s, optional
+            The longest time.
+
+        Raises
+        ------
+        TimeoutError
+            When the loop doesn't answer.
         """
         control = self.words.control
         control.snapshot_asked += 1

@@ -1,4 +1,4 @@
-"""Messages as bytes: typed once as a template, then patched in place and published as they are."""
+"""Messages as bytes: serialised once as a template, then patched in place and published as they are."""
 
 from __future__ import annotations
 
@@ -20,7 +20,14 @@ from tissue_sim.ros.shared.cdr import CDR_HEADER
 class NumbersTemplate:
     """A message that ends in doubles, ready to be patched: a wrench or a pose, with or without a header.
 
-    message: a PoseStamped, WrenchStamped, Wrench or Float64MultiArray (empty layout), its numbers to be replaced.
+    Parameters
+    ----------
+    message : Any
+        A PoseStamped, WrenchStamped, Wrench or Float64MultiArray (empty layout), whose numbers are replaced.
+    n_numbers : int
+        Number of the doubles.
+    frame_id : str, optional
+        Its frame.
     """
 
     def __init__(self, message: Any, n_numbers: int, frame_id: str = "") -> None:
@@ -32,7 +39,15 @@ class NumbersTemplate:
         self._body = len(self._bytes) - 8 * n_numbers
 
     def message(self, stamp: int, numbers: Sequence[float] | Floats) -> bytes:
-        """The message with a stamp in ns, if it has one, and as many of the numbers as it holds; the rest are zero."""
+        """Return the message with as many of the numbers as it holds; the rest are zero.
+
+        Parameters
+        ----------
+        stamp : int, ns
+            Its time, if it has one.
+        numbers : Sequence[float] | Floats
+            The numbers.
+        """
         if self._stamped:
             struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
         n = min(self._n, len(numbers))
@@ -62,18 +77,36 @@ class CloudTemplate:
         self.points = np.frombuffer(self._bytes, dtype="<f4", offset=start, count=block.size).reshape(block.shape)
 
     def message(self, stamp: int) -> bytes:
-        """The message as `points` stand, with a stamp in ns."""
+        """Return the message with the present `points`.
+
+        Parameters
+        ----------
+        stamp : int, ns
+            Its time.
+        """
         struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
         return bytes(self._bytes)
 
 
 def rest_mesh(organ: Organ) -> bytes:
-    """The rest surface as a shape_msgs/Mesh."""
+    """Return the rest surface as a shape_msgs/Mesh.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    """
     return _mesh(organ.surface_positions, organ.surface_triangles)
 
 
 def inclusion_mesh(organ: Organ) -> bytes:
-    """The surfaces of all inclusions at rest as one shape_msgs/Mesh."""
+    """Return the surfaces of all inclusions at rest as one shape_msgs/Mesh.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    """
     return _mesh(organ.inclusion_positions, organ.inclusion_triangles)
 
 

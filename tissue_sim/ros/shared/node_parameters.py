@@ -1,4 +1,4 @@
-"""What a running node's parameters say, for the programs beside it; asked for without waiting."""
+"""Parameters of a running node, for the programs beside it; requested without waiting."""
 
 from __future__ import annotations
 
@@ -15,13 +15,20 @@ from tissue_sim.ros.shared.client import client_node, node_beside, wait_until
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOLD, TOOL_SPECS
 
 NODE_NAMES = ("tools", TOLD, *(spec.name for spec in NODE_SPECS))
-ASK_AGAIN = 1.0  # s: a server drops the answer to a client that it has not wholly found yet
+ASK_AGAIN = 1.0  # s; a server drops the answer to a client that it has not discovered completely
 
 
 class NodeParameters:
-    """Reads the parameters of the node `target` and of its tools, for the node `client`.
+    """Parameters of the node `target` and of its tools, read for the node `client`.
 
-    It has a node of its own, for an executor that takes up nothing but the answers.
+    It has a node of its own, for an executor that handles nothing but the answers.
+
+    Parameters
+    ----------
+    client : Node
+        The client's node.
+    target : str
+        Name of the other node.
     """
 
     def __init__(self, client: Node, target: str) -> None:
@@ -36,12 +43,12 @@ class NodeParameters:
         self.ask()
 
     def ask(self) -> None:
-        """Read all of them anew."""
+        """Read all of them again."""
         self._values, self._to_ask = {}, [NODE_NAMES]
         self._forget()
 
     def poll(self) -> dict[str, Any] | None:
-        """All of them by name, once they have come after `ask`; until then, and after that, None."""
+        """Return all of them by name, once they have come after `ask`; before and afterwards None."""
         if not self._to_ask:
             return None
         if self._pending is not None:
@@ -59,7 +66,7 @@ class NodeParameters:
         return None
 
     def _take(self, names: Sequence[str], values: Sequence[Any]) -> None:
-        # A node that lacks one of them tells none: then nothing is known of it.
+        # A node that lacks one of them returns none: then nothing is known about it.
         found = dict(zip(names, map(parameter_value_to_python, values), strict=False))
         self._values |= found
         if names is NODE_NAMES:
@@ -72,6 +79,16 @@ class NodeParameters:
 
 
 def told_by(target: str, asker: str, longest: float) -> dict[str, Any] | None:
-    """The parameters of the node `target`, for a node called `asker`; None where it doesn't answer for so many s."""
+    """Return the parameters of a node; None where it doesn't answer in time.
+
+    Parameters
+    ----------
+    target : str
+        Name of that node.
+    asker : str
+        Name of the asking node.
+    longest : float, s
+        That time.
+    """
     with client_node(asker, target) as own:
         return wait_until(NodeParameters(own, target).poll, longest) or None

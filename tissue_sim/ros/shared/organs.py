@@ -19,9 +19,17 @@ RETURN = 0.2  # s in which forces return after the clock or the loop stood
 
 
 class Organs:
-    """Each organ takes up what a tool sends; what the tool feels is the sum. Any one thread may call a method.
+    """The organs: each applies what a tool sends; a tool feels the sum. Any one thread may call a method.
 
-    each: by their number in the loop.
+    Parameters
+    ----------
+    loop : Loop
+        The loop.
+
+    Attributes
+    ----------
+    each
+        The organs by their number in the loop.
     """
 
     def __init__(self, loop: Loop) -> None:
@@ -33,10 +41,23 @@ class Organs:
 
     # in ----------------------------------------------------------------------------------------
     def post_poses(self, bodies: Sequence[int], poses: Floats, stamp: int = 0) -> int:
-        """Post the newest poses (b, 7) of a tool's bodies, stamp in ns, and ask for a tick.
+        """Post the newest poses of a tool's bodies, and request a tick.
 
-        Returns the last one's sequence number, the same of all organs. The tick is asked for after all of them, as in
-        between it would move one jaw of a gripper.
+        The tick is requested after all of them, as in between it would move one jaw of a gripper.
+
+        Parameters
+        ----------
+        bodies : Sequence[int], shape (b,)
+            Indices of the bodies.
+        poses : Floats, shape (b, 7), m and quaternion xyzw
+            Their poses.
+        stamp : int, ns, optional
+            Their time.
+
+        Returns
+        -------
+        int
+            the last one's sequence number, the same for all organs
         """
         for body, pose in zip(bodies, poses, strict=True):
             sequence = max([one.post_pose(body, pose, stamp) for one in self.each])
@@ -44,41 +65,49 @@ class Organs:
         return sequence
 
     def post_force(self, body: int, force: Floats) -> int:
-        """Post the newest external force (3,) N at the tip of a body; return its sequence number, the same of all."""
+        """Post the newest external force at the tip of a body; return its sequence number, the same for all.
+
+        Parameters
+        ----------
+        body : int
+            Index of the body.
+        force : Floats, shape (3,), N
+            The force.
+        """
         sequence = max([one.post_force(body, force) for one in self.each])
         self.loop.wake()
         return sequence
 
     # out ---------------------------------------------------------------------------------------
     def settings(self) -> Settings:
-        """The newest settings of the first organ, a copy: what concerns tools and ticks is the same of all."""
+        """Return a copy of the newest settings of the first organ: those of tools and ticks are the same for all."""
         return self.each[0].settings()
 
     @property
     def stale_time(self) -> float:
-        """After so many s without input it is stale."""
+        """Time without input after which it is stale, s."""
         return self.each[0].stale_time
 
     @property
     def ramp_time(self) -> float:
-        """In so many s what is stale fades."""
+        """Time in which a stale input fades, s."""
         return self.each[0].ramp_time
 
     @property
     def tick_time(self) -> float:
-        """Simulated time of a tick, s, by the newest settings."""
+        """Simulated time of a tick, by the newest settings, s."""
         return self.each[0].tick_time
 
     @property
     def answers(self) -> bool:
-        """See Physics.answers."""
+        """Whether the loop answers, see Physics.answers."""
         return self.each[0].answers
 
     def wrenches(self) -> tuple[int, Floats]:
-        """The newest tick and what tools feel of all organs, (T, 6) N, N m; as Physics.wrenches.
+        """Return the newest tick and what tools feel of all organs, (T, 6) N, N m; see Physics.wrenches.
 
-        Where ticks go on after the clock or the loop stood, forces return within RETURN s, with tick -1 until then:
-        a tool may still be in touch, and a hand must not get a kick.
+        Where ticks go on after the clock or the loop stood, forces return within RETURN s, with tick -1 until then: a
+        tool may still be in touch, and a hand must not get a jolt.
         """
         if self.loop.standing or not self.answers:
             self._went_on = math.inf
@@ -95,14 +124,20 @@ class Organs:
         return int(words[0]), words[1:].view(np.float64).reshape(self.n_bodies, 6)
 
     def taken(self) -> Longs:
-        """See Physics.taken; the same of all."""
+        """Return the inputs that were applied, see Physics.taken; the same for all."""
         return self.each[0].taken()
 
     def hold_off(self, bodies: Sequence[int]) -> bool:
-        """Return whether any organ doesn't resist one of the bodies, which appeared inside it."""
+        """Return whether any organ doesn't resist one of the bodies, which appeared inside it.
+
+        Parameters
+        ----------
+        bodies : Sequence[int]
+            Indices of the bodies.
+        """
         return any(one.results().bodies.held_off[list(bodies)].any() for one in self.each)
 
     @property
     def surface_sequences(self) -> tuple[int, ...]:
-        """See Physics.surface_sequence; of each."""
+        """The surface_sequence of each organ, see Physics."""
         return tuple(one.surface_sequence for one in self.each)

@@ -31,7 +31,7 @@ from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
 @dataclass(frozen=True)
 class Spec:
-    """One parameter. `setting` is the field of the simulation's settings that it changes, if any."""
+    """One parameter; `setting` is the field of the simulation's settings that it changes, if any."""
 
     name: str
     default: Any
@@ -157,37 +157,58 @@ TOOL_SPECS = (
 )
 
 
-RENAMED = {"measured_cf": "external_cf"}  # of a tool: what a parameter was called, and what it is called now
-OFF = "off"  # which YAML, and so rcl and the ros2 command line, take for false
-TOLD = "organs"  # a parameter that says what was found
+RENAMED = {"measured_cf": "external_cf"}  # former and present names of a tool's parameters
+OFF = "off"  # YAML, and so rcl and the ros2 command line, read it as false
+TOLD = "organs"  # read-only parameter with the organs that were found
 OF_RCLPY = ("qos_overrides.", "start_type_description_service", "use_sim_time")
 
 
 class Values(Protocol):
-    """Parameters by name: a node's own, or a dictionary of those that another node has told."""
+    """Parameters by name: a node's own, or a dictionary of another node's."""
 
     def __getitem__(self, name: str, /) -> Any:
-        """The value of a parameter."""
+        """Return the value of a parameter."""
 
 
 def tool_of(values: Values, name: str) -> Tool:
-    """The tool of a name as its parameters describe it."""
+    """Return the tool of a name as its parameters describe it.
+
+    Parameters
+    ----------
+    values : Values
+        The parameters.
+    name : str
+        Name of the tool.
+    """
     get = {key: values[f"{name}.{key}"] for key in ("shape", "radius", "length", "mesh", "smoothing")}
     return Tool(name, **get)
 
 
 def usual_topics(tool: str) -> dict[str, str]:
-    """The names of a tool's topics where its parameters give none, by the topics of TOOL_TOPICS and measured_js.
+    """Return the default names of a tool's topics, by the topics of TOOL_TOPICS and measured_js.
 
-    External forces have none: in CRTK a device publishes its own force as measured_cf, which must not come back as one
-    on the tissue.
+    External forces have none: in CRTK a device publishes its own force as measured_cf, which must not return as one on
+    the tissue.
+
+    Parameters
+    ----------
+    tool : str
+        Name of the tool.
     """
     names = {topic: f"{tool}/{topic}" for topic in TOOL_TOPICS}
     return names | {"external_cf": "", "measured_js": f"{tool}/gripper/measured_js"}
 
 
 def topics_of(values: Values, tool: str) -> ToolTopics:
-    """How the bridge of a tool speaks."""
+    """Return the topics and message types of a tool's bridge.
+
+    Parameters
+    ----------
+    values : Values
+        The parameters.
+    tool : str
+        Name of the tool.
+    """
     words = ["pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable"]
     words += ["allow_empty_frame", "allow_zero_stamp"]
     return ToolTopics(
@@ -199,7 +220,17 @@ def topics_of(values: Values, tool: str) -> ToolTopics:
 
 
 def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | None) -> Frames:
-    """The frames that a tool's poses may come in; lookup leads others to the node's `tf_target`, None without tf."""
+    """Return the frames that a tool's poses may come in.
+
+    Parameters
+    ----------
+    values : Values
+        The parameters.
+    tool : str
+        Name of the tool.
+    lookup : Callable[[str], Transform] | None
+        Transforms other frames to the node's `tf_target`; None without tf.
+    """
     organ_id, base_id = _organ_and_base(values)
     to_organ = Transform.of_pose(values["organ_pose"]).inverse()
     known = {base_id: to_organ, organ_id: Transform()}
@@ -209,12 +240,12 @@ def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | No
 
 
 def _organ_and_base(values: Values) -> tuple[str, str]:
-    """The names of the organ's frame and of the one that poses in parameters are in: the organ's, if it has no name."""
+    """Return the names of the organ's frame and of that of poses in parameters: the organ's, if it has no name."""
     return values["frame_id"], values["base_frame"] or values["frame_id"]
 
 
 def _frame_of(values: Values, tool: str) -> str:
-    """The name of the frame that a tool's poses come in."""
+    """Return the name of the frame that a tool's poses come in."""
     return values[f"{tool}.frame_id"] or values["frame_id"]
 
 
@@ -229,7 +260,7 @@ def check_organ_pose(values: Values, pose: Sequence[float]) -> None:
 
 
 def check_frames(values: Values, tools: Sequence[str]) -> None:
-    """Raise UserError where parameters give a frame two places, so that what a header says would not be where it is."""
+    """Raise UserError where parameters give a frame two places, so that a header would be ambiguous."""
     organ_id, base_id = _organ_and_base(values)
     check_organ_pose(values, values["organ_pose"])
     placed: dict[str, tuple[str, Transform]] = {}  # by frame: the tool that places it, and where
@@ -251,9 +282,16 @@ def check_frames(values: Values, tools: Sequence[str]) -> None:
 
 
 def placed_frames(values: Values, tools: Sequence[str]) -> Placed:
-    """The frames that parameters place in base_frame, which is the organ's where none is named.
+    """Return the frames that parameters place in base_frame, which is the organ's where none is named.
 
-    A tool's frame without a base_pose is its driver's to tell.
+    A tool's frame without a base_pose is left to its driver.
+
+    Parameters
+    ----------
+    values : Values
+        The parameters.
+    tools : Sequence[str]
+        Names of the tools.
     """
     organ_id, base_id = _organ_and_base(values)
     poses = {_frame_of(values, tool): Transform.of_pose(values[f"{tool}.base_pose"]) for tool in tools}
@@ -264,16 +302,24 @@ def placed_frames(values: Values, tools: Sequence[str]) -> Placed:
 
 
 class Parameters:
-    """Declares the parameters on a node and reads them.
+    """The parameters of a node: declared here, and read by name.
 
-    Raises UserError naming the parameter when a value is out of range or of the wrong type.
+    Parameters
+    ----------
+    node : Node
+        The node.
+
+    Raises
+    ------
+    UserError
+        When a value is out of range or of the wrong type; the message names the parameter.
     """
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._specs: dict[str, Spec] = {}
         self.changed: list[Callable[[set[str]], None]] = []  # called with the names after a live change
-        # Of live changes, by name; they raise UserError.
+        # Checks of live changes, by name; they raise UserError.
         self.checks: dict[str, Callable[[Any], object]] = {"organ_pose": partial(check_organ_pose, self)}
         for spec in NODE_SPECS:
             self._declare(spec.name, spec)
@@ -295,23 +341,43 @@ class Parameters:
 
     @property
     def tf_target(self) -> str:
-        """The frame that other frames are looked up against."""
+        """Frame that other frames are looked up against."""
         return self["base_frame"] or self["frame_id"]
 
     def apply(self, settings: Settings) -> None:
-        """Write the parameters that are settings of the simulation."""
+        """Write the parameters that are settings of the simulation.
+
+        Parameters
+        ----------
+        settings : Settings
+            The settings; updated.
+        """
         for spec in NODE_SPECS:
             if spec.setting:
                 setattr(settings, spec.setting, self[spec.name])
         settings.gravity_x, settings.gravity_y, settings.gravity_z = self["gravity"]
 
     def prefer(self, name: str, value: Any) -> None:
-        """Give a live parameter another default; a file of parameters may name the old one."""
+        """Give a live parameter another default; a parameter file may contain the old one.
+
+        Parameters
+        ----------
+        name : str
+            Name of the parameter.
+        value : Any
+            The other default.
+        """
         if _plain(self[name]) == self._specs[name].default:
             self._node.set_parameters([Parameter(name, value=value)])
 
     def tell_organs(self, names: Sequence[str]) -> None:
-        """Say what a scene's organs are called; none for one alone. Nobody sets that."""
+        """Declare the read-only parameter with the names of a scene's organs; none for a single one.
+
+        Parameters
+        ----------
+        names : Sequence[str]
+            The names.
+        """
         text = "names of a scene's organs, with which their topics begin; empty for a single organ"
         # Dynamic: rclpy takes an empty list for one of bytes.
         descriptor = ParameterDescriptor(description=text, dynamic_typing=True, read_only=True)
@@ -319,7 +385,7 @@ class Parameters:
         self._specs[TOLD] = Spec(TOLD, list(names), text)
 
     def values(self) -> dict[str, Any]:
-        """All parameters by name, as plain values."""
+        """Return all parameters by name, as plain values."""
         return {name: _plain(self[name]) for name in self._specs}
 
     # inside ------------------------------------------------------------------------------------
@@ -336,7 +402,7 @@ class Parameters:
                 descriptor.floating_point_range = [
                     FloatingPointRange(from_value=spec.low, to_value=spec.high, step=0.0)
                 ]
-        descriptor.dynamic_typing = OFF in spec.choices  # for rclpy would refuse it before it can be put in words
+        descriptor.dynamic_typing = OFF in spec.choices  # or rclpy would refuse it before _as_meant
         self._specs[name] = spec
         given = self._node._parameter_overrides.get(name)  # rclpy shows no other way to it
         if given is not None:
@@ -357,7 +423,7 @@ class Parameters:
             raise UserError(problem)
 
     def _warn_of_unknown(self) -> None:
-        """A misspelt parameter would change nothing without a word; a file for several nodes may hold others' too."""
+        """Warn about unknown parameters: a misspelt one changes nothing, though a shared file may hold others' too."""
         for name in self._node._parameter_overrides:
             if self._node.has_parameter(name) or name.startswith(OF_RCLPY) or name == TOLD:
                 continue
@@ -373,7 +439,7 @@ class Parameters:
             self._node.get_logger().warning(f"parameter '{name}' is unknown and has no effect; {hint}")
 
     def _as_meant(self, parameter: Parameter) -> Parameter:
-        """A parameter whose choice YAML reads as its false, or whose decimals as whole numbers, as what was meant."""
+        """Return a parameter as it was meant: a choice that YAML reads as false, or decimals read as whole numbers."""
         spec = self._specs.get(parameter.name)
         if spec is None:
             return parameter
@@ -387,9 +453,14 @@ class Parameters:
         return parameter
 
     def decided(self, parameter: Parameter) -> SetParametersResult | None:
-        """Return what comes of setting a parameter that is fixed; None for one that isn't.
+        """Return the result of setting a parameter that is fixed; None for one that isn't.
 
-        The value that it has is taken, as in a dump of the node's own that is loaded again; rclpy would refuse it.
+        Its present value is accepted, as in a dump of the node's own that is loaded again; rclpy would refuse it.
+
+        Parameters
+        ----------
+        parameter : Parameter
+            The parameter.
         """
         spec = self._specs.get(parameter.name)
         if spec is None or spec.live:
@@ -416,7 +487,7 @@ class Parameters:
         return SetParametersResult(successful=True)
 
     def _tell(self, parameters: list[Parameter]) -> None:
-        """After a change that nobody refused."""
+        """Notify the listeners after a change that nobody refused."""
         names = {parameter.name for parameter in parameters} & set(self._specs)
         for call in self.changed if names else []:
             call(names)
@@ -437,7 +508,7 @@ def _problem(name: str, spec: Spec, value: Any) -> str:
 
 
 def _is_decimals(value: Any) -> bool:
-    """Whether it is a list of numbers that need not be whole."""
+    """Return whether it is a list of numbers that need not be whole."""
     return isinstance(value, list) and bool(value) and isinstance(value[0], float)
 
 

@@ -17,13 +17,20 @@ from tissue_sim.model.settings import Settings
 from tissue_sim.model.state import Region, Results, results_in
 from tissue_sim.ros.shared.loop import Loop
 
-LONGEST = 0.1  # s that a wrench may go out without a new one, however late a tool's poses may come
+LONGEST = 0.1  # s that a wrench may be published again without a new one
 
 
 class Physics:
-    """One organ of a running loop. Methods may be called from any one thread each.
+    """One organ of a running loop; methods may be called from any one thread each.
 
-    Everything that is posted is taken up by the next tick; the journal tells which. organ: its number in the loop.
+    Everything that is posted is applied by the next tick; the journal says which.
+
+    Parameters
+    ----------
+    loop : Loop
+        The loop.
+    organ : int, optional
+        Number of the organ in the loop.
     """
 
     def __init__(self, loop: Loop, organ: int = 0) -> None:
@@ -33,10 +40,10 @@ class Physics:
         self._results, self._shape = handle(self.box.results), handle(self.box.shape)
         self.n_bodies = len(self.simulation.shapes.kind)
         self._journal_read = 0
-        self._oldest = 0  # ns, the age up to which a wrench may go out
+        self._oldest = 0  # ns, the age up to which a wrench may be published
         self.stale_time = self.ramp_time = self.tick_time = 0.0  # s, of the newest settings
         size = len(self.simulation.state.results)
-        place = results_in(np.arange(size), self.n_bodies)  # where in these words what goes to a hand lies
+        place = results_in(np.arange(size), self.n_bodies)  # positions of the haptic output in these words
         self._result_words, self._tick_at = size, int(place.status.tick)
         self._wrench_at = place.wrench.view(np.int64).copy()
         self._taken_at = np.array(place.bodies.pose_sequence)
@@ -45,29 +52,58 @@ class Physics:
 
     @property
     def answers(self) -> bool:
-        """False while what the loop handed out last is older than what a tool may feel without poses, or two ticks."""
+        """Whether the loop's last post is younger than a tool's force may be without poses, or two ticks."""
         return self.loop.answers_within(self._oldest)
 
     # in ----------------------------------------------------------------------------------------
     def post_pose(self, body: int, pose: Floats, stamp: int = 0) -> int:
-        """Hand over the newest pose (7,) of a tool's body, and its stamp, ns; return its sequence number.
+        """Post the newest pose of a tool's body; return its sequence number.
 
-        The next tick takes it up; `Loop.wake` asks for one, once all that belongs together has been posted.
+        The next tick applies it; `Loop.wake` requests one, once everything that belongs together has been posted.
+
+        Parameters
+        ----------
+        body : int
+            Index of the body.
+        pose : Floats, shape (7,), m and quaternion xyzw
+            The pose.
+        stamp : int, ns, optional
+            Its time.
         """
         words = np.empty(mb.POSE_WORDS, dtype=np.int64)
         words[:7], words[7] = pose.view(np.int64), stamp
         return int(mb.put(self._pose, body, words))
 
     def post_force(self, body: int, force: Floats) -> int:
-        """Hand over the newest external force (3,) N at the tip of a body, as a pose; return its sequence number."""
+        """Post the newest external force at the tip of a body; return its sequence number.
+
+        Parameters
+        ----------
+        body : int
+            Index of the body.
+        force : Floats, shape (3,), N
+            The force.
+        """
         return int(mb.put(self._force, body, force.view(np.int64)))
 
     def post_contacts(self, found: ContactSet) -> int:
-        """The newest contact set; returns its sequence number."""
+        """Post the newest contact set; return its sequence number.
+
+        Parameters
+        ----------
+        found : ContactSet
+            The contact set.
+        """
         return int(mb.put(self._contacts, 0, found.words))
 
     def post_settings(self, settings: Settings) -> int:
-        """New settings; returns their sequence number."""
+        """Post new settings; return their sequence number.
+
+        Parameters
+        ----------
+        settings : Settings
+            The settings.
+        """
         with self._settings_lock:
             self.stale_time, self.ramp_time = float(settings.stale_time), float(settings.ramp_time)
             self.tick_time = float(settings.tick_time)
@@ -76,14 +112,14 @@ class Physics:
             return int(mb.put(self._settings, 0, words_of(settings)))
 
     def settings(self) -> Settings:
-        """The newest settings, a copy."""
+        """Return a copy of the newest settings."""
         words = np.empty(Settings.words(), dtype=np.int64)
         mb.take(self._settings, 0, 0, words)
         return Settings.at(words)
 
     # out ---------------------------------------------------------------------------------------
     def results(self) -> Results:
-        """What the newest tick handed out; a copy."""
+        """Return a copy of what the newest tick posted."""
         return results_in(self._newest(), self.n_bodies)
 
     def _newest(self) -> Longs:
@@ -92,13 +128,13 @@ class Physics:
         return words
 
     def taken(self) -> Longs:
-        """Return the sequence number of the pose that the newest tick had taken up of each body, (T,); 0: none."""
+        """Return the sequence number of each body's pose that the newest tick had applied, (T,); 0: none."""
         return np.asarray(self._newest()[self._taken_at])
 
     def wrenches(self) -> tuple[int, Floats]:
-        """The newest tick and its wrenches (T, 6) N, N m; a copy. Tick -1 and zeros while the clock or the loop stands.
+        """Return the newest tick and a copy of its wrenches (T, 6) N, N m.
 
-        A force that no tick renews must not stay in the hand.
+        Tick -1 and zeros while the clock or the loop stands: a force that no tick renews must not stay in the hand.
         """
         if self.loop.standing or not self.answers:
             return -1, np.zeros((self.n_bodies, 6))
@@ -107,14 +143,21 @@ class Physics:
 
     @property
     def surface_sequence(self) -> int:
-        """Raised whenever the positions moved."""
+        """Number that rises whenever the positions moved."""
         return self.loop.ticks if self.box.demand.on_demand else int(self.box.shape.sequence[0])
 
     def positions(self, out: Floats, timeout: float = 0.02) -> tuple[int, Floats]:
-        """Copy the newest positions into out (n, 3) m; returns their tick, and the (3,) m that the breath adds to them.
+        """Copy the newest positions; return their tick, and the (3,) m that breathing adds to them.
 
-        With a modal region the loop works them out for this, after its next tick; when it doesn't within timeout s,
-        they are the last ones that it did.
+        With a modal region the loop computes them for this, after its next tick; when it doesn't in time, they are the
+        last ones that it computed.
+
+        Parameters
+        ----------
+        out : Floats, shape (n, 3), m
+            The positions; updated.
+        timeout : float, s, optional
+            That time.
         """
         demand = self.box.demand
         if demand.on_demand:
@@ -129,9 +172,15 @@ class Physics:
         out.reshape(-1)[:] = numbers[3:]
         return int(words[0]), numbers[:3]
 
-    # For colours: read beside the running loop, so that a tick may write in between. Nothing else may rest on them.
+    # For colours only: they are read beside the running loop, so that a tick may write in between.
     def contact_forces(self) -> Floats:
-        """Size of the contact force on each node, (n,) N, as the last substep had it."""
+        """Return the size of the contact force on each node in the last substep.
+
+        Returns
+        -------
+        Floats
+            shape (n,), N
+        """
         state, contacts = self.simulation.state, self.simulation.state.contacts
         status = self.results().status  # of a whole tick: the running one has counted no contact so far
         forces = np.zeros(len(state.position))
@@ -146,7 +195,13 @@ class Physics:
         return forces * (max(status.substeps, 1) / self.tick_time)
 
     def moving(self) -> Mask:
-        """Which nodes the last tick integrated, (n,)."""
+        """Return which nodes the last tick integrated.
+
+        Returns
+        -------
+        Mask
+            shape (n,)
+        """
         state = self.simulation.state
         if state.status.asleep:
             return np.zeros(len(state.position), dtype=bool)
@@ -155,15 +210,23 @@ class Physics:
         return np.asarray(state.region_hop >= 0)
 
     def snapshot(self, timeout: float = 1.0) -> Longs:
-        """The words of the whole state after a tick; a copy.
+        """Return a copy of the words of the whole state after a tick.
 
-        Raises TimeoutError when the loop doesn't answer.
+        Parameters
+        ----------
+        timeout : float, s, optional
+            The longest time.
+
+        Raises
+        ------
+        TimeoutError
+            When the loop doesn't answer.
         """
         with self.loop.snapshots(timeout):
             return self.box.snapshot.copy()
 
     def journal(self) -> tuple[Any, Any]:
-        """What ticks took up since the last call: (k,) of JournalRow, and (k, T) of BodyInputs."""
+        """Return what ticks applied since the last call: (k,) of JournalRow, and (k, T) of BodyInputs."""
         written = int(self.box.journal_written[0])
         chosen = np.arange(max(self._journal_read, written - mb.JOURNAL_ROWS + 64), written) % mb.JOURNAL_ROWS
         self._journal_read = written

@@ -10,16 +10,34 @@ HIGHEST = 99
 
 
 def prefer(priority: int, thread: int = 0) -> None:
-    """Let a thread, 0 for the calling one, go before those of lower priority and those without.
+    """Give a thread, 0 for the calling one, a real-time priority.
 
-    Threads that it starts later are none the better for it. Raises PermissionError where the system doesn't allow it.
+    Threads that it starts later don't inherit it.
+
+    Parameters
+    ----------
+    priority : int
+        The priority; 0 changes nothing.
+    thread : int, optional
+        Number of the thread.
+
+    Raises
+    ------
+    PermissionError
+        Where the system doesn't allow it.
     """
     if priority:
         os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
 
 def is_allowed(priority: int) -> bool:
-    """Whether a thread of this process may have a priority."""
+    """Return whether a thread of this process may have a priority.
+
+    Parameters
+    ----------
+    priority : int
+        The priority.
+    """
     try:
         with_priority(lambda: None, priority)
     except OSError:
@@ -28,9 +46,21 @@ def is_allowed(priority: int) -> bool:
 
 
 def with_priority[Result](work: Callable[[], Result], priority: int) -> Result:
-    """What work returns, done in a thread of its own with a priority: not every one may give one back.
+    """Return the result of work done in a thread of its own with a priority: not every thread may give one back.
 
-    Raises PermissionError, see `prefer`, and what work raises.
+    It raises what work raises, too.
+
+    Parameters
+    ----------
+    work : Callable[[], Result]
+        The work.
+    priority : int
+        The priority.
+
+    Raises
+    ------
+    PermissionError
+        Where the system doesn't allow it, see `prefer`.
     """
 
     def preferred() -> Result:
@@ -42,5 +72,11 @@ def with_priority[Result](work: Callable[[], Result], priority: int) -> Result:
 
 
 def below(priority: int) -> int:
-    """The priority of what goes right after it: of the thread that answers poses, after the loop."""
+    """Return the priority right below: of the thread that answers poses, after the loop.
+
+    Parameters
+    ----------
+    priority : int
+        The priority.
+    """
     return max(priority - 1, min(priority, 1))

@@ -1,4 +1,4 @@
-"""What the parts of the node have to tell once a second."""
+"""Reports of the parts of the node, once a second."""
 
 from __future__ import annotations
 
@@ -11,35 +11,54 @@ from typing import Any, Protocol
 
 from tissue_sim.unexpected import place_of, told
 
-MOST_LINES = 8  # about one part's troubles, that are kept
+MOST_LINES = 8  # lines kept about one part's troubles
 STARVED = "the physics loop hangs, or gets no processor time: no forces until it continues"
 
 
 @dataclass
 class Report:
-    """Collected from every part in turn.
+    """A report, collected from every part in turn.
 
-    problems are counters that are a warning when they have grown since the last report; warnings are lines
-    about what is wrong now; a failure means that a part doesn't do its work.
+    Attributes
+    ----------
+    values : dict[str, Any]
+        Values to report, by name.
+    problems : dict[str, int]
+        Counters that are a warning when they have grown since the last report.
+    warnings : list[str]
+        Lines about what is wrong now.
+    failures : list[str]
+        Lines about parts that don't do their work.
+    parts : dict[str, Report]
+        Reports of tools or organs, by name.
+    before : str
+        Prefix of a part's names in the whole.
+    state : str
+        State in a word, where nothing is wrong.
     """
 
     values: dict[str, Any] = field(default_factory=dict)
     problems: dict[str, int] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
-    parts: dict[str, Report] = field(default_factory=dict)  # of a tool or an organ, by what it is called
-    before: str = ""  # of a part: what stands before its names in the whole
+    parts: dict[str, Report] = field(default_factory=dict)  # of a tool or an organ, by name
+    before: str = ""  # prefix of a part's names in the whole
     state: str = "running"  # in a word, where nothing is wrong
 
     def part(self, called: str, before: str) -> Report:
-        """The report of a tool or an organ, which is a status of its own, and in the whole as well.
+        """Return the report of a tool or an organ, which is a status of its own, and in the whole as well.
 
-        before: what stands before its names there.
+        Parameters
+        ----------
+        called : str
+            Name of the tool or organ.
+        before : str
+            Prefix of its names in the whole.
         """
         return self.parts.setdefault(called, Report(before=before))
 
     def whole(self) -> Report:
-        """This report with all that its parts have; the lines of these come first."""
+        """Return this report with those of its parts; their lines come first."""
         parts = list(self.parts.values())
         return Report(
             self.values | {f"{one.before}{name}": value for one in parts for name, value in one.values.items()},
@@ -50,16 +69,27 @@ class Report:
 
 
 class Reports(Protocol):
-    """A part of the node that has something to tell."""
+    """A part of the node that reports."""
 
     def report(self, report: Report) -> None:
-        """Add to the report what there is to tell."""
+        """Add to the report.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
 
 
 class Mishaps:
-    """What goes wrong where nobody thought of it, while the node goes on: told once for each place, and counted.
+    """Unforeseen errors while the node goes on: logged once for each place, and counted.
 
-    part: what fails, in words; warn takes the line.
+    Parameters
+    ----------
+    part : str
+        What fails, in words.
+    warn : Callable[[str], object]
+        Takes the line.
     """
 
     def __init__(self, part: str, warn: Callable[[str], object]) -> None:
@@ -70,14 +100,20 @@ class Mishaps:
 
     @contextmanager
     def noted(self) -> Iterator[None]:
-        """What fails in here is noted, and the thread goes on."""
+        """Note what fails in here, and go on."""
         try:
             yield
-        except Exception as error:  # whatever it is: nothing else of the thread's may end with it
+        except Exception as error:  # of any kind: nothing else in the thread may end with it
             self.note(error)
 
     def note(self, error: BaseException) -> str:
-        """Note an error; returns its line."""
+        """Note an error; return its line.
+
+        Parameters
+        ----------
+        error : BaseException
+            The error.
+        """
         place, line = place_of(error), f"{self._part} failed: {told(error)}"
         with self._lock:
             self._counts[place] += 1
@@ -87,33 +123,45 @@ class Mishaps:
         return line
 
     def report(self, report: Report) -> None:
-        """Add how much went wrong, and where."""
+        """Add how much went wrong, and where.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         with self._lock:
             counts = dict(self._counts)
         report.problems[self._key] = sum(counts.values())
         report.problems |= {f"{self._key}.{place}": count for place, count in counts.items()}
 
     def _is_new(self, place: str, line: str) -> bool:
-        """Whether nobody was told."""
+        """Return whether the place has not been logged yet."""
         return self._counts[place] == 1
 
 
 class Trouble(Mishaps):
-    """What goes wrong in a thread that does the same again and again: over when it works, and then told anew."""
+    """Errors in a thread that repeats its work: over when it succeeds, and then logged again."""
 
     def __init__(self, part: str, warn: Callable[[str], object]) -> None:
         super().__init__(part, warn)
-        self._lines: dict[str, str] = {}  # what goes wrong, by place
-        self._lately: set[str] = set()  # places where something did since the part last went through its work
+        self._lines: dict[str, str] = {}  # line of each error, by place
+        self._lately: set[str] = set()  # places of errors since the part last succeeded
 
     def succeeded(self) -> None:
-        """It went through its work: what has not failed since it last did is over."""
+        """Note that the work succeeded: errors that have not recurred since the last time are over."""
         with self._lock:
             self._lines = {place: line for place, line in self._lines.items() if place in self._lately}
             self._lately.clear()
 
     def report(self, report: Report) -> None:
-        """Add the counts, and what is wrong at present."""
+        """Add the counts, and what is wrong at present.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
         super().report(report)
         with self._lock:
             report.failures += list(self._lines.values())[-MOST_LINES:]

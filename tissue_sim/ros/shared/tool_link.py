@@ -1,4 +1,4 @@
-"""How a tool of a running node is spoken to, by that node's parameters: its topics, its frame, its shape."""
+"""Link to a tool of a running node, by that node's parameters: its topics, its frame, its shape."""
 
 from __future__ import annotations
 
@@ -20,8 +20,14 @@ from tissue_sim.ros.shared.tool_messages import POSE_TYPES, ToolTopics
 class ToolLink:
     """What a program beside the node needs to move a tool as its bridge would.
 
-    topics: names as the node resolves them, types, QoS; to_organ: from the frame that poses are sent in to the organ's;
-    tool: its shape.
+    Attributes
+    ----------
+    topics : ToolTopics
+        Names as the node resolves them, types, QoS.
+    to_organ : Transform
+        Transform from the frame that poses are sent in to the organ's.
+    tool : Tool
+        Its shape.
     """
 
     topics: ToolTopics
@@ -30,12 +36,30 @@ class ToolLink:
 
     @classmethod
     def by_default(cls, name: str, frame_id: str) -> ToolLink:
-        """For a tool whose parameters nobody tells: poses in the organ's frame, on the usual topics."""
+        """Return the link of a tool with unknown parameters: poses in the organ's frame, on the usual topics.
+
+        Parameters
+        ----------
+        name : str
+            Name of the tool.
+        frame_id : str
+            Frame of the organ.
+        """
         return cls(ToolTopics(usual_topics(name), frame_id), Transform(), Tool(name))
 
     @classmethod
     def told(cls, values: Mapping[str, Any], name: str, target: str) -> ToolLink | None:
-        """By the parameters of the node `target`; None when it has no tool of that name."""
+        """Return the link by a node's parameters; None when it has no tool of that name.
+
+        Parameters
+        ----------
+        values : Mapping[str, Any]
+            The parameters.
+        name : str
+            Name of the tool.
+        target : str
+            Name of the node.
+        """
         if name not in values.get("tools", ()):
             return None
         topics = topics_of(values, name)
@@ -46,12 +70,12 @@ class ToolLink:
 
     @property
     def qos(self) -> QoSProfile:
-        """What the node's subscriptions match."""
+        """QoS that the node's subscriptions match."""
         return RELIABLE if self.topics.reliable else STREAM
 
     @property
     def pose_type(self) -> type:
-        """The message class of its poses."""
+        """Message class of its poses."""
         return POSE_TYPES[self.topics.pose_type].message
 
 
@@ -67,6 +91,14 @@ class PoseWriter:
         self._from_organ = link.to_organ.scaled(1.0).inverse()
 
     def message(self, stamp: int, pose: Sequence[float]) -> bytes:
-        """A pose (7,) in the organ's frame, m and quaternion xyzw, as its message with a stamp in ns."""
+        """Return the message of a pose in the organ's frame.
+
+        Parameters
+        ----------
+        stamp : int, ns
+            Its time.
+        pose : Sequence[float], shape (7,), m and quaternion xyzw
+            The pose.
+        """
         x, y, z, *turn = self._from_organ.of(pose)
         return self._template.message(stamp, (x / self._scale, y / self._scale, z / self._scale, *turn))

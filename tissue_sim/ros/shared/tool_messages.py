@@ -1,4 +1,4 @@
-"""The message types that bridges speak on a tool's topics, by the word that a parameter takes."""
+"""Message types of bridges on a tool's topics, by the value of a parameter."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ N_POSE, N_WRENCH = 7, 6  # numbers in a pose (m, quaternion xyzw) and in a wrenc
 
 
 class Incoming(NamedTuple):
-    """A type that comes in: its class, what reads its bytes, and how many numbers it has from the first to its end."""
+    """A type of received messages: its class, its parser, and how many numbers it has from the first to its end."""
 
     message: type
     parse: Callable[[bytes, int], Stamped]
@@ -44,7 +44,7 @@ WRENCH_FRAMES = ("base", "body")
 
 @dataclass(frozen=True)
 class ToolTopics:
-    """How a bridge speaks: names, types, QoS, frame, and the axes that it takes a wrench along."""
+    """Topics of a bridge: names, types, QoS, frame, and the axes of its wrenches."""
 
     names: dict[str, str]  # by the topics of TOOL_TOPICS and GRIPPER_TOPICS; empty: off
     frame_id: str
@@ -55,21 +55,21 @@ class ToolTopics:
     wrench_frame: str = "base"
     wrench_rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     reliable: bool = False
-    allow_empty_frame: bool = False  # what has no frame_id is in the one above
-    allow_zero_stamp: bool = False  # what has a stamp of 0 is of when it arrived
+    allow_empty_frame: bool = False  # messages without frame_id are in the one above
+    allow_zero_stamp: bool = False  # messages with stamp 0 count from their arrival
 
     @property
     def has_axes_of_its_own(self) -> bool:
-        """True when the wrench goes out along axes that no pose has: `wrench_rotation` turns it."""
+        """Whether `wrench_rotation` turns the wrench to axes that no pose has."""
         return self.wrench_rotation != (0.0, 0.0, 0.0, 1.0)
 
     @property
     def turns_wrench(self) -> bool:
-        """True when the wrench goes out along other axes than the poses come in."""
+        """Whether the wrench is published along other axes than those of the poses."""
         return self.wrench_frame == "body" or self.has_axes_of_its_own
 
     def outgoing(self) -> Any:
-        """An empty message of the type that goes out."""
+        """Return an empty message of the published type."""
         if self.wrench_type == "Float64MultiArray":
             return Float64MultiArray(data=[0.0] * self.array_length)
         return WRENCH_TYPES[self.wrench_type]()

@@ -1,7 +1,7 @@
 """A surface with a colour at each vertex as the bytes of a GLB (glTF 2.0), written in place.
 
-Meshes of viser have one colour; a GLB is what it draws with more. Exporters write one anew each time, and colours with
-eight bits of light, too few for dark ones.
+Meshes of viser have one colour; with a GLB it draws more. Exporters create a new one each time, and store colours as
+eight bits of linear light, too few for dark ones.
 """
 
 from __future__ import annotations
@@ -15,14 +15,21 @@ from scipy.sparse import csr_array
 
 from tissue_sim.array_types import Floats, Ints, Longs
 
-FLOAT, UNSIGNED, ARRAY, INDICES = 5126, 5125, 34962, 34963  # glTF's names for kinds of numbers and of buffers
+FLOAT, UNSIGNED, ARRAY, INDICES = 5126, 5125, 34962, 34963  # glTF's codes for types of numbers and of buffers
 ROUGHNESS = 0.5  # of a moist surface
 
 
 class ColouredSurface:
-    """A surface, triangles (t, 3), that is drawn anew again and again; rest (n, 3) m: about where.
+    """A surface that is drawn repeatedly.
 
-    opacity: 1 hides what is within.
+    Parameters
+    ----------
+    rest : Floats, shape (n, 3), m
+        Its approximate positions.
+    triangles : Ints | Longs, shape (t, 3)
+        Its triangles.
+    opacity : float, optional
+        1 hides what is within.
     """
 
     def __init__(self, rest: Floats, triangles: Ints | Longs, opacity: float = 1.0) -> None:
@@ -30,7 +37,7 @@ class ColouredSurface:
         self._triangles = triangles
         t, n = len(triangles), len(rest)
         corners = triangles.ravel(), np.repeat(np.arange(t), 3)
-        self._around = csr_array((np.ones(3 * t), corners), shape=(n, t))  # a node's triangles
+        self._around = csr_array((np.ones(3 * t), corners), shape=(n, t))  # triangles around each node
         parts = [12 * n, 12 * n, 12 * n, faces.nbytes]
         text = json.dumps(_described(rest, t, parts, opacity)).encode()
         text += b" " * (-len(text) % 4)
@@ -49,10 +56,13 @@ class ColouredSurface:
 
         Parameters
         ----------
-        positions : (n, 3) m
-        colours : (n, 3), red, green, blue as light of 0 to 1
-        eye : (3,) m; triangles of a translucent surface are drawn the farthest first, or where it folds, what is drawn
-            of the part behind depends on the mesh
+        positions : Floats, shape (n, 3), m
+            Its positions.
+        colours : Floats, shape (n, 3)
+            Red, green, blue as light of 0 to 1.
+        eye : Floats | None, shape (3,), m, optional
+            Viewpoint; triangles of a translucent surface are drawn from the farthest to the nearest, or the visible
+            parts of a fold would depend on the mesh.
         """
         corners = positions[self._triangles]
         if self._is_translucent and eye is not None:
@@ -66,13 +76,19 @@ class ColouredSurface:
 
 
 def light_of(colours: Any) -> Floats:
-    """Colours (..., 3) of 0 to 255 as screens have them (sRGB, IEC 61966-2-1), as light of 0 to 1."""
+    """Return colours of screens (sRGB, IEC 61966-2-1), 0 to 255, as light of 0 to 1.
+
+    Parameters
+    ----------
+    colours : Any, shape (..., 3)
+        The colours.
+    """
     share = np.asarray(colours, dtype=np.float64) / 255.0
     return np.asarray(np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4))
 
 
 def _described(rest: Floats, n_faces: int, parts: list[int], opacity: float) -> dict[str, Any]:
-    """What the numbers are, as glTF has it."""
+    """Return the description of the numbers in glTF."""
     n = len(rest)
     starts = np.cumsum([0, *parts]).tolist()
     targets = (ARRAY, ARRAY, ARRAY, INDICES)

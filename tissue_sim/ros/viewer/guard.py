@@ -1,6 +1,6 @@
-"""Who may load the page and speak over its websocket.
+"""Access control of the page and its websocket.
 
-viser answers both on one port and has no hook for that: this is the only place that reaches into it.
+viser answers both on one port and has no hook for that: this is the only place that patches it.
 """
 
 from __future__ import annotations
@@ -27,10 +27,17 @@ type Answer = Callable[[ServerConnection, Request], Response | None]
 
 
 class Guard:
-    """Refuses requests with 403: without the token where there is one, else for a name that isn't this machine's.
+    """Filter of requests, which answers 403: without the token where there is one, else for a foreign host name.
 
-    token: or None on loopback. There a web page that the user has open elsewhere is kept out: its origin is told by
-    the browser, and one whose name was made to point here (DNS rebinding) comes with that name.
+    On loopback, where there is no token, a web page that the user has open elsewhere is kept out: the browser sends its
+    origin, and a name that was made to point here (DNS rebinding) appears as the host.
+
+    Parameters
+    ----------
+    token : str | None
+        The token, or None on loopback.
+    port : int
+        Port of the page.
     """
 
     def __init__(self, token: str | None, port: int) -> None:
@@ -38,7 +45,13 @@ class Guard:
         self._cookie = f"tissue_sim_{port}"  # cookies of one host are shared by its ports
 
     def refusal(self, request: Request) -> str:
-        """Why a request is refused, in a line; empty when it isn't."""
+        """Return why a request is refused, in a line; empty when it isn't.
+
+        Parameters
+        ----------
+        request : Request
+            The request.
+        """
         host = ",".join(request.headers.get_all("Host"))
         if any(urlsplit(origin).netloc != host for origin in request.headers.get_all("Origin")):
             return "only the page itself may open its websocket"
@@ -63,12 +76,18 @@ class Guard:
         return [value for name, _, value in pairs if name == self._cookie]
 
     def before(self, answer: Answer) -> Answer:
-        """What answers requests in place of viser's function, which then sees only those that are not refused."""
+        """Return a function that answers requests in place of viser's, which then sees only those not refused.
+
+        Parameters
+        ----------
+        answer : Answer
+            viser's function.
+        """
 
         def guarded(connection: ServerConnection, request: Request) -> Response | None:
             try:
                 refused = self.refusal(request)
-            except ValueError:  # of what is no address
+            except ValueError:  # raised for a malformed address
                 refused = "this request is invalid"
             if refused:
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{refused}\n")
@@ -100,7 +119,7 @@ def titled(page: bytes) -> bytes:
 
 
 def _is_loopback_name(host: str) -> bool:
-    """Whether a Host header names this machine by loopback."""
+    """Return whether a Host header names this machine by loopback."""
     name = urlsplit(f"//{host}").hostname or ""
     if name == "localhost" or name.endswith(".localhost"):  # no DNS answers for these (RFC 6761)
         return True
@@ -112,7 +131,18 @@ def _is_loopback_name(host: str) -> bool:
 
 @contextlib.contextmanager
 def guarding(guard: Guard) -> Iterator[None]:
-    """A viser server that is made meanwhile has its requests looked at. Raises UserError where viser's doesn't."""
+    """Check the requests of a viser server that is made meanwhile.
+
+    Parameters
+    ----------
+    guard : Guard
+        Checks them.
+
+    Raises
+    ------
+    UserError
+        When viser doesn't call it.
+    """
     from websockets.asyncio import server
 
     serve, made = server.serve, []

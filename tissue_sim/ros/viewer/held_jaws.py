@@ -1,4 +1,4 @@
-"""Jaws that somebody without a haptic device opens and closes: their angle follows a goal, published meanwhile."""
+"""Jaws opened and closed without a haptic device: their angle follows a goal, published meanwhile."""
 
 from __future__ import annotations
 
@@ -15,14 +15,21 @@ from tissue_sim.ros.shared.tool_link import ToolLink
 from tissue_sim.ros.viewer.held_tool import LONGEST_STEP, RATE, follow
 
 STANDS = 0.5  # s at the goal after which no further angle is published: the node keeps the last one
-PATIENCE = 3.0  # s, at most, for DDS to bring the topic's ends together
+PATIENCE = 3.0  # s, at most, for DDS to connect the topic's ends
 SHORTEST = 0.005  # m from hinge to tips, for the speed of the tips
 
 
 class HeldJaws:
-    """Publishes a gripper's measured_js from a thread of its own, from a `turn` until the jaws stand where they should.
+    """Publisher of a gripper's measured_js in a separate thread, from a `turn` until the jaws reach the goal.
 
     Their tips move like a held tool: no faster, and without a jump in speed.
+
+    Parameters
+    ----------
+    node : Node
+        The rclpy node that publishes.
+    link : ToolLink
+        Link of the tool.
     """
 
     def __init__(self, node: Node, link: ToolLink) -> None:
@@ -32,21 +39,29 @@ class HeldJaws:
         self._publisher: Publisher | None = None
         self._thread: threading.Thread | None = None
         self._closed = threading.Event()
-        self._lock = threading.Lock()  # on whether the thread goes on
+        self._lock = threading.Lock()  # for the decision whether the thread goes on
         self._goal = 0.0  # rad; replaced as a whole, from any thread
         self._touched = -np.inf  # monotonic s
 
     @property
     def moving(self) -> bool:
-        """True while angles are published."""
+        """Whether angles are published."""
         return self._thread is not None
 
     def rivals(self) -> int:
-        """How many others publish the angle."""
+        """Return how many others publish the angle."""
         return int(self._node.count_publishers(self.topic)) - (1 if self._publisher is not None else 0)
 
     def turn(self, goal: float, start: float) -> None:
-        """Lead the jaws to an angle in rad; from `start` rad, unless they are being moved already."""
+        """Move the jaws to an angle; from `start`, unless they are being moved already.
+
+        Parameters
+        ----------
+        goal : float, rad
+            The angle.
+        start : float, rad
+            The present angle.
+        """
         with self._lock:
             self._goal, self._touched = goal, time.monotonic()
             if self._thread is not None:

@@ -1,4 +1,4 @@
-"""A tool that somebody without a haptic device holds: its pose follows a goal, and is published while it is held."""
+"""A tool held without a haptic device: its pose follows a goal, and is published while it is held."""
 
 from __future__ import annotations
 
@@ -13,16 +13,27 @@ from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared.tool_link import PoseWriter, ToolLink
 
 RATE = 250.0  # Hz, of the poses
-TOP_SPEED = 0.2  # m/s: a jerk of the mouse is no blow
+TOP_SPEED = 0.2  # m/s; a sudden motion of the mouse must not hit the tissue
 RISE_TIME = 0.05  # s in which the tool covers most of a short way
 ACCELERATION = TOP_SPEED / RISE_TIME  # m/s^2
-LONGEST_STEP = 0.02  # s: a thread that was held up goes on from where it was, it doesn't leap
+LONGEST_STEP = 0.02  # s; a delayed thread continues from its position without a leap
 
 
 def follow(position: Floats, velocity: Floats, goal: Floats, step: float) -> tuple[Floats, Floats]:
-    """One step of `step` s towards a goal (3,) m: the new position m and velocity m/s.
+    """Return the new position, m, and velocity, m/s, after one step towards a goal.
 
-    No faster than TOP_SPEED, without a jump in speed, and without shooting past a goal that stands still.
+    No faster than TOP_SPEED, without a jump in speed, and without overshooting a goal that stands still.
+
+    Parameters
+    ----------
+    position : Floats, shape (3,), m
+        The position.
+    velocity : Floats, shape (3,), m/s
+        The velocity.
+    goal : Floats, shape (3,), m
+        The goal.
+    step : float, s
+        Duration of the step.
     """
     wanted = (goal - position) / max(RISE_TIME, 2.0 * step)
     velocity = velocity + limited(limited(wanted, TOP_SPEED) - velocity, ACCELERATION * step)
@@ -30,15 +41,22 @@ def follow(position: Floats, velocity: Floats, goal: Floats, step: float) -> tup
 
 
 def limited(vector: Floats, length: float) -> Floats:
-    """The vector, cut to a length."""
+    """Return the vector, cut to a length."""
     size = float(np.linalg.norm(vector))
     return vector if size <= length else vector * (length / size)
 
 
 class HeldTool:
-    """Publishes a tool's poses from a thread of its own, between `take` and `release`.
+    """Publisher of a tool's poses in a separate thread, between `take` and `release`.
 
-    The thread keeps poses coming while the viewer is busy with a picture, so that none gets stale.
+    The thread keeps publishing while the viewer is busy with a picture, so that no pose gets stale.
+
+    Parameters
+    ----------
+    node : Node
+        The rclpy node that publishes.
+    name : str
+        Name of the tool.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -50,27 +68,43 @@ class HeldTool:
         self.goal: Floats = np.zeros(3)  # m in the organ's frame; replaced as a whole, from any thread
 
     def use(self, link: ToolLink) -> None:
-        """Speak to the tool like this from now on; one that is held otherwise is let go."""
+        """Use a link to the tool from now on; a tool that is held by another one is released.
+
+        Parameters
+        ----------
+        link : ToolLink
+            The link.
+        """
         if link != self._link:
             self.release()
             self._link = link
 
     @property
     def topic(self) -> str:
-        """Where the poses go."""
+        """Topic of the poses."""
         return (self._link or ToolLink.by_default(self._name, "")).topics.names["measured_cp"]
 
     @property
     def held(self) -> bool:
-        """True between `take` and `release`."""
+        """Whether it is between `take` and `release`."""
         return self._thread is not None
 
     def rivals(self) -> int:
-        """How many others publish the tool's poses."""
+        """Return how many others publish the tool's poses."""
         return int(self._node.count_publishers(self.topic)) - (1 if self.held else 0)
 
     def take(self, position: Floats, quaternion: Floats, frame_id: str) -> None:
-        """Hold the tool at a position (3,) m with a quaternion (4,) x y z w in the organ's frame, until `release`."""
+        """Hold the tool at a pose until `release`.
+
+        Parameters
+        ----------
+        position : Floats, shape (3,), m
+            Its position in the organ's frame.
+        quaternion : Floats, shape (4,)
+            Its rotation xyzw.
+        frame_id : str
+            Frame of the organ.
+        """
         self.release()
         self.goal = np.array(position, dtype=np.float64)
         link = self._link or ToolLink.by_default(self._name, frame_id)

@@ -15,13 +15,22 @@ from tissue_sim.ros.viewer.tool_view import ToolView
 
 WIDEST = 90.0  # degrees
 STEP = 0.5  # degrees
-UNTOUCHED = 1.0  # s after which the slider shows again what the jaws do
+UNTOUCHED = 1.0  # s after which the slider shows the jaws' angle again
 
 
 class JawSlider:
     """Opening angle of a tool's jaws in degrees; not shown for a tool without.
 
-    It shows how the jaws are open, whoever moves them, and publishes only what somebody in a browser asks for.
+    It shows the present angle, whoever moves the jaws, and publishes only the requests of somebody in a browser.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The viser server.
+    node : Node
+        The rclpy node that publishes.
+    view : ToolView
+        View of the tool.
     """
 
     def __init__(self, server: viser.ViserServer, node: Node, view: ToolView) -> None:
@@ -35,7 +44,13 @@ class JawSlider:
         self._slider.on_update(self._on_slider)
 
     def use(self, link: ToolLink) -> None:
-        """Speak to the tool like this from now on."""
+        """Use a link to the tool from now on.
+
+        Parameters
+        ----------
+        link : ToolLink
+            The link.
+        """
         if self._jaws is not None and self._jaws.link == link:
             return
         self.close()
@@ -45,7 +60,13 @@ class JawSlider:
         self._slider.visible = self._jaws is not None
 
     def update(self, now: float) -> None:
-        """Show how the jaws are open, unless somebody moves the slider; now s."""
+        """Show how the jaws are open, unless somebody moves the slider.
+
+        Parameters
+        ----------
+        now : float, s
+            The present time.
+        """
         opening = self._view.opening
         if self._jaws is None or self._jaws.moving or opening is None or now - self._touched < UNTOUCHED:
             return
@@ -54,17 +75,17 @@ class JawSlider:
             self._slider.value = shown
 
     def rivals(self) -> int:
-        """How many others move the jaws that the slider has just moved."""
+        """Return how many others move the jaws that the slider has just moved."""
         return self._jaws.rivals() if self._jaws is not None and self._jaws.moving else 0
 
     def close(self) -> None:
-        """Let the jaws be."""
+        """Stop moving the jaws."""
         if self._jaws is not None:
             self._jaws.close()
             self._jaws = None
 
     def remove(self) -> None:
-        """Let the jaws be, and take the slider out of the panel."""
+        """Stop moving the jaws, and remove the slider from the panel."""
         self.close()
         self._slider.remove()
 

@@ -1,4 +1,4 @@
-"""`tissue_sim view --layout`: the layouts that ship for RViz and Foxglove, made to fit a node."""
+"""Option `tissue_sim view --layout`: the layouts that ship for RViz and Foxglove, adapted to a node."""
 
 from __future__ import annotations
 
@@ -11,21 +11,35 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.shipped import shipped_file
 
 LAYOUTS = {"rviz": "config/tissue_sim.rviz", "foxglove": "config/foxglove.json"}
-WAIT = 15.0  # s for the node to tell its parameters
-# What the layouts that ship are made for.
+WAIT = 15.0  # s for the node to answer with its parameters
+# Names in the layouts that ship.
 NODE, FRAME = "tissue_sim", "organ"
-DISPLAY = "    - Class: "  # what a display of RViz begins with
+DISPLAY = "    - Class: "  # begins a display of RViz
 TOOLS = {"left": "/left/servo_cf", "right": "/right/servo_cf"}
 
 
 def fitted(
     kind: str, node: str, frame_id: str = FRAME, tools: Mapping[str, str] = TOOLS, organs: Sequence[str] = ()
 ) -> str:
-    """The text of a layout, of LAYOUTS, for a node.
+    """Return the text of a layout, of LAYOUTS, for a node.
 
-    node: its name with its namespace. frame_id: the organ's. tools: for each the absolute topic of its wrenches.
-    organs: names of a scene's; none for one alone.
-    Raises UserError when the layout isn't installed.
+    Parameters
+    ----------
+    kind : str
+        Name of the layout.
+    node : str
+        Its name with its namespace.
+    frame_id : str, optional
+        Frame of the organ.
+    tools : Mapping[str, str], optional
+        Absolute topic of each tool's wrenches.
+    organs : Sequence[str], optional
+        Names of a scene's organs; empty for a single one.
+
+    Raises
+    ------
+    UserError
+        When the layout isn't installed.
     """
     path = shipped_file(LAYOUTS[kind])
     if path is None:
@@ -36,7 +50,15 @@ def fitted(
 
 
 def write(kind: str, node: str) -> int:
-    """Print a layout that fits a node as it answers now, or as it is by default; returns 0."""
+    """Print a layout that fits a node as it answers now, or with its defaults; return 0.
+
+    Parameters
+    ----------
+    kind : str
+        Name of the layout, of LAYOUTS.
+    node : str
+        Name of the node.
+    """
     from tissue_sim.ros.shared.node_parameters import told_by
 
     values = told_by(node, "layout", WAIT)
@@ -52,7 +74,7 @@ def write(kind: str, node: str) -> int:
 
 
 def _told(values: dict[str, Any], tool: str, node: str) -> str:
-    """The topic of a tool's wrenches."""
+    """Return the topic of a tool's wrenches."""
     from tissue_sim.ros.shared.tool_link import ToolLink
 
     link = ToolLink.told(values, tool, node)
@@ -77,13 +99,13 @@ def _rviz(text: str, frame_id: str, tools: Mapping[str, str], surface: str, surf
 
 
 def _display(text: str, name: str) -> str:
-    """The lines of one display."""
+    """Return the lines of one display."""
     begin = text.rindex(DISPLAY, 0, text.index(f"      Name: {name}\n"))
     return text[begin : text.index(DISPLAY, begin + 1)]
 
 
 def _of_organ(display: str, organ: str, surface: str, topic: str) -> str:
-    """The display of a surface, for that of an organ."""
+    """Return the display of a surface, adapted to that of an organ."""
     return display.replace("Name: Surface", f"Name: Surface of {organ}").replace(surface, topic)
 
 

@@ -1,4 +1,4 @@
-"""What the viewer does for each picture: take the newest of everything, draw what has changed."""
+"""The viewer's work for each picture: take the newest of everything, draw what has changed."""
 
 from __future__ import annotations
 
@@ -25,9 +25,20 @@ from tissue_sim.ros.viewer.viewed_organ import ViewedOrgan
 
 
 class Viewer:
-    """Takes the newest of everything and draws what has changed; `update` is called for each picture.
+    """Viewer of a node; `update` is called for each picture.
 
-    tools: their names, or None for those of the node; patience s as in `Poke`.
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The viser server.
+    node : Node
+        The rclpy node that subscribes.
+    target : str
+        Name of the viewed node.
+    tools : tuple[str, ...] | None
+        Names of the tools, or None for those of the node.
+    patience : float, s, optional
+        As in `Poke`.
     """
 
     def __init__(
@@ -61,7 +72,7 @@ class Viewer:
         server.initial_camera.near = 0.02
 
     def update(self) -> bool:
-        """Take what has come; draw it when somebody looks, which is what it returns."""
+        """Take what has come; draw it when somebody looks; return whether somebody does."""
         now, watchers = time.monotonic(), self._server.get_clients()
         if sum(one.take_mesh() for one in self.organs):  # of all of them
             self._look()
@@ -87,7 +98,7 @@ class Viewer:
         return bool(watchers)
 
     def close(self) -> None:
-        """Let go of every tool."""
+        """Release every tool."""
         self._pace.close()
         self.tools.close()
 
@@ -97,7 +108,7 @@ class Viewer:
         return self._pace.picture_time
 
     def _name(self, names: tuple[str, ...]) -> None:
-        """View the organs of these names, which a node has told."""
+        """View the organs of these names, which a node has reported."""
         if names == tuple(one.name for one in self.organs):
             return
         for one in self.organs:
@@ -114,14 +125,14 @@ class Viewer:
         self._panel.opacity.value = TRANSLUCENT if len(names) == 1 else SOLID
 
     def _points(self) -> tuple[Floats | None, str]:
-        """Where all surfaces were last, (n, 3) m, in which frame; None before they have come."""
+        """Return the last positions of all surfaces, (n, 3) m, and their frame; None before they have come."""
         known = [one for one in self.organs if one.points is not None]
         if len(known) < len(self.organs):
             return None, ""
         return np.concatenate([one.points for one in known if one.points is not None]), known[0].frame_id
 
     def _look(self) -> None:
-        """Let the cameras see all organs, and their names."""
+        """Point the initial camera at all organs, and place their names."""
         views = [one.view for one in self.organs if one.view is not None]
         self._rest = np.concatenate([view.rest for view in views])
         for view in views:
@@ -131,7 +142,7 @@ class Viewer:
         self._seen_by.clear()
 
     def _place(self, watchers: Mapping[int, viser.ClientHandle]) -> None:
-        """Let the camera of each page that is new, or sees new organs, see all of them beside the panel."""
+        """Point the camera of each page that is new, or sees new organs, at all of them beside the panel."""
         self._seen_by &= set(watchers)
         if self._rest is None:
             return

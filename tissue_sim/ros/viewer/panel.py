@@ -1,4 +1,4 @@
-"""The viewer's panel: what the node says of itself, the legend, and buttons."""
+"""The viewer's panel: status of the node, the legend, and buttons."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import viser
 from tissue_sim.ros.shared.appearance import SCALE, TISSUE, Colour, tissue_colour
 
 NO_VALUE = "-"
-LINES = 3  # that the headline has room for
-TRANSLUCENT, SOLID = 0.8, 1.0  # of one organ, which shows its inside; of several, which would show through each other
+LINES = 3  # lines of the headline
+TRANSLUCENT, SOLID = 0.8, 1.0  # opacity of one organ, which shows its inside; of several
 LAST = 1e9  # order in the panel: below everything that comes later
 
 
 class Wish(Enum):
-    """What a button asks the node for."""
+    """Request of a button to the node."""
 
     RESET = "reset"
     RECORD = "start recording"
@@ -27,7 +27,7 @@ class Wish(Enum):
 
 
 def status_text(values: Mapping[str, str]) -> str:
-    """The node's physics status as a Markdown table."""
+    """Return the node's physics status as a Markdown table."""
 
     def value(key: str, unit: str = "", digits: int | None = None) -> str:
         text = values.get(key, "")
@@ -60,7 +60,17 @@ def status_text(values: Mapping[str, str]) -> str:
 
 
 def headline(target: str, level: int, message: str) -> str:
-    """Return the node's name, and level and the first part of the message of its DiagnosticStatus, as HTML."""
+    """Return the node's name, and level and the first part of the message of its DiagnosticStatus, as HTML.
+
+    Parameters
+    ----------
+    target : str
+        Name of the node.
+    level : int
+        Level of the status.
+    message : str
+        Message of the status.
+    """
     first, *others = message.split(";")
     if level == 0:
         return f"<b>/{target}</b> {html.escape(first)}"
@@ -69,14 +79,22 @@ def headline(target: str, level: int, message: str) -> str:
 
 
 def detail(level: int, message: str) -> str:
-    """Return all that a DiagnosticStatus says, a line for each part of it, as HTML."""
+    """Return the whole message of a DiagnosticStatus, a line for each part of it, as HTML.
+
+    Parameters
+    ----------
+    level : int
+        Level of the status.
+    message : str
+        Message of the status.
+    """
     colour = "inherit" if level == 0 else "#c92a2a"
     lines = "<br>".join(html.escape(part.strip()) for part in message.split(";"))
     return f'<div style="margin:0 0.9em 0.6em;color:{colour};overflow-wrap:anywhere">{lines}</div>'
 
 
 def headline_html(line: str) -> str:
-    """Return a line of HTML that is as high whatever it says: one that grew would push a button under the mouse."""
+    """Return a line of HTML of constant height: a growing one would push a button under the mouse."""
     return f'<div style="height:{LINES * 1.5:g}em;line-height:1.5;overflow-y:auto;margin:0 0.9em 0.6em">{line}</div>'
 
 
@@ -91,7 +109,7 @@ def organs_html(names: Sequence[str]) -> str:
 
 
 def legend_html() -> str:
-    """The colours of the organ and the displacements that they stand for."""
+    """Return the colours of the organ and the displacements that they stand for."""
 
     def swatch(colour: Colour, text: str) -> str:
         return (
@@ -107,7 +125,7 @@ def legend_html() -> str:
 
 
 class Panel:
-    """Builds the panel. What the buttons ask for waits in `wishes`."""
+    """The panel; requests of its buttons wait in `wishes`."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self.wishes: queue.SimpleQueue[Wish] = queue.SimpleQueue()
@@ -129,13 +147,28 @@ class Panel:
         self._said: tuple[str, Mapping[str, str], str] = ("", {}, "")
 
     def name(self, organs: Sequence[str]) -> None:
-        """Name the organs of a scene beside their colours; none for an organ alone."""
+        """Name the organs of a scene beside their colours; none for a single organ.
+
+        Parameters
+        ----------
+        organs : Sequence[str]
+            Names of the organs.
+        """
         self._organs.content, self._organs.visible = organs_html(organs), bool(organs)
 
     def say(self, headline: str, values: Mapping[str, str], detail: str = "") -> None:
         """Show a headline and details (HTML), and the node's values, if there are any.
 
-        What is as long as it happens to be comes last, where it moves nothing.
+        Parts of varying length come last, where they move nothing.
+
+        Parameters
+        ----------
+        headline : str
+            The headline.
+        values : Mapping[str, str]
+            Values of the status.
+        detail : str, optional
+            The details.
         """
         if (headline, values, detail) == self._said:
             return

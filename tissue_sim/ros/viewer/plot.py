@@ -13,7 +13,7 @@ from viser import uplot
 SPAN = 10.0  # s that the plot shows
 DRAW_EVERY = 0.2  # s
 LINE_COLOURS = ((31, 119, 180), (214, 97, 20), (44, 140, 60), (140, 86, 170))
-LEAST_TOP = 0.5  # N: the noise of a tool in the air is no mountain
+LEAST_TOP = 0.5  # N; or the noise of a tool in the air would fill the plot
 
 
 class ForceHistory:
@@ -24,19 +24,19 @@ class ForceHistory:
         self._rows: deque[tuple[float, ...]] = deque()
 
     def add(self, now: float, forces: Mapping[str, float | None]) -> None:
-        """Note the forces (N) of a moment in s; None for a tool that nothing is known of."""
+        """Note the forces (N) of a moment in s; None for a tool without a known force."""
         self._rows.append((now, *(np.nan if (f := forces.get(tool)) is None else f for tool in self._tools)))
         while self._rows[0][0] < now - SPAN:
             self._rows.popleft()
 
     def columns(self, now: float) -> tuple[NDArray[np.float64], ...]:
-        """Seconds before now (k,), all negative or zero, and the force of each tool (k,) N."""
+        """Return seconds before now (k,), all negative or zero, and the force of each tool (k,) N."""
         rows = np.array(self._rows or [(now, *(np.nan for _ in self._tools))])
         return (rows[:, 0] - now, *(np.ascontiguousarray(column) for column in rows[:, 1:].T))
 
 
 class ForcePlot:
-    """Draws a history of forces in the panel."""
+    """Plot of a history of forces in the panel."""
 
     def __init__(self, server: viser.ViserServer, tools: Sequence[str]) -> None:
         self._history = ForceHistory(tools)
@@ -59,14 +59,24 @@ class ForcePlot:
         )
 
     def update(self, now: float, forces: Mapping[str, float | None], watched: bool) -> None:
-        """Note forces (N, by tool) of a moment in s, and draw when it is time and somebody looks."""
+        """Note forces of a moment, and draw when it is time and somebody looks.
+
+        Parameters
+        ----------
+        now : float, s
+            The moment.
+        forces : Mapping[str, float | None], N
+            Force of each tool.
+        watched : bool
+            Whether somebody looks.
+        """
         self._history.add(now, forces)
         if not watched or now - self._drawn < DRAW_EVERY:
             return
         self._drawn = now
         columns = self._history.columns(now)
         highest = max((float(np.nanmax(f)) for f in columns[1:] if not np.isnan(f).all()), default=0.0)
-        # Steps of 1, 2, 5: an axis that breathes with every sample can't be read.
+        # Steps of 1, 2, 5: an axis that changes with every sample can't be read.
         top = next(step for step in _steps(LEAST_TOP) if step >= highest)
         if top != self._top:
             self._top = top
@@ -74,7 +84,7 @@ class ForcePlot:
         self._plot.data = columns
 
     def remove(self) -> None:
-        """Take it out of the panel."""
+        """Remove it from the panel."""
         self._plot.remove()
 
     def _scales(self) -> dict[str, uplot.Scale]:

@@ -1,4 +1,4 @@
-"""Poking from the browser: a checkbox takes a tool in hand, a gizmo or the tool itself drags it, a slider its jaws."""
+"""Poking from the browser: a checkbox takes hold of a tool, a gizmo or the tool itself drags it, a slider its jaws."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from tissue_sim.ros.viewer.tool_view import ToolView
 
 CLEAR = 0.008  # m between a tool that is taken and the organ
 GIZMO = 0.03  # m, length of its arrows
-LOOK_EVERY = 0.5  # s between two looks at who else publishes
-PROBE_EVERY = 1.0  # s between two questions to the browser that holds a tool
+LOOK_EVERY = 0.5  # s between two checks for other publishers
+PROBE_EVERY = 1.0  # s between two requests to the browser that holds a tool
 
 
 def beside(points: Floats, index: int, radius: float) -> tuple[Floats, Floats]:
-    """Where a tool of radius m is taken in hand: a place (3,) m beyond the points (n, 3) m, and the way in (3,).
+    """Return where a tool of a radius, m, is taken: a place (3,) m beyond the points (n, 3) m, and the way in (3,).
 
     The first tool is at the left of the picture, the second at the right, further ones below and above.
     """
@@ -40,7 +40,7 @@ def beside(points: Floats, index: int, radius: float) -> tuple[Floats, Floats]:
 
 
 def pointing(inward: Floats) -> Floats:
-    """The quaternion (4,) x y z w of a tool whose shaft, along its -z, comes from outside."""
+    """Return the quaternion (4,) xyzw of a tool whose shaft, along its -z, comes from outside."""
     aside = np.cross(inward, np.eye(3)[np.abs(inward).argmin()])
     aside /= np.linalg.norm(aside)
     return np.asarray(Rotation.from_matrix(np.stack([aside, np.cross(inward, aside), inward], axis=1)).as_quat())
@@ -49,14 +49,25 @@ def pointing(inward: Floats) -> Floats:
 class Poke:
     """A tool that one browser at a time may hold: its checkbox, its gizmo, its poses.
 
-    patience s: a page that has not answered for longer loses the tool.
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The viser server.
+    node : Node
+        The rclpy node that publishes.
+    view : ToolView
+        View of the tool.
+    index : int
+        Index of the tool.
+    patience : float, s
+        Time without an answer after which a page loses the tool.
     """
 
     def __init__(self, server: viser.ViserServer, node: Node, view: ToolView, index: int, patience: float) -> None:
         self._server, self._view, self._index, self._patience = server, view, index, patience
         self.name = view.name
         self._tool = HeldTool(node, self.name)
-        self._ready = False  # it is known how to speak to the tool
+        self._ready = False  # the link to the tool is known
         self._holder: int | None = None
         self._gizmo: Any = None
         self._offset = np.zeros(3)  # m, from where the mouse grabbed the tool to its goal
@@ -78,7 +89,13 @@ class Poke:
         return f"Take control of the tool: drag it, or one of its arrows. Publishes {self._tool.topic}"
 
     def use(self, link: ToolLink | None) -> None:
-        """Speak to the tool like this; None: as by default."""
+        """Use a link to the tool; None: the default one.
+
+        Parameters
+        ----------
+        link : ToolLink | None
+            The link.
+        """
         self._ready = True
         if link is not None:
             self._tool.use(link)
@@ -90,9 +107,18 @@ class Poke:
             self._asked.put((self._box.value, event.client_id))
 
     def update(self, now: float, watchers: Collection[int], points: Floats | None, frame_id: str) -> None:
-        """Take up what the checkbox asked for.
+        """Apply the requests of the checkbox.
 
-        now s; watchers: ids of the browsers that look; points (n, 3) m of the organ in a frame, or None without one.
+        Parameters
+        ----------
+        now : float, s
+            The present time.
+        watchers : Collection[int]
+            Ids of the browsers that look.
+        points : Floats | None, shape (n, 3), m
+            Points of the organ in a frame, or None without one.
+        frame_id : str
+            That frame.
         """
         self._box.disabled = points is None or self._view.reach == 0.0 or not self._ready
         self.jaws.update(now)
@@ -117,12 +143,12 @@ class Poke:
                 self._warning.content = f"**A bridge already moves the jaws of `{self.name}`**, and closes them again."
 
     def close(self) -> None:
-        """Let the tool go, and its jaws."""
+        """Release the tool, and its jaws."""
         self.jaws.close()
         self.let_go()
 
     def remove(self) -> None:
-        """Let the tool go, and take what it had out of the panel."""
+        """Release the tool, and remove its parts from the panel."""
         self.close()
         self.jaws.remove()
         for handle in (self._box, self._warning):
@@ -141,7 +167,7 @@ class Poke:
             return
         position, inward = beside(points, self._index, self._view.reach)
         turn = pointing(inward)
-        # Only the browser that asked for the tool gets the gizmo.
+        # Only the browser that requested the tool gets the gizmo.
         self._gizmo = holder.scene.add_transform_controls(
             f"/poke/{self.name}",
             scale=GIZMO,
@@ -168,7 +194,7 @@ class Poke:
             self._gizmo = None
 
     def _watch(self, holder: viser.ClientHandle, gone: threading.Event) -> None:
-        """Lets go when the page no longer answers: a page that was left, or lies behind others, stays connected."""
+        """Release the tool when the page no longer answers: one that was left or is hidden stays connected."""
         while not gone.wait(PROBE_EVERY):
             try:
                 holder.local_storage.get_item("hand", timeout=self._patience)
@@ -176,7 +202,7 @@ class Poke:
                 if not gone.is_set():
                     self._asked.put((False, None))
                 return
-            except RuntimeError:  # disconnected, which `update` sees; or a browser that keeps no storage, but answers
+            except RuntimeError:  # disconnected, which `update` sees; or a browser without storage, which answers
                 continue
 
     async def _on_gizmo(self, event: Any) -> None:

@@ -19,8 +19,8 @@ SKELETON: Colour = (20, 30, 60)
 INCLUSION: Colour = (214, 196, 150)
 FIELD_OF_VIEW = np.radians(35.0)
 VIEW = np.array([0.55, -1.0, 0.3])  # from the organ to the camera: from the front, the side and above
-PANEL, NARROW = 350, 600  # pixels that the panel takes; width of a page up to which it lies below
-FILLED, FITTED = 0.8, 6  # of the room, by the surface; rounds of fitting the camera to it
+PANEL, NARROW = 350, 600  # pixels, width of the panel; width of a page up to which it lies below
+FILLED, FITTED = 0.8, 6  # fraction of the room filled by the surface; rounds of fitting the camera to it
 LABEL_GAP = 0.01  # m from an organ to its name
 LATER = 2  # turns from when a surface is sent to when it is shown, in which a browser has to read it
 
@@ -38,12 +38,15 @@ def camera_for(vertices: Floats, size: tuple[int, int] = (1400, 900)) -> tuple[F
 
     Parameters
     ----------
-    vertices : (n, 3) m
-    size : width and height of the page, pixels
+    vertices : Floats, shape (n, 3), m
+        Points of the surface.
+    size : tuple[int, int], pixels, optional
+        Width and height of the page.
 
     Returns
     -------
-    position, looked_at : (3,) m each
+    tuple[Floats, Floats]
+        position and looked_at, shape (3,), m each
     """
     width, height = size
     panel = PANEL if width > NARROW else 0  # on a narrow page it lies below
@@ -59,7 +62,7 @@ def camera_for(vertices: Floats, size: tuple[int, int] = (1400, 900)) -> tuple[F
         low, high = seen.min(axis=0), seen.max(axis=0)
         centre = centre + 0.5 * (low + high) * distance / focal @ picture
         distance *= float(((high - low) / room).max())
-    # The panel is on the right, so the surface is in the middle of what is left of it.
+    # The panel is on the right, so the surface is in the middle of the room at its left.
     looked_at = centre + 0.5 * panel / focal * distance * right
     return looked_at + distance * away, looked_at
 
@@ -69,11 +72,15 @@ def label_place(own: Floats, others: Floats) -> Floats:
 
     Parameters
     ----------
-    own, others : (n, 3) m, the surfaces of the organ and of all others
+    own : Floats, shape (n, 3), m
+        Surface of the organ.
+    others : Floats, shape (n, 3), m
+        Surfaces of all others.
 
     Returns
     -------
-    (3,) m, above the organ where nothing hides it there, else below or at its sides
+    Floats, shape (3,), m
+        The place above the organ, unless it is hidden there, else below or at its sides.
     """
     right, up, away = picture_axes()
     picture = np.stack([right, up])
@@ -88,7 +95,13 @@ def label_place(own: Floats, others: Floats) -> Floats:
 
 
 def light(server: viser.ViserServer) -> None:
-    """Light from the camera's side, so that the colours look like the legend's."""
+    """Light the picture from the camera's side, so that the colours look like the legend's.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The viser server.
+    """
     scene = server.scene
     scene.configure_default_lights(False)
     scene.configure_environment_map("studio", environment_intensity=0.25)
@@ -119,7 +132,7 @@ class OrganView:
         )
         self._hidden, self._turns = hidden, 0
         self._sent: deque[tuple[int, Any]] = deque()  # the turn at which each is shown, and the surface
-        # A name that lies behind another organ is not to be taken for that one's.
+        # A name behind another organ must not look like that one's.
         self._label = (
             server.scene.add_label(f"{below}/name", name, position=label_place(self.rest, self.rest), depth_test=True)
             if name
@@ -127,7 +140,13 @@ class OrganView:
         )
 
     def name_beside(self, others: Floats) -> None:
-        """Move the organ's name to where the surfaces of others, (n, 3) m, don't hide it."""
+        """Move the organ's name to where other surfaces don't hide it.
+
+        Parameters
+        ----------
+        others : Floats, shape (n, 3), m
+            Points of these surfaces.
+        """
         if self._label is not None:
             self._label.position = label_place(self.rest, others)
 
@@ -158,14 +177,20 @@ class OrganView:
         self._sent.append((self._turns + LATER, new))
 
     def set_opacity(self, opacity: float) -> bool:
-        """Let what is within shine through: 1 hides it; returns whether it is to be drawn anew for that."""
+        """Let what is within show through; return whether it has to be drawn again for that.
+
+        Parameters
+        ----------
+        opacity : float
+            1 hides it.
+        """
         if opacity == self._opacity:
             return False
         self._opacity, self._surface = opacity, ColouredSurface(self.rest, self.triangles, opacity)
         return True
 
     def remove(self) -> None:
-        """Take it out of the picture."""
+        """Remove it from the picture."""
         for one in (self._seen, *self._hidden, *(surface for _, surface in self._sent)):
             one.remove()
         if self._label is not None:
@@ -173,9 +198,20 @@ class OrganView:
 
 
 class InclusionView:
-    """Surfaces of inclusions at rest, (p, 3) m and (t, 3), within an organ's; they go along with it.
+    """Surfaces of inclusions within an organ's, which move along with it; seen while the organ is translucent.
 
-    To be seen while the organ is translucent.
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The viser server.
+    vertices : Floats, shape (p, 3), m
+        Positions at rest.
+    triangles : Longs, shape (t, 3)
+        Their triangles.
+    organ : OrganView
+        View of the organ.
+    name : str, optional
+        Name of the organ in a scene.
     """
 
     def __init__(
@@ -192,23 +228,35 @@ class InclusionView:
         )
 
     def show(self, surface: Floats) -> None:
-        """Draw them within the organ's surface at positions (n, 3) m."""
+        """Draw them within the organ's surface.
+
+        Parameters
+        ----------
+        surface : Floats, shape (n, 3), m
+            Positions of the surface.
+        """
         self._mesh.vertices = (self._weights @ surface).astype(np.float32)
 
     def remove(self) -> None:
-        """Take them out of the picture."""
+        """Remove them from the picture."""
         self._mesh.remove()
 
 
 class LigamentView:
-    """What organs hang on: a line for each link."""
+    """Ligaments: a line for each link."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._lines: Any = None
 
     def show(self, ends: Floats) -> None:
-        """Draw lines between their ends (l, 2, 3) m; another number of them is drawn anew."""
+        """Draw lines between their ends; a different number of them is created anew.
+
+        Parameters
+        ----------
+        ends : Floats, shape (l, 2, 3), m
+            The ends.
+        """
         if self._lines is not None and len(self._lines.points) == len(ends):
             self._lines.points = ends
             return
@@ -219,7 +267,7 @@ class LigamentView:
             )
 
     def remove(self) -> None:
-        """Take them out of the picture."""
+        """Remove them from the picture."""
         if self._lines is not None:
             self._lines.remove()
             self._lines = None
@@ -233,7 +281,15 @@ class SkeletonView:
         self._handles: list[Any] = []
 
     def show(self, atoms: Floats, parent: Longs) -> None:
-        """Draw atoms (n, 3) m, each joined with its parent (n,), -1 at a root; another skeleton is made anew."""
+        """Draw atoms, each joined with its parent; a different skeleton is created anew.
+
+        Parameters
+        ----------
+        atoms : Floats, shape (n, 3), m
+            Positions of the atoms.
+        parent : Longs, shape (n,)
+            Parent of each, -1 at a root.
+        """
         child = np.flatnonzero(parent >= 0)
         bones = np.stack([atoms[parent[child]], atoms[child]], axis=1)
         made = (len(self._handles[1].batched_positions), len(self._handles[0].points)) if self._handles else None
@@ -260,7 +316,7 @@ class SkeletonView:
         self._handles[1].batched_positions = atoms
 
     def remove(self) -> None:
-        """Take it out of the picture."""
+        """Remove it from the picture."""
         for handle in self._handles:
             handle.remove()
         self._handles = []

@@ -1,4 +1,4 @@
-"""What the viewer's buttons ask the node for, without waiting for the answer."""
+"""Requests of the viewer's buttons to the node, without waiting for the answer."""
 
 from __future__ import annotations
 
@@ -20,7 +20,14 @@ PATIENCE = 5.0  # s
 class Services:
     """Clients of the node's services `~/reset` and `~/record`.
 
-    They have a node of their own, for an executor that takes up nothing but their answers.
+    They have a node of their own, for an executor that handles nothing but their answers.
+
+    Parameters
+    ----------
+    viewer : Node
+        The rclpy node of the viewer.
+    target : str
+        Name of the node.
     """
 
     def __init__(self, viewer: Node, target: str) -> None:
@@ -32,7 +39,15 @@ class Services:
         self._pending: list[tuple[Any, Any, Wish, float]] = []
 
     def poll(self, wishes: queue.SimpleQueue[Wish], tell: Callable[[str, bool], None]) -> None:
-        """Send new wishes and tell the answers (text, whether it was done) that have come."""
+        """Send new requests and report the answers that have come.
+
+        Parameters
+        ----------
+        wishes : queue.SimpleQueue[Wish]
+            The requests.
+        tell : Callable[[str, bool], None]
+            Takes a text, and whether it was done.
+        """
         while not wishes.empty():
             wish = wishes.get()
             client = self._reset if wish is Wish.RESET else self._record

@@ -10,20 +10,30 @@ import socket
 from tissue_sim.errors import UserError
 
 TOKEN_VARIABLE = "TISSUE_SIM_TOKEN"
-LEAST = 16  # characters of a token: nobody guesses 2^96
+LEAST = 16  # characters of a token: 96 bits can't be guessed
 _TOKEN = re.compile(rf"[A-Za-z0-9_-]{{{LEAST},}}")
 
 
 def is_loopback(host: str) -> bool:
-    """Whether what is served at a host reaches this machine only. Raises OSError for what is no address."""
+    """Return whether a page at a host reaches this machine only; raise OSError for an invalid address."""
     found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     return all(ipaddress.ip_address(address[0]).is_loopback for *_, address in found)
 
 
 def chosen_token(given: str | None, host: str) -> str | None:
-    """The token that the page at a host needs: the user's, else a new one; none on loopback.
+    """Return the token that the page at a host needs: the user's, else a new one; none on loopback.
 
-    Raises UserError for one that could be guessed, or does not fit into an address.
+    Parameters
+    ----------
+    given : str | None
+        The user's token.
+    host : str
+        The host.
+
+    Raises
+    ------
+    UserError
+        When the token could be guessed, or does not fit into an address.
     """
     if given:
         if not _TOKEN.fullmatch(given):

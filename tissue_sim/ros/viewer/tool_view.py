@@ -17,11 +17,11 @@ from tissue_sim.ros.shared.appearance import Colour
 
 TOOL_COLOURS: tuple[Colour, ...] = ((120, 150, 190), (130, 175, 150), (170, 150, 190), (180, 170, 140))
 FORCE: Colour = (0, 60, 220)
-LEAST_FORCE = 0.01  # N that gets an arrow
+LEAST_FORCE = 0.01  # N, least force with an arrow
 
 
 def arrow(position: Floats, force: Floats, radius: float) -> NDArray[np.float32]:
-    """Start and end (1, 2, 3) m of a force's arrow: from the tool's surface, ARROW_LENGTH m for 1 N."""
+    """Return start and end (1, 2, 3) m of a force's arrow: from the tool's surface, ARROW_LENGTH m for 1 N."""
     start = position + radius * force / np.linalg.norm(force)
     return np.array([[start, start + ARROW_LENGTH * force]], dtype=np.float32)
 
@@ -50,7 +50,7 @@ class ToolView:
 
     @property
     def opening(self) -> float | None:
-        """Angle in rad between its jaws, the first and the last part; None while nobody knows where the tool is."""
+        """Angle between its jaws, the first and the last part, rad; None while the tool's place is unknown."""
         shafts = [
             Rotation.from_quat(np.roll(p.wxyz, -1)).apply([0.0, 0.0, 1.0]) for p in self._parts.values() if p.visible
         ]
@@ -58,11 +58,17 @@ class ToolView:
 
     @property
     def reach(self) -> float:
-        """From the tool's origin to its surface, across and ahead, m; 0 while its shape is not known."""
+        """Distance from the tool's origin to its surface, across and ahead, m; 0 while its shape is unknown."""
         return max(self._reaches.values(), default=0.0)
 
     def show(self, markers: Sequence[Marker]) -> None:
-        """Draw the tool's markers as they came."""
+        """Draw the tool's markers as they came.
+
+        Parameters
+        ----------
+        markers : Sequence[Marker]
+            The markers.
+        """
         for marker in markers:
             if marker.type == Marker.ARROW:
                 self._show_force(marker)
@@ -72,14 +78,14 @@ class ToolView:
             self.force = None
 
     def hide(self) -> None:
-        """Nobody knows where the tool is."""
+        """Hide the tool, whose place is unknown."""
         self.force = None
         self._arrow.visible = self._label.visible = False
         for part in self._parts.values():
             part.visible = False
 
     def remove(self) -> None:
-        """Take it out of the picture."""
+        """Remove it from the picture."""
         for handle in (self._label, self._arrow, *self._parts.values()):
             handle.remove()
 
@@ -96,7 +102,13 @@ class ToolView:
             self._label.text = f"{self.name} {self.force:.2f} N"
 
     def drag(self, callback: Callable[[Any], Any] | None) -> None:
-        """Call back when somebody drags the tool with the mouse; None: nobody may."""
+        """Call back when somebody drags the tool with the mouse.
+
+        Parameters
+        ----------
+        callback : Callable[[Any], Any] | None
+            The callback; None: nobody may drag it.
+        """
         for part in self._parts.values():
             if self._on_drag is not None:
                 part.remove_drag_callback("all")

@@ -1,4 +1,4 @@
-"""What the page has for the tools: their shapes, what pokes with them, the plot of their forces."""
+"""The page's parts for the tools: their shapes, controls for poking with them, the plot of their forces."""
 
 from __future__ import annotations
 
@@ -22,7 +22,25 @@ SILENT_AFTER = 3.0  # s without markers, or without diagnostics
 class ToolsView:
     """The tools of the node `target`: those named, or else all that its markers show.
 
-    views and pokes have one for each tool; patience s as in `Poke`.
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The viser server.
+    node : Node
+        The rclpy node that publishes.
+    target : str
+        Name of the viewed node.
+    names : tuple[str, ...] | None
+        Names of the tools.
+    patience : float, s, optional
+        As in `Poke`.
+
+    Attributes
+    ----------
+    views
+        View of each tool.
+    pokes
+        Control of each tool.
     """
 
     def __init__(
@@ -45,7 +63,15 @@ class ToolsView:
             self._make(names)
 
     def take(self, message: MarkerArray | None, now: float) -> None:
-        """Show the node's newest markers, if there are new ones; now s."""
+        """Show the node's newest markers, if there are new ones.
+
+        Parameters
+        ----------
+        message : MarkerArray | None
+            The markers.
+        now : float, s
+            The present time.
+        """
         if message is None:
             if now - self._heard > SILENT_AFTER:
                 for view in self.views:
@@ -59,15 +85,30 @@ class ToolsView:
             view.show([marker for marker in message.markers if marker.ns == view.name])
 
     def use(self, told: Mapping[str, Any]) -> None:
-        """Speak to the tools as the node's parameters tell."""
+        """Use the links to the tools in the node's parameters.
+
+        Parameters
+        ----------
+        told : Mapping[str, Any]
+            The parameters.
+        """
         self._told = told
         for poke in self.pokes:
             poke.use(ToolLink.told(told, poke.name, self._target))
 
     def update(self, now: float, watchers: Collection[int], points: Floats | None, frame_id: str) -> None:
-        """Take up what the page asked for.
+        """Apply the requests of the page.
 
-        now s; watchers: ids of the browsers that look; points (n, 3) m of the organ in a frame, or None without one.
+        Parameters
+        ----------
+        now : float, s
+            The present time.
+        watchers : Collection[int]
+            Ids of the browsers that look.
+        points : Floats | None, shape (n, 3), m
+            Points of the organ in a frame, or None without one.
+        frame_id : str
+            That frame.
         """
         for poke in self.pokes:
             poke.update(now, watchers, points, frame_id)
@@ -75,7 +116,7 @@ class ToolsView:
             self._plot.update(now, {view.name: view.force for view in self.views}, bool(watchers))
 
     def close(self) -> None:
-        """Let go of every tool."""
+        """Release every tool."""
         for poke in self.pokes:
             poke.close()
 

@@ -1,4 +1,4 @@
-"""`tissue_sim view`: a running node in the browser."""
+"""Command `tissue_sim view`: a running node in the browser."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from tissue_sim.ros.viewer.tokens import TOKEN_VARIABLE, chosen_token
 if TYPE_CHECKING:
     import viser
 
-FRAME_TIME = 1.0 / 40.0  # s between two pictures: a few a second come late, and 30 are to be left
-PATIENCE = 5.0  # s that a page which holds a tool may take to answer
-IDLE_TIME = 0.2  # s between two looks while no browser is connected
+FRAME_TIME = 1.0 / 40.0  # s between two pictures: a few a second come late, and 30 must remain
+PATIENCE = 5.0  # s for the answer of a page that holds a tool
+IDLE_TIME = 0.2  # s between two checks while no browser is connected
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the command's arguments."""
     add_page_arguments(parser)
     parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
     parser.add_argument("--tools", type=client.names, help="names of the tools (default: the node's)")
@@ -45,7 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_page_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of whatever serves the page."""
+    """Add the arguments of every command that serves the page.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The command's parser.
+    """
     parser.add_argument(
         "--host",
         default="127.0.0.1",
@@ -60,7 +66,7 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve the page until SIGINT or SIGTERM; returns 0. Raises UserError when it can't be served."""
+    """Serve the page until SIGINT or SIGTERM; return 0; raise UserError when it can't be served."""
     if args.layout:
         from tissue_sim.ros.viewer.layout import write
 
@@ -74,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     ):
         from tissue_sim.ros.viewer.loop import Viewer
 
-        progress.tell_by(None)  # nothing of it runs beside the pictures
+        progress.tell_by(None)  # no progress thread beside the pictures
         print(f"open {address(args.host, args.port, token)}", flush=True)
         viewer = Viewer(server, node, args.node, args.tools, args.patience)
         # Short turns at the GIL: the poses of a held tool must not wait for a picture.
@@ -92,7 +98,20 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check_port(host: str, port: int) -> None:
-    """Raise UserError, with the remedy, when nothing can be served at host and port."""
+    """Check that a page can be served at a host and port.
+
+    Parameters
+    ----------
+    host : str
+        The host.
+    port : int
+        The port.
+
+    Raises
+    ------
+    UserError
+        When it can't; the message has the remedy.
+    """
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:
@@ -113,7 +132,7 @@ def check_port(host: str, port: int) -> None:
 
 @contextlib.contextmanager
 def _server(host: str, port: int, token: str | None) -> Iterator[viser.ViserServer]:
-    """A viser server that says nothing on the terminal, and serves at this port, guarded, or not at all."""
+    """Provide a viser server that is silent on the terminal, and serves at this port, guarded, or not at all."""
     try:
         import viser
     except ImportError:
@@ -134,16 +153,37 @@ def _server(host: str, port: int, token: str | None) -> Iterator[viser.ViserServ
 
 
 def page_token(args: argparse.Namespace) -> str | None:
-    """The token that the page needs, or None. Raises UserError for one that can't be."""
+    """Return the token that the page needs, or None.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Arguments of the command.
+
+    Raises
+    ------
+    UserError
+        When it is invalid.
+    """
     return chosen_token(args.token or os.environ.get(TOKEN_VARIABLE), args.host)
 
 
 def address(host: str, port: int, token: str | None) -> str:
-    """What to open in a browser on this machine."""
+    """Return the address to open in a browser on this machine.
+
+    Parameters
+    ----------
+    host : str
+        Host of the page.
+    port : int
+        Port of the page.
+    token : str | None
+        Token of the page.
+    """
     page = f"http://{shown_host(host)}:{port}"
     return page if token is None else f"{page}/?token={token}"
 
 
 def shown_host(host: str) -> str:
-    """How a host reads in an address that works in a browser on this machine."""
+    """Return a host as it reads in an address that works in a browser on this machine."""
     return {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)

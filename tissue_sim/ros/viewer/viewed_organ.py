@@ -13,11 +13,11 @@ from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.organ_topics import path_of
 from tissue_sim.ros.viewer.scene import InclusionView, OrganView, SkeletonView
 
-TURNED = np.cos(np.radians(5.0))  # of the angle between two eyes that are told apart
+TURNED = np.cos(np.radians(5.0))  # cosine of the angle from which on two viewpoints count as different
 
 
 class ViewedOrgan:
-    """An organ whose topics lie below a node's name, or below its own there; name: empty for an only one."""
+    """An organ whose topics lie below a node's name, or below its own there; name: empty for a single one."""
 
     def __init__(self, server: viser.ViserServer, node: Node, target: str, name: str) -> None:
         below = path_of(f"/{target}", name)
@@ -29,13 +29,13 @@ class ViewedOrgan:
         self._skeleton = SkeletonView(server, name)
         self._inclusions: InclusionView | None = None
         self.view: OrganView | None = None
-        self.points: Floats | None = None  # where the surface was last, (n, 3) m
+        self.points: Floats | None = None  # last positions of the surface, (n, 3) m
         self.frame_id = ""
         self._drawn: Floats | None = None
-        self._eye = np.zeros(3)  # m, from where it was drawn last
+        self._eye = np.zeros(3)  # m, viewpoint of the last drawing
 
     def take_mesh(self) -> bool:
-        """Take the surface at rest, if it has come; returns whether it is another one."""
+        """Take the surface at rest, if it has come; return whether it is a different one."""
         mesh = self._mesh.take()
         if mesh is None:
             return False
@@ -49,12 +49,12 @@ class ViewedOrgan:
         return True
 
     def take_surface(self) -> None:
-        """Take where it is now."""
+        """Take the present positions."""
         surface = self._surface.take()
         if surface is None or self.view is None:
             return
         positions = client.cloud_array(surface)
-        # Another number of nodes belongs to an organ whose mesh is still on its way.
+        # A different number of nodes belongs to an organ whose mesh is still on its way.
         if positions.shape == self.view.rest.shape and np.isfinite(positions).all():
             self.points, self.frame_id = positions.astype(np.float64), surface.header.frame_id
 
@@ -68,7 +68,15 @@ class ViewedOrgan:
             self._drawn = None
 
     def draw(self, eye: Floats | None, opacity: float) -> None:
-        """Draw what has changed; surfaces only while somebody looks, from `eye` (3,) m."""
+        """Draw what has changed; surfaces only while somebody looks.
+
+        Parameters
+        ----------
+        eye : Floats | None, shape (3,), m
+            The viewpoint.
+        opacity : float
+            1 hides what is within.
+        """
         if self.view is not None:
             self.view.turn()
             points = self.view.rest if self.points is None else self.points
@@ -86,7 +94,7 @@ class ViewedOrgan:
             self._skeleton.show(columns[:, :3].astype(np.float64), columns[:, 4].astype(np.int64))
 
     def _has_turned(self, eye: Floats, opacity: float) -> bool:
-        """Return whether a translucent organ is looked at from another side than when it was drawn."""
+        """Return whether a translucent organ is seen from another side than when it was drawn."""
         if opacity >= 1.0 or self.view is None:
             return False
         ways = [one - self.view.rest.mean(axis=0) for one in (eye, self._eye)]
@@ -94,13 +102,13 @@ class ViewedOrgan:
         return bool(cosine < TURNED)
 
     def remove(self) -> None:
-        """Take it out of the picture, and hear no more of it."""
+        """Remove it from the picture, and unsubscribe."""
         for inbox in (self._mesh, self._within, self._surface, self._atoms):
             inbox.close()
         self._clear()
 
     def _clear(self) -> None:
-        """Take all that is drawn out of the picture."""
+        """Remove everything that is drawn from the picture."""
         for view in (self.view, self._inclusions, self._skeleton):
             if view is not None:
                 view.remove()

@@ -1,4 +1,4 @@
-"""Bags: metadata that names other files, records whose lengths lie, messages cut short, journals that name nothing."""
+"""Hostile bags: metadata that names other files, wrong lengths, truncated messages, journals that name nothing."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from tissue_sim.ros.bags.writer import BagWriter, Topic
 from tissue_sim.ros.shared.cdr import parse_octets, parse_text
 
 NAME = "bag_0.mcap"
-_BOMBS = 0.005  # share of the cases
+_BOMBS = 0.005  # fraction of the cases
 _ASKED = Asked(force_tolerance=1e-6, position_tolerance=1e-6)
 
 Messages = list[tuple[str, int, bytes]]  # topic, stamp in ns, bytes
 
 
 def prepare(case: Case, folder: Path) -> Input:
-    """A bag of one or more mutations."""
+    """Make a bag with one or more mutations."""
     rng, path = case.rng(), folder / "bag"
     way: Callable[[Rng, Path], str] = some(rng, _WAYS)
     what = way(rng, path)
@@ -45,13 +45,13 @@ def prepare(case: Case, folder: Path) -> Input:
 
 
 def warm_up(folder: Path) -> None:
-    """Replay the whole one."""
+    """Replay the intact bag."""
     _write(_content()[1], folder / "bag")
     use(folder / "bag")
 
 
 def use(path: Path) -> str:
-    """What `tissue_sim replay` does: complete, read, replay, compare."""
+    """Do what `tissue_sim replay` does: complete, read, replay, compare."""
     with contextlib.redirect_stdout(io.StringIO()):
         if recovery.is_broken_off(path):
             recovery.complete(path)
@@ -68,7 +68,7 @@ def use(path: Path) -> str:
 
 @lru_cache(maxsize=1)
 def _content() -> tuple[dict[str, Topic], Messages]:
-    """Topics and messages of a short recording."""
+    """Return topics and messages of a short recording."""
     source = shipped_file(SCENE)
     assert source is not None  # see cases.Kind.needs
     with Reader(source.parent) as reader:
@@ -88,7 +88,7 @@ def _write(messages: Messages, path: Path) -> None:
 
 @lru_cache(maxsize=1)
 def _files() -> dict[str, bytes]:
-    """The files of the whole bag, made once."""
+    """Return the files of the intact bag, made once."""
     with tempfile.TemporaryDirectory() as folder:
         _write(_content()[1], Path(folder) / "bag")
         return {path.name: path.read_bytes() for path in sorted((Path(folder) / "bag").iterdir())}
@@ -111,7 +111,7 @@ def _bytes(rng: Rng, path: Path) -> str:
 
 
 def _records(rng: Rng, path: Path) -> str:
-    """Records of the MCAP file: lengths, opcodes and fields that lie, some left out or there twice."""
+    """Change records of the MCAP file: wrong lengths, opcodes and fields, some left out or duplicated."""
     files, told = dict(_files()), []
     data = bytearray(files[NAME])
     for _ in range(int(rng.integers(1, 3))):
@@ -126,7 +126,7 @@ def _records(rng: Rng, path: Path) -> str:
 
 
 def _record_places(data: bytes | bytearray) -> list[tuple[int, int]]:
-    """Where records begin, and their lengths; those of a summary as likely as chunks."""
+    """Return where records begin, and their lengths; those of a summary as likely as chunks."""
     places, at = [], len(recovery.MAGIC)
     while at + 9 <= len(data):
         length = struct.unpack_from("<Q", data, at + 1)[0]
@@ -163,7 +163,7 @@ def _record(rng: Rng, data: bytearray, at: int, length: int) -> str:
 
 
 def _metadata(rng: Rng, path: Path) -> str:
-    """metadata.yaml: other files, counts that lie, what is no YAML."""
+    """Change metadata.yaml: other files, wrong counts, invalid YAML."""
     files = dict(_files())
     draw = rng.random()
     if draw < 0.4:
@@ -210,7 +210,7 @@ def _metadata_tree(rng: Rng, tree: dict[str, Any]) -> str:
 
 
 def _disguised(rng: Rng, path: Path) -> str:
-    """Something else where a bag is asked for."""
+    """Put something else in the place of a bag."""
     files = dict(_files())
     draw = int(rng.integers(5))
     if draw == 0:
@@ -236,7 +236,7 @@ def _disguised(rng: Rng, path: Path) -> str:
 
 
 def _messages(rng: Rng, path: Path) -> str:
-    """Messages cut short, left out, shuffled, in another topic, mutated."""
+    """Change messages: truncated, left out, shuffled, in another topic, mutated."""
     messages, told = list(_content()[1]), []
     names = sorted({name for name, *_ in messages})
     for _ in range(int(rng.integers(1, 4))):
@@ -266,7 +266,7 @@ def _messages(rng: Rng, path: Path) -> str:
 
 
 def _arrays(rng: Rng, path: Path) -> str:
-    """The npz of state, settings, journal, contact sets: wrong in the zip, or in the records that it holds."""
+    """Change the npz of state, settings, journal or contact sets, in the zip or in its records."""
     messages = list(_content()[1])
     name = some(rng, ("state", "state", "settings", "journal", "journal", "contact_set", "organ"))
     k = some(rng, [k for k, (topic, *_) in enumerate(messages) if topic.endswith(f"/{name}")] or [0])
@@ -286,7 +286,7 @@ def _arrays(rng: Rng, path: Path) -> str:
 
 
 def _fields(rng: Rng, arrays: dict[str, np.ndarray]) -> tuple[bytes, str]:
-    """A number in a record changed, or a whole array."""
+    """Change a number in a record, or a whole array."""
     told = []
     for _ in range(int(rng.integers(1, 4))):
         key = some(rng, sorted(arrays))
@@ -315,7 +315,7 @@ def _fields(rng: Rng, arrays: dict[str, np.ndarray]) -> tuple[bytes, str]:
 
 
 def _config(rng: Rng, path: Path) -> str:
-    """The configuration: names, numbers and tools that are none."""
+    """Change the configuration: invalid names, numbers and tools."""
     messages = list(_content()[1])
     k = next(k for k, (topic, *_) in enumerate(messages) if topic.endswith("/config"))
     topic, stamp, raw = messages[k]
@@ -352,7 +352,7 @@ def _config_tree(rng: Rng, tree: dict[str, Any]) -> str:
 
 
 def _octets(data: bytes) -> bytes:
-    """A UInt8MultiArray without dimensions."""
+    """Return a UInt8MultiArray without dimensions."""
     return b"\0\1\0\0" + struct.pack("<III", 0, 0, len(data)) + data
 
 

@@ -1,4 +1,4 @@
-"""Images and masks: headers that lie, names of other files, streams cut short, bombs; DICOM folders."""
+"""Hostile images and masks: wrong headers, names of other files, truncated streams, bombs; DICOM folders."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
 
 _SMALL = PhantomParameters(spacing=(12.0, 12.0, 14.0), noise=0.0)
 _SLICES = 5  # of a DICOM folder
-_BOMBS = 0.01  # share of the cases
+_BOMBS = 0.01  # fraction of the cases
 
 Files = dict[str, bytes]
 
 
 class Form(NamedTuple):
-    """A format: the name that is read, whether it is packed, and how its header is made to lie."""
+    """Format: the name that is read, whether it is packed, and how its header is falsified."""
 
     name: str
     file: str
@@ -38,7 +38,7 @@ class Form(NamedTuple):
 
 
 def prepare(case: Case, folder: Path) -> Input:
-    """An image or a mask of one or more mutations."""
+    """Make an image or a mask with one or more mutations."""
     rng = case.rng()
     as_mask = rng.random() < 0.3
     if rng.random() < 0.2:
@@ -57,7 +57,7 @@ def prepare(case: Case, folder: Path) -> Input:
 
 
 def warm_up(folder: Path) -> None:
-    """Read one of each."""
+    """Read one of each format."""
     for form in _FORMS:
         for name, data in _written(form.file, False, form.compressed).items():
             (folder / name).write_bytes(data)
@@ -70,7 +70,7 @@ def warm_up(folder: Path) -> None:
 
 
 def use(path: Path, *, mask: bool) -> str:
-    """Read an image or a mask: its voxels and its place are finite."""
+    """Read an image or a mask and check that its voxels and its position are finite."""
     volume = read_mask(path) if mask else read_image(path)
     check_place(volume)
     if not mask and not np.all(np.isfinite(volume.array)):
@@ -88,7 +88,7 @@ def check_place(volume: Volume) -> None:
 
 
 def mutated(rng: Rng, form: Form, mask: bool) -> tuple[Files, str]:
-    """The files of an image, wrong in some way, and in which."""
+    """Return the files of an image with a mutation, and its description."""
     files = dict(_written(form.file, mask, form.compressed))
     if rng.random() < _BOMBS and form.compressed:
         return _bomb(form, files)
@@ -129,7 +129,7 @@ def _written(file: str, mask: bool, compressed: bool) -> Files:
 
 # headers that lie ---------------------------------------------------------------------------------
 
-# Offset and type of NIfTI-1's fields that say how the rest is to be read.
+# Offset and type of those fields of NIfTI-1 that determine how the rest is read.
 _NIFTI = (
     *((0, "<i"), (40, "<h"), (42, "<h"), (44, "<h"), (46, "<h"), (48, "<h"), (70, "<h"), (72, "<h"), (76, "<f")),
     *((80, "<f"), (84, "<f"), (88, "<f"), (108, "<f"), (112, "<f"), (116, "<f"), (123, "<b"), (252, "<h")),
@@ -166,7 +166,7 @@ _SIZES = (b"1000 1000 1000", b"100000 100000 100000", b"-1 17 12", b"0 0 0", b"2
 
 
 def _text_header(rng: Rng, files: Files, name: str, end: bytes, fields: Sequence[tuple[bytes, Sequence[bytes]]]) -> str:
-    """The head of a text header with another value of a field, or with words and lines mutated."""
+    """Change the head of a text header: another value of a field, or mutated words and lines."""
     head, mark, rest = files[name].partition(end)
     if rng.random() < 0.4:
         head, told = of_text(rng, head)
@@ -236,7 +236,7 @@ def _nrrd(rng: Rng, files: Files, name: str) -> str:
 
 
 def _bomb(form: Form, files: Files) -> tuple[Files, str]:
-    """A file of some MB that unpacks to BOMB zeros, as its header says."""
+    """Make a file of some MB that unpacks to BOMB zeros, as its header says."""
     voxels = BOMB // 2
     if form.file.endswith(".nii.gz"):
         header = bytearray(gzip.decompress(files[form.file])[:352])
@@ -273,7 +273,7 @@ _FORMS = (
 
 @lru_cache(maxsize=1)
 def _slices() -> Files:
-    """A series as GDCM writes it."""
+    """Return a series as GDCM writes it."""
     volume = _phantom()[0]
     uid = "1.2.826.0.1.3680043.2.1125.1"
     with tempfile.TemporaryDirectory() as folder:
@@ -300,7 +300,7 @@ def _slices() -> Files:
         return {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
 
 
-# Group and element of what says how the pixels are to be read, little-endian as in the file.
+# Group and element of tags that determine how the pixels are read, little-endian as in the file.
 _TAGS = {
     "samples": (0x28, 0x02),
     "frames": (0x28, 0x08),
@@ -339,7 +339,7 @@ def _dicom(rng: Rng) -> tuple[Files, str]:
 
 
 def _dicom_tag(rng: Rng, data: bytes) -> tuple[bytes, str]:
-    """A field of the header, changed where it first stands."""
+    """Change a field of the header at its first occurrence."""
     name = some(rng, sorted(_TAGS))
     at = data.find(struct.pack("<HH", *_TAGS[name]))
     return of_bytes(rng, data) if at < 0 else changed_field(rng, data, name, at)

@@ -1,4 +1,4 @@
-"""Meshes of every format that is read: counts that lie, numbers that are none, parts cut off, names of other files."""
+"""Hostile meshes of every format: wrong counts, invalid numbers, parts cut off, names of other files."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from tissue_sim.organ.meshes.mesh_input import SurfaceMesh, read_mesh, voxelize
 from tissue_sim.organ.organ import check_surface
 from tissue_sim.organ.reporting.vtk_xml import tetrahedra
 
-LENGTH = 0.1  # m, that an organ's longest side is given as
+LENGTH = 0.1  # m, stated longest side of an organ
 _AXIS = 24  # voxels along the longest side: as a mesh is used, in less time
 
 
 def prepare(case: Case, folder: Path) -> Input:
-    """A mesh file of one or more mutations."""
+    """Make a mesh file with one or more mutations."""
     rng = case.rng()
     form: Form = some(rng, _FORMS)
     data, what = mutated(rng, form)
@@ -39,7 +39,7 @@ def prepare(case: Case, folder: Path) -> Input:
 
 
 def warm_up(folder: Path) -> None:
-    """Read one of each."""
+    """Read one of each format."""
     for form in _FORMS:
         path = folder / f"mesh{form.suffix}"
         path.write_bytes(form.made())
@@ -47,7 +47,7 @@ def warm_up(folder: Path) -> None:
 
 
 def use(path: Path, *, unit: bool = False, merge_parts: bool = False) -> str:
-    """Read and repair a surface, and make voxels of it: it is closed and finite."""
+    """Read and repair a surface, make voxels of it, and check that it is closed and finite."""
     measure = {"unit": "mm"} if unit else {"longest": LENGTH}
     mesh = read_mesh(path, **measure, merge_parts=merge_parts)  # type: ignore[arg-type]
     _check(mesh)
@@ -66,22 +66,22 @@ _Told = tuple[bytes, str]
 
 
 class Form:
-    """A format as it is written, whole and with a mutation of its own kind."""
+    """Format with an intact file and a mutation of its own kind."""
 
     def __init__(self, name: str, suffix: str, write: Callable[[], bytes], lie: Callable[[Rng, bytes], _Told]) -> None:
         self.name, self.suffix, self._write, self._lie = name, suffix, write, lie
 
     def made(self) -> bytes:
-        """A whole file."""
+        """Return an intact file."""
         return self._write()
 
     def lying(self, rng: Rng) -> tuple[bytes, str]:
-        """One whose head says something else than what follows."""
+        """Return a file whose head contradicts its content."""
         return self._lie(rng, self._write())
 
 
 def mutated(rng: Rng, form: Form) -> tuple[bytes, str]:
-    """The bytes of a mesh file, wrong in some way, and in which."""
+    """Return the bytes of a mesh file with a mutation, and its description."""
     draw = rng.random()
     if draw < 0.45:
         return form.lying(rng)
@@ -189,7 +189,7 @@ def _obj(rng: Rng, data: bytes) -> _Told:
 
 
 def _gltf_tree(rng: Rng, tree: dict) -> str:
-    """A number, a name or an entry of the tree changed."""
+    """Change a number, a name or an entry of the tree."""
     places: list[tuple[dict | list, str | int]] = []
 
     def walk(node: object) -> None:
@@ -239,7 +239,7 @@ def _glb(rng: Rng, data: bytes) -> _Told:
 
 @lru_cache(maxsize=1)
 def _gltf_text() -> bytes:
-    """All in one file: the buffer is in the text."""
+    """Return glTF in one file, with the buffer in the text."""
     data = _exported("glb")()
     size = struct.unpack_from("<I", data, 12)[0]
     tree = json.loads(data[20 : 20 + size])
@@ -293,7 +293,7 @@ def _vtk_5() -> bytes:
 
 
 def _vtk_head(rng: Rng, data: bytes) -> _Told:
-    """A count of a binary file, whose heads lie between numbers."""
+    """Change a count of a binary file, whose heads lie between numbers."""
     marks = [data.index(word) for word in (b"POINTS", b"POLYGONS")]
     at = some(rng, marks)
     end = data.index(b"\n", at)
@@ -348,7 +348,7 @@ def _gmsh_2() -> bytes:
 
 @lru_cache(maxsize=1)
 def _gmsh_4() -> bytes:
-    """Of tetrahedra: a fan around the middle."""
+    """Return tetrahedra: a fan around the centre."""
     points, triangles = _ball()
     points = np.vstack([points, [0.0, 0.0, 0.0]])
     n, t = len(points), len(triangles)

@@ -1,4 +1,4 @@
-"""Mutations of bytes, numbers and arrays, drawn at random; the first are the ones that fuzzers find most with."""
+"""Random mutations of bytes, numbers and arrays; the first are those with which fuzzers find most."""
 
 from __future__ import annotations
 
@@ -15,7 +15,20 @@ _BLOCK = 1 << 20
 
 
 def some[T](rng: Rng, things: Sequence[T]) -> T:
-    """One of the things."""
+    """Return one of several things.
+
+    Parameters
+    ----------
+    rng : Rng
+        Random numbers.
+    things : Sequence[T]
+        The things.
+
+    Returns
+    -------
+    T
+        One of them.
+    """
     return things[int(rng.integers(len(things)))]
 
 
@@ -27,13 +40,37 @@ ODD_NUMBERS = ("nan", "inf", "-inf", "0", "-0", "-1", "1e-320", "1e300", "-1e300
 
 
 def odd_count(rng: Rng, value: int) -> int:
-    """A number of things that is not what it was."""
+    """Return a wrong count.
+
+    Parameters
+    ----------
+    rng : Rng
+        Random numbers.
+    value : int
+        The right count.
+
+    Returns
+    -------
+    int
+        The wrong one.
+    """
     near = (value - 1, value + 1, value * 2, value // 2, -value)
     return int(some(rng, (*near, *ODD_COUNTS)))
 
 
 def odd_float(rng: Rng) -> float:
-    """A number that breaks arithmetic."""
+    """Return a number that breaks arithmetic.
+
+    Parameters
+    ----------
+    rng : Rng
+        Random numbers.
+
+    Returns
+    -------
+    float
+        The number.
+    """
     return some(rng, (np.nan, np.inf, -np.inf, 0.0, -0.0, -1.0, 5e-324, 1e-300, 1e300, -1e300, 1.7e308, 1e39, 1e9))
 
 
@@ -116,7 +153,20 @@ def _block(rng: Rng, data: bytearray) -> tuple[int, int]:
 
 
 def of_bytes(rng: Rng, data: bytes) -> tuple[bytes, str]:
-    """Bytes mutated one to three times, and how."""
+    """Mutate bytes one to three times.
+
+    Parameters
+    ----------
+    rng : Rng
+        Random numbers.
+    data : bytes
+        The bytes.
+
+    Returns
+    -------
+    tuple[bytes, str]
+        The mutated bytes and a description.
+    """
     made, told = bytearray(data), []
     for _ in range(int(rng.integers(1, 4))):
         if not made:
@@ -127,7 +177,18 @@ def of_bytes(rng: Rng, data: bytes) -> tuple[bytes, str]:
 
 
 def gz_bomb(start: bytes = b"") -> bytes:
-    """A stream of gzip that unpacks to `start` and then BOMB zeros."""
+    """Return a gzip stream that unpacks to `start` and then BOMB zeros.
+
+    Parameters
+    ----------
+    start : bytes, optional
+        First bytes.
+
+    Returns
+    -------
+    bytes
+        The stream.
+    """
     block = gzip.compress(bytes(_BLOCK), 9)  # members follow each other
     return gzip.compress(start) + block * (BOMB // _BLOCK)
 
@@ -136,10 +197,23 @@ def gz_bomb(start: bytes = b"") -> bytes:
 
 
 def of_text(rng: Rng, text: bytes) -> tuple[bytes, str]:
-    """Text with some of its numbers or lines changed, and how."""
+    """Change some numbers or lines of a text.
+
+    Parameters
+    ----------
+    rng : Rng
+        Random numbers.
+    text : bytes
+        The text.
+
+    Returns
+    -------
+    tuple[bytes, str]
+        The changed text and a description.
+    """
     lines, told = text.split(b"\n"), []
     for _ in range(int(rng.integers(1, 4))):
-        # Heads are where counts are.
+        # Counts are mostly in the head.
         at = int(rng.integers(min(len(lines), 15) if rng.random() < 0.6 else len(lines)))
         told.append(_line(rng, lines, at))
     return b"\n".join(lines), ", ".join(told)
@@ -170,7 +244,20 @@ def _line(rng: Rng, lines: list[bytes], at: int) -> str:
 
 
 def of_array(rng: Rng, array: NDArray[Any]) -> tuple[NDArray[Any], str]:
-    """An array with other values, another shape or type, and how."""
+    """Change an array's values, shape or type.
+
+    Parameters
+    ----------
+    rng : Rng
+        Random numbers.
+    array : NDArray[Any]
+        The array.
+
+    Returns
+    -------
+    tuple[NDArray[Any], str]
+        The changed array and a description.
+    """
     made = np.array(array)
     way = some(
         rng, ("value", "value", "value", "shape", "shorter", "longer", "type", "order", "axes", "empty", "scale")

@@ -1,4 +1,4 @@
-"""Organ files: wrong in the zip, in its arrays or in their values; loaded, and simulated for some ticks."""
+"""Hostile organ files: wrong in the zip, its arrays or their values; loaded, and simulated for some ticks."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from tissue_sim.organ.shipped import shipped_organ
 
 TICKS = 20
 PUSH = 0.1  # N
-_BOMBS = 0.005  # share of the cases
+_BOMBS = 0.005  # fraction of the cases
 
 
 def prepare(case: Case, folder: Path) -> Input:
-    """An organ file of one or more mutations."""
+    """Make an organ file with one or more mutations."""
     rng, path = case.rng(), folder / "organ.npz"
-    # Most are small: what is wrong with a large one is no other.
+    # Most are small, as the errors of a large one are the same.
     data, what = mutated(rng, some(rng, ("small", "small", "small", "small", "cells")))
     path.write_bytes(data)
     return Input(what, lambda: use(path))
@@ -43,7 +43,7 @@ def warm_up(folder: Path) -> None:
 
 
 def use(path: Path) -> str:
-    """Load an organ, simulate it for some ticks: everything stays finite."""
+    """Load an organ, simulate it for some ticks, and check that everything stays finite."""
     organ = Organ.load(path)
     simulation = Simulation(organ)
     for tick in range(TICKS):
@@ -55,7 +55,7 @@ def use(path: Path) -> str:
 
 
 def mutated(rng: Rng, name: str) -> tuple[bytes, str]:
-    """The bytes of an organ file, wrong in some way, and in which."""
+    """Return the bytes of an organ file with a mutation, and its description."""
     draw = rng.random()
     if draw < _BOMBS:
         return bomb(rng, members(_arrays(name)))
@@ -76,11 +76,11 @@ def _values(rng: Rng, arrays: dict[str, NDArray[Any]]) -> str:
 
 
 def _header(rng: Rng, arrays: dict[str, NDArray[Any]]) -> str:
-    """The header says something else, or is none."""
+    """Change the header, or make it invalid."""
     try:
         header = dict(json.loads(str(arrays["header"])))
     except (ValueError, TypeError, RecursionError):
-        header = {}  # wrong already
+        header = {}  # already invalid
     if not header:
         return "header as it is"
     if rng.random() < 0.2:
@@ -102,7 +102,7 @@ def _header(rng: Rng, arrays: dict[str, NDArray[Any]]) -> str:
 
 
 def _sealed(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """With the checksum that goes with them: what is wrong with them has to be found."""
+    """Return arrays with a matching checksum, so that their errors have to be found."""
     content = {name: array for name, array in arrays.items() if name not in ("header", "sha256")}
     text = str(arrays["header"])
     return {"header": arrays["header"], "sha256": np.array(content_digest(text, content)), **content}

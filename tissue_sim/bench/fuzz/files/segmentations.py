@@ -48,7 +48,7 @@ _TAGS = {
 
 
 def prepare(case: Case, folder: Path) -> Input:
-    """A segmentation of one or more mutations, of which a segment is asked for."""
+    """Prepare a segmentation with one or more mutations, from which one segment is requested."""
     rng = case.rng()
     kind, label = some(rng, tuple(_STORAGE)), some(rng, _LABELS)
     data, told = _written(kind), []
@@ -76,7 +76,7 @@ def use(path: Path, label: int | str | None) -> str:
 
 
 def _lying(rng: Rng, data: bytes) -> tuple[bytes, str]:
-    """A field of the file with another value, in any one of the places where it stands."""
+    """Give a field of the file another value at one of its occurrences."""
     name = some(rng, sorted(_TAGS))
     tag, places, at = struct.pack("<HH", *_TAGS[name]), [], -1
     while (at := data.find(tag, at + 1)) >= 0:
@@ -108,7 +108,7 @@ def _written(kind: str) -> bytes:
 
 
 def _described(kind: str, shape: tuple[int, ...]) -> Dataset:
-    """A file of frames (n, rows, columns) of one kind, without these."""
+    """Return a file for frames (n, rows, columns) of one kind, without the frames."""
     file = Dataset()
     file.file_meta = FileMetaDataset()
     file.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
@@ -140,7 +140,7 @@ def _of_frame(segment: int, z: int) -> Dataset:
 
 
 def _item(**values: object) -> Dataset:
-    """A dataset of these elements."""
+    """Return a dataset with the given elements."""
     found = Dataset()
     for name, value in values.items():
         setattr(found, name, value)

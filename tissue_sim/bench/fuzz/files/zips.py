@@ -1,4 +1,4 @@
-"""Hostile npz: headers that lie, bombs, pickles, names that are paths."""
+"""Hostile npz files: wrong headers, bombs, pickles, names that are paths."""
 
 from __future__ import annotations
 
@@ -17,19 +17,30 @@ from numpy.typing import NDArray
 
 from tissue_sim.bench.fuzz.files.mutations import BOMB, Rng, odd_count, of_bytes, some
 
-PICKLED = "pickled"  # the file that a pickle makes where it is loaded, in the working folder
+PICKLED = "pickled"  # file that a pickle makes in the working folder when it is loaded
 OUTSIDE = "../outside"
 
 
 class _Payload:
-    """What makes a file when it is unpickled."""
+    """Object that makes a file when it is unpickled."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         return open, (PICKLED, "w")
 
 
 def members(arrays: Mapping[str, NDArray[Any]]) -> dict[str, bytes]:
-    """The files of an npz, by name."""
+    """Return the files of an npz, by name.
+
+    Parameters
+    ----------
+    arrays : Mapping[str, NDArray[Any]]
+        Arrays by name.
+
+    Returns
+    -------
+    dict[str, bytes]
+        Contents by file name.
+    """
     return {f"{name}.npy": _stored(array) for name, array in arrays.items()}
 
 
@@ -40,7 +51,18 @@ def _stored(array: NDArray[Any]) -> bytes:
 
 
 def packed(files: Mapping[str, bytes]) -> bytes:
-    """Files as a zip."""
+    """Return files as a zip.
+
+    Parameters
+    ----------
+    files : Mapping[str, bytes]
+        Contents by name.
+
+    Returns
+    -------
+    bytes
+        The zip.
+    """
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, data in files.items():
@@ -49,7 +71,20 @@ def packed(files: Mapping[str, bytes]) -> bytes:
 
 
 def of_zip(rng: Rng, files: dict[str, bytes]) -> tuple[bytes, str]:
-    """A zip of files that is wrong in its structure, and how."""
+    """Make a zip with a wrong structure.
+
+    Parameters
+    ----------
+    rng : Rng
+        Random numbers.
+    files : dict[str, bytes]
+        Contents by name.
+
+    Returns
+    -------
+    tuple[bytes, str]
+        The zip and a description.
+    """
     way: Callable[[Rng, dict[str, bytes]], tuple[bytes, str]] = some(rng, _WAYS)
     return way(rng, dict(files))
 
@@ -89,7 +124,7 @@ def _pickle(rng: Rng, files: dict[str, bytes]) -> tuple[bytes, str]:
 
 
 def _header(rng: Rng, files: dict[str, bytes]) -> tuple[bytes, str]:
-    """An .npy header that says something else than what follows."""
+    """Write an .npy header that contradicts its content."""
     name = some(rng, sorted(files))
     array = npy.read_array(io.BytesIO(files[name]), allow_pickle=False)
     shape: tuple[Any, ...] = tuple(odd_count(rng, n) for n in array.shape) or (odd_count(rng, 1),)
@@ -122,7 +157,20 @@ def _header(rng: Rng, files: dict[str, bytes]) -> tuple[bytes, str]:
 
 
 def bomb(rng: Rng, files: dict[str, bytes]) -> tuple[bytes, str]:
-    """A zip of which one file, of 2 MB, unpacks to BOMB zeros, as its size says."""
+    """Make a zip in which one file, of 2 MB, unpacks to BOMB zeros, as its size says.
+
+    Parameters
+    ----------
+    rng : Rng
+        Random numbers.
+    files : dict[str, bytes]
+        Contents by name.
+
+    Returns
+    -------
+    tuple[bytes, str]
+        The zip and a description.
+    """
     name = some(rng, sorted(files))
     head = io.BytesIO()
     npy.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": ((BOMB - 128) // 24, 3)})
@@ -142,7 +190,7 @@ def bomb(rng: Rng, files: dict[str, bytes]) -> tuple[bytes, str]:
 
 @lru_cache(maxsize=1)
 def _zeros_after(head: bytes) -> tuple[int, bytes, int]:
-    """How long `head` and BOMB zeros are, the same deflated, their CRC; the same blocks again and again."""
+    """Return the length of `head` and BOMB zeros, the same deflated, and their CRC."""
     block = bytes(1 << 24)
     count = BOMB // len(block)
     deflate = zlib.compressobj(9, zlib.DEFLATED, -15)
@@ -155,12 +203,12 @@ def _zeros_after(head: bytes) -> tuple[int, bytes, int]:
 
 
 def _entries(data: bytearray) -> list[int]:
-    """Where the entries of the zip's directory begin."""
+    """Return where the entries of the zip's directory begin."""
     return [at for at in range(len(data) - 4) if data[at : at + 4] == b"PK\x01\x02"]
 
 
 def _directory(rng: Rng, files: dict[str, bytes]) -> tuple[bytes, str]:
-    """The zip's own directory lies: sizes, offsets, methods, flags."""
+    """Falsify the zip's own directory: sizes, offsets, methods, flags."""
     data = bytearray(packed(files))
     at = some(rng, _entries(data))
     field, size = some(rng, ((8, 2), (10, 2), (16, 4), (20, 4), (24, 4), (28, 2), (30, 2), (42, 4)))

@@ -1,4 +1,4 @@
-"""Ticks of organs that touch, hang on each other and breathe, under what `ticks` does to one; afterwards all sleep."""
+"""Hostile ticks of organs that touch, are attached and breathe, as `ticks` does for one; afterwards all sleep."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tissue_sim.model.settings import Settings
 from tissue_sim.organ.placing import placed
 
 FRICTION = 0.3  # between organs
-WAY = (0.003, 0.0, 0.015)  # m that the first organ goes with the breath
+WAY = (0.003, 0.0, 0.015)  # m that the first organ moves with the breath
 BREATHES = (1.0, 0.6)
 LIGAMENT = {"within": 0.008, "stiffness": 100.0, "damping": 0.1}
 BESIDE = (0.066, 0.0, 0.0)  # m, of the second kidney
@@ -43,7 +43,7 @@ SCENE = {
     "breathing": {"way": list(WAY)},
     "friction": FRICTION,
 }
-# The share of cases of each, what it is of, where the second organ lies beside the first (m), and what else is chosen.
+# For each variant: fraction of the cases, organ, position of the second one beside the first (m), and options.
 VARIANTS: dict[str, tuple[float, str, tuple[float, float, float], dict[str, Any]]] = {
     "springs": (0.6, "small", (0.0, 0.061, 0.0), {}),
     "springs, folding": (0.2, "small", (0.0, 0.061, 0.0), {"self_contact": True}),
@@ -52,7 +52,7 @@ VARIANTS: dict[str, tuple[float, str, tuple[float, float, float], dict[str, Any]
 
 
 def prepare(case: Case, folder: Path) -> Input:
-    """Two organs of one variant."""
+    """Make two organs of one variant."""
     rng = case.rng()
     variant = a_variant(rng, VARIANTS)
     scene, defaults = made(variant)
@@ -67,12 +67,12 @@ def prepare(case: Case, folder: Path) -> Input:
 
 
 def warm_up(folder: Path) -> None:
-    """As of ticks."""
+    """Do nothing; see `ticks`."""
 
 
 @lru_cache(maxsize=len(VARIANTS))
 def made(variant: str) -> tuple[Scene, list[Settings]]:
-    """The scene of a variant, which all its cases use, and the settings that its organs have by default."""
+    """Return the scene of a variant, which all its cases use, and its organs' default settings."""
     _, name, beside, chosen = VARIANTS[variant]
     organ = organ_called(name)
     return compiled(
@@ -90,14 +90,25 @@ def made(variant: str) -> tuple[Scene, list[Settings]]:
 
 
 def scene_file(folder: Path) -> Path:
-    """Write the scene of two kidneys for a node."""
+    """Write the scene of two kidneys for a node.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it is written.
+
+    Returns
+    -------
+    Path
+        The scene's file.
+    """
     organ_called("kidney").save(folder / "kidney.npz")
     (path := folder / "scene.yaml").write_text(json.dumps(SCENE), encoding="utf-8")  # JSON is YAML, too
     return path
 
 
 def a_breath(rng: Rng) -> tuple[Callable[[int], float], str]:
-    """The share of its way that a breath is told at a tick, and how."""
+    """Return a function of the tick that gives the breath's fraction, and its description."""
     period = 10.0 ** rng.uniform(1.0, 3.0)  # ticks
     ways: dict[str, Callable[[int], float]] = {
         "no breath": lambda tick: 0.0,

@@ -1,7 +1,7 @@
-"""A running node under hostile messages, services and subscribers, over DDS; afterwards it has to be as before.
+"""Hostile messages, services and subscribers to a running node, over DDS; afterwards it has to be as before.
 
-Every process of cases has a node of its own, with one organ or a scene, which lives on from case to case: what one
-leaves behind, such as memory, the next ones see. After a failure the node is begun anew.
+Every process of cases has its own node, with one organ or a scene, which lives on from case to case, so that what one
+leaves behind, such as memory, is seen by the next ones. After a failure the node is restarted.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 SEVERAL = "scene_node"  # the kind of cases whose node has several organs
 MOST_ACTS = 3
-WARM_CASES = 10  # after which a node has everything that it needs
+WARM_CASES = 10  # cases after which a node has allocated everything that it needs
 MOST_GROWTH = 40.0  # MB since then
 SETTINGS = (
     "tools:=[left, right, jaws]",
@@ -43,7 +43,7 @@ SETTINGS = (
 
 
 class Served:
-    """The node of this process, and who sends to it; several: organs, or one."""
+    """Node of this process, and its hostile client; several: whether it has several organs."""
 
     def __init__(self, several: bool) -> None:
         from tissue_sim.ros.probes.hostile import Hostile
@@ -71,7 +71,7 @@ class Served:
         self._stack.close()
 
     def check(self) -> str:
-        """It lives, has ticked, has printed no traceback and keeps no memory. Raises Broken."""
+        """Check that it lives, has ticked, printed no traceback and leaks no memory. Raises Broken."""
         if self.child.exit_code is not None:
             raise Broken(f"the node has ended: {self.child.last_words()}")
         report = self.hostile.calm_down()
@@ -97,7 +97,7 @@ _served: list[Served] = []  # none or one
 
 
 def prepare(case: Case, folder: Path) -> Input:
-    """Up to three acts."""
+    """Draw up to three acts."""
     from tissue_sim.ros.probes.hostile_acts import ACTS, OF_SCENES, play
 
     rng, several = case.rng(), case.kind == SEVERAL
@@ -112,7 +112,7 @@ def prepare(case: Case, folder: Path) -> Input:
 
 
 def warm_up(folder: Path) -> None:
-    """Nodes are started with their first case."""
+    """Do nothing: nodes are started with their first case."""
 
 
 def serve(several: bool) -> None:
@@ -124,7 +124,7 @@ def serve(several: bool) -> None:
 
 
 def used(served: Served, play: Callable[[Hostile], None]) -> str:
-    """Play, and check; a node that has failed is given up. Raises Broken."""
+    """Play and check; a node that has failed is dropped. Raises Broken."""
     from tissue_sim.ros.probes.hostile import Fault
 
     try:

@@ -1,6 +1,6 @@
-"""Ticks of an organ under hostile tools, loads and settings, in one process; afterwards it has to be as before.
+"""Hostile tools, loads and settings for an organ, tick by tick in one process; afterwards it has to be as before.
 
-Every tool does one thing for the whole of a scene; so does the load, which falls at once. Settings change at any time.
+Every tool does one thing for the whole of a scene; so does the load, which ends suddenly. Settings change at any time.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from tissue_sim.organ.shipped import shipped_organ
 TICKS = 160
 MOST_AFTER = 12_000  # ticks in which an organ that is left alone has to be asleep
 TICKS_A_SET = 4
-LEFT = 1e-4  # m that may be left of it all, of the organ's rest
+LEFT = 1e-4  # m of displacement from rest that may remain
 ROUNDING = 1.0 + 1e-9
-SILENCE = 0.1  # s after the last pose: stale_time and ramp_time of the default settings, and more
+SILENCE = 0.1  # s after the last pose: more than stale_time and ramp_time of the default settings
 
 Rng = np.random.Generator
 TOOLS = (
@@ -36,7 +36,7 @@ TOOLS = (
     Tool("rod", "capsule", radius=0.003, length=0.05),
     Tool("jaws", "gripper", radius=0.003, length=0.04),
 )
-# Most are small: what is wrong with a large one is seldom another.
+# Most are small, as the errors of a large one are mostly the same.
 VARIANTS: dict[str, tuple[float, str, dict[str, Any]]] = {
     "springs": (0.4, "small", {}),
     "springs, modal": (0.1, "small", {"local_region": "auto"}),
@@ -49,7 +49,7 @@ VARIANTS: dict[str, tuple[float, str, dict[str, Any]]] = {
 
 
 class Place(NamedTuple):
-    """Where a tool is sent: m, quaternion xyzw, rad between jaws, stamp in ns."""
+    """Pose of a tool: m, quaternion xyzw, rad between jaws, stamp in ns."""
 
     position: Floats
     quaternion: Floats
@@ -61,7 +61,7 @@ Hand = Callable[[int], Place | None]  # by the tick; None: no pose in this one
 
 
 def prepare(case: Case, folder: Path) -> Input:
-    """A scene of one variant."""
+    """Make a scene of one variant."""
     rng = case.rng()
     variant = a_variant(rng, VARIANTS)
     scene, defaults = made(variant)
@@ -72,24 +72,48 @@ def prepare(case: Case, folder: Path) -> Input:
 
 
 def a_variant(rng: Rng, variants: Mapping[str, tuple[Any, ...]]) -> str:
-    """One of variants, whose first entry is its share of all cases."""
+    """Return one of several variants, whose first entry is its fraction of all cases.
+
+    Parameters
+    ----------
+    rng : Rng
+        Random numbers.
+    variants : Mapping[str, tuple[Any, ...]]
+        The variants.
+
+    Returns
+    -------
+    str
+        Name of the chosen one.
+    """
     names = list(variants)
     return names[rng.choice(len(names), p=[share for share, *_ in variants.values()])]
 
 
 def warm_up(folder: Path) -> None:
-    """Each variant is made, and its kernels loaded, with its first case: most runs of few cases need few of them."""
+    """Do nothing: each variant is made, and its kernels loaded, with its first case."""
 
 
 @lru_cache(maxsize=len(VARIANTS))
 def made(variant: str) -> tuple[Scene, list[Settings]]:
-    """The scene of a variant, which all its cases use, and the settings that its organs have by default."""
+    """Return the scene of a variant, which all its cases use, and its organs' default settings."""
     _, name, chosen = VARIANTS[variant]
     return compiled(Scene(organ_called(name), list(TOOLS), ticks_a_set=TICKS_A_SET, **chosen))
 
 
 def compiled(scene: Scene) -> tuple[Scene, list[Settings]]:
-    """A scene of which all that compiles has done so, and the settings that its organs have by default."""
+    """Return a scene after everything is compiled, and its organs' default settings.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+
+    Returns
+    -------
+    tuple[Scene, list[Settings]]
+        The scene and the settings.
+    """
     for tick in range(1, 4):  # all that compiles does so now
         scene.simulation.apply_force([0], [[0.0, 0.0, 0.1]])
         for tool in range(len(TOOLS)):
@@ -101,13 +125,37 @@ def compiled(scene: Scene) -> tuple[Scene, list[Settings]]:
 
 @lru_cache(maxsize=2)
 def organ_called(name: str) -> Organ:
-    """A small organ of springs, or the kidney that ships."""
+    """Return a small organ of springs, or the kidney that ships.
+
+    Parameters
+    ----------
+    name : str
+        `small`, or another name for the kidney.
+
+    Returns
+    -------
+    Organ
+        The organ.
+    """
     return small_organ() if name == "small" else Organ.load(shipped_organ())
 
 
 # what is done ---------------------------------------------------------------------------------------
 def a_hand(rng: Rng, simulation: Simulation) -> tuple[str, Hand]:
-    """What a tool does to an organ, by name."""
+    """Return what a tool does to an organ.
+
+    Parameters
+    ----------
+    rng : Rng
+        Random numbers.
+    simulation : Simulation
+        The organ's simulation.
+
+    Returns
+    -------
+    tuple[str, Hand]
+        Name and function of the tick.
+    """
     surface = simulation.model.rest[: simulation.organ.n_surface]
     low, high = surface.min(axis=0), surface.max(axis=0)
     centre, at = surface.mean(axis=0), surface[rng.integers(len(surface))]
@@ -138,13 +186,13 @@ def a_hand(rng: Rng, simulation: Simulation) -> tuple[str, Hand]:
 
 
 def rotation(rng: Rng) -> Floats:
-    """A unit quaternion."""
+    """Return a random unit quaternion."""
     drawn = rng.normal(size=4)
     return np.asarray(drawn / np.linalg.norm(drawn))
 
 
 class Load(NamedTuple):
-    """Forces (k, 3) N on nodes (k,) from one tick to another, and (T, 3) N at the tools' tips."""
+    """Load of a scene: forces (k, 3) N on nodes (k,) from one tick to another, and (T, 3) N at the tools' tips."""
 
     nodes: Longs
     forces: Floats
@@ -155,7 +203,20 @@ class Load(NamedTuple):
 
 
 def a_load(rng: Rng, simulation: Simulation) -> tuple[Load, str]:
-    """A load on a patch, or on nodes anywhere, that comes and falls at once; and forces at the tips."""
+    """Return a load on a patch, or on nodes anywhere, that comes and goes suddenly, and forces at the tips.
+
+    Parameters
+    ----------
+    rng : Rng
+        Random numbers.
+    simulation : Simulation
+        The organ's simulation.
+
+    Returns
+    -------
+    tuple[Load, str]
+        The load and a description.
+    """
     model = simulation.model
     count = int(rng.choice([0, 1, 10, 60]))
     n_nodes = len(model.rest)
@@ -173,12 +234,12 @@ def a_load(rng: Rng, simulation: Simulation) -> tuple[Load, str]:
 
 
 def one_of(rng: Rng, numbers: list[float]) -> float:
-    """Any of them."""
+    """Return any of the numbers."""
     return float(rng.choice(numbers))
 
 
 def change_settings(rng: Rng, scene: Scene) -> None:
-    """Any that a parameter may change, within its range, or what a slow machine gives up."""
+    """Change any setting that a parameter may change, within its range, or what degradation reduces."""
     drawn = {
         "friction": one_of(rng, [0.0, 0.6, 5.0]),
         "force_clamp": one_of(rng, [0.0, 0.5, 10.0, 100.0]),
@@ -207,7 +268,28 @@ def use(
     load: Load,
     breath: Callable[[int], float] | None = None,
 ) -> str:
-    """Play it, let go, wait until all organs sleep. breath: share of its way that is told at a tick."""
+    """Play it, release, and wait until all organs sleep.
+
+    Parameters
+    ----------
+    rng : Rng
+        Random numbers.
+    scene : Scene
+        The scene.
+    defaults : list[Settings]
+        Default settings of its organs.
+    hands : list[Hand]
+        What the tools do.
+    load : Load
+        The load.
+    breath : Callable[[int], float] | None, optional
+        Function of the tick that gives the breath's fraction; None for none.
+
+    Returns
+    -------
+    str
+        A line on the result.
+    """
     loaded = scene.simulations[load.organ]
     restore(scene, defaults)
     storm = rng.choice([0.0, 0.02], p=[0.7, 0.3])
@@ -236,23 +318,23 @@ def use(
 
 
 def moved(scene: Scene) -> float:
-    """How far any node is from its rest, m."""
+    """Return the largest displacement of any node from rest, m."""
     return max(float(np.abs(one.positions - one.model.rest).max()) for one in scene.simulations)
 
 
 def faults_of(scene: Scene) -> int:
-    """Counted so far, of all organs."""
+    """Return the number of faults so far, of all organs."""
     return sum(one.state.count.faults for one in scene.simulations)
 
 
 def restore(scene: Scene, defaults: list[Settings]) -> None:
-    """As at the start."""
+    """Return the scene to its start."""
     scene.reset()
     usual(scene, defaults)
 
 
 def usual(scene: Scene, defaults: list[Settings]) -> None:
-    """The settings of the start."""
+    """Apply the settings of the start."""
     for one, settings in zip(scene.simulations, defaults, strict=True):
         words_of(one.settings)[:] = words_of(settings)
     scene.set_gravity(np.zeros(3))
@@ -260,7 +342,7 @@ def usual(scene: Scene, defaults: list[Settings]) -> None:
 
 
 def look(scene: Scene, tick: int) -> None:
-    """Everything is finite, and nobody feels more than the clamp. Raises Broken."""
+    """Check that everything is finite, and no output exceeds the clamp. Raises Broken."""
     felt, settings = scene.wrenches, scene.simulation.settings
     if not (np.all(np.isfinite(felt)) and all(np.all(np.isfinite(one.positions)) for one in scene.simulations)):
         raise Broken(f"a value that is not finite after tick {tick}")
@@ -273,7 +355,7 @@ def look(scene: Scene, tick: int) -> None:
 
 
 def settle_down(scene: Scene, defaults: list[Settings]) -> None:
-    """Without poses, loads and breath, with the usual settings: no force is left soon, and all sleep. Raises Broken."""
+    """Run without poses, loads and breath, until all sleep. Raises Broken where a force remains."""
     usual(scene, defaults)
     scene.joined.tell_breath(0.0)
     for tick in range(MOST_AFTER):

@@ -21,7 +21,7 @@ SUMMARY = "summary.txt"
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Record scenes into a folder; returns the exit code."""
+    """Record scenes into a folder; return the exit code."""
     names = [scene.name for scene in SCENES]
     parser = argparse.ArgumentParser(prog="python -m tissue_sim.ros.bags.suite", description=__doc__)
     parser.add_argument(
@@ -65,7 +65,7 @@ def _record_all(folder: Path, names: list[str], organ_file: Path | None) -> None
 
 
 def _parts(path: Path) -> dict[str, str]:
-    """The summary that is there, by scene."""
+    """Return the existing summary, by scene."""
     parts = path.read_text().split("\n\n") if path.is_file() else []
     return {part.partition(":")[0]: part.rstrip("\n") + "\n" for part in parts if part.strip()}
 

@@ -1,4 +1,4 @@
-"""Records a scene: a node of its own, and a sender over DDS that moves /clock on from step to step."""
+"""Recording of a scene: a node of its own, and a sender over DDS that advances /clock from step to step."""
 
 from __future__ import annotations
 
@@ -37,9 +37,28 @@ RATES = {"marker_rate": "2.0", "contact_rate": "250.0"}
 
 
 def record(scene: Scene, organ: Organ, organ_file: Path, target: Path) -> dict[str, int]:
-    """Record a scene to the folder `target`; returns how many inputs the node refused, by kind.
+    """Record a scene.
 
-    Raises UserError when the node ends, or doesn't answer.
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    organ : Organ
+        The organ.
+    organ_file : Path
+        Its file.
+    target : Path
+        Folder of the bag.
+
+    Returns
+    -------
+    dict[str, int]
+        how many inputs the node refused, by kind
+
+    Raises
+    ------
+    UserError
+        When the node ends, or doesn't answer.
     """
     folder = target.with_name(f"{target.name}.new")
     shutil.rmtree(folder, ignore_errors=True)
@@ -75,9 +94,9 @@ class _Sender:
         self._time = FIRST_TIME
 
     def play(self, organ: Organ) -> dict[str, int]:
-        """Send all steps; returns what was refused."""
+        """Send all steps; return what was refused."""
         self._wait_for(self._is_heard)
-        self._wait_for(self._reports.take)  # it ticks: kernels that had to be compiled are
+        self._wait_for(self._reports.take)  # it ticks, so its kernels are compiled
         time.sleep(QUIET)
         self._tell_time()
         due = time.monotonic()
@@ -131,7 +150,7 @@ class _Sender:
 
 
 def bad_pose(kind: str, stamp: int) -> bytes:
-    """A pose that the node refuses for a reason, by the name under which it counts that; stamp in ns."""
+    """Return a pose that the node refuses for a reason, by the name under which it counts that; stamp in ns."""
     message = PoseStamped()
     message.header.frame_id, message.header.stamp = "organ", Time(nanoseconds=stamp).to_msg()
     message.pose.position.x, message.pose.orientation.w = 0.5, 1.0
@@ -152,7 +171,7 @@ def bad_pose(kind: str, stamp: int) -> bytes:
 
 
 def _keep(folder: Path, target: Path) -> None:
-    """Put the bag that the node wrote into a folder in the place of the old one, under its name."""
+    """Replace the old bag with the one that the node wrote into a folder, under its name."""
     (bag,) = folder.iterdir()
     (data,) = bag.glob("*.mcap")
     metadata = bag / "metadata.yaml"

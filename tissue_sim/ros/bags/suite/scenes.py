@@ -1,4 +1,4 @@
-"""What the scenes of the suite do: poses, angles and forces of their tools, step by step."""
+"""The scenes of the suite: poses, angles and forces of their tools, step by step."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ UNIT = 0.002  # N that one unit of the paper's forces stands for, as in `tissue_
 LOCAL, GLOBAL, GLOBAL_POINTS = 100 * UNIT, 500 * UNIT, 10  # N: LF(100), and GF(500) shared by ten points
 RADIUS = 0.005  # m, of a usual tool
 FAR = 0.03  # m from the surface, where a tool waits
-CLEAR = 0.003  # m between the surface and a tool whose force alone acts
-LEFT_ALONE = 0.2  # s after what is done, so that a bag ends at rest
+CLEAR = 0.003  # m between the surface and a tool that acts by its external force only
+LEFT_ALONE = 0.2  # s after the last action, so that a bag ends at rest
 TO_SLEEP = 1.5  # s in which the organ comes to rest and falls asleep
 
 
 class Step(NamedTuple):
-    """What is sent before the next STEP of simulated time; by the number of a tool."""
+    """What is sent before the next STEP of simulated time, by the number of a tool."""
 
     poses: Mapping[int, Floats] = {}  # (7,) m, quaternion xyzw
     angles: Mapping[int, float] = {}  # rad between a gripper's jaws
@@ -39,7 +39,7 @@ Steps = Iterator[Step]
 
 @dataclass(frozen=True)
 class Scene:
-    """What happens to an organ: its tools, what else the node is told, and the steps."""
+    """What happens to an organ: its tools, further parameters of the node, and the steps."""
 
     name: str
     what: str
@@ -51,13 +51,13 @@ class Scene:
     pushes: bool = False  # its tools bring external forces
 
     def made_tools(self) -> list[Tool]:
-        """The tools as the node has them."""
+        """Return the tools as the node has them."""
         if self.shape == "gripper":
             return [Tool(name, shape="gripper", length=0.06, mesh="config/jaws/flat.obj") for name in self.tools]
         return [Tool(name, radius=self.radius) for name in self.tools]
 
     def told(self) -> dict[str, str]:
-        """The node's parameters."""
+        """Return the node's parameters."""
         values = {"tools": f"[{', '.join(self.tools)}]"}
         for tool in self.made_tools():
             values |= {f"{tool.name}.shape": tool.shape, f"{tool.name}.radius": f"{tool.radius}"}
@@ -78,22 +78,22 @@ def _pose(place: Floats, way: Floats) -> Floats:
 
 
 def _along(ways: Mapping[int, tuple[Floats, Floats, Floats]], seconds: float) -> Steps:
-    """Tools from a place to another, looking a way, in so many s, with no speed at both ends."""
+    """Yield steps that move tools from a place to another, looking a way, in some s, with no speed at both ends."""
     count = max(1, round(seconds / STEP))
     for share in minimum_jerk(np.arange(1, count + 1) / count):
         yield Step({tool: _pose(a + share * (b - a), way) for tool, (a, b, way) in ways.items()})
 
 
 def _nothing(seconds: float) -> Steps:
-    """Time goes by, and nothing is sent."""
+    """Yield steps in which time passes and nothing is sent."""
     for _ in range(round(seconds / STEP)):
         yield Step()
 
 
 def _scripted(action: str, every: int = 1, faster: int = 1) -> Callable[[Organ, Sequence[Tool]], Steps]:
-    """What the scripted bridge does, from where its fast approach ends on.
+    """Return what the scripted bridge does, from where its fast approach ends on.
 
-    every: steps from one pose to the next; faster: how much faster than the bridge: what takes long makes large bags.
+    every: steps from one pose to the next; faster: how much faster than the bridge, since long scenes make large bags.
     """
 
     def steps(organ: Organ, tools: Sequence[Tool]) -> Steps:
@@ -112,7 +112,7 @@ def _scripted(action: str, every: int = 1, faster: int = 1) -> Callable[[Organ, 
 
 
 def _squeeze(organ: Organ, tools: Sequence[Tool]) -> Steps:
-    """Two balls as large as the organ is wide press it from both sides, all of it."""
+    """Press all of the organ from both sides with two balls as large as it is wide."""
     surface, way = _surface(organ, tools[0].radius), np.array([1.0, 0.0, 0.0])
     ways = (way, -way)
     touches = [surface.touch(surface.ball.centre, one) for one in ways]
@@ -128,7 +128,7 @@ def _squeeze(organ: Organ, tools: Sequence[Tool]) -> Steps:
 
 
 def spread_over_front(organ: Organ, count: int) -> tuple[Longs, Floats]:
-    """Surface nodes (k,), each as far from the others as can be, and the normal (3,) where the first one is."""
+    """Return surface nodes (k,), each as far from the others as can be, and the normal (3,) at the first one."""
     points, triangles = organ.surface_positions, organ.surface_triangles
     corner = points[triangles]
     normals = np.zeros_like(points)
@@ -145,7 +145,7 @@ def spread_over_front(organ: Organ, count: int) -> tuple[Longs, Floats]:
 
 
 def _pushed(total: float, points: int) -> Callable[[Organ, Sequence[Tool]], Steps]:
-    """Forces alone, shared by points; each tool tells once where its point is, and stays clear of it."""
+    """Return steps of forces alone, shared by points; each tool sends its point once, and stays clear of it."""
 
     def steps(organ: Organ, tools: Sequence[Tool]) -> Steps:
         nodes, normal = spread_over_front(organ, points)
@@ -153,7 +153,7 @@ def _pushed(total: float, points: int) -> Callable[[Organ, Sequence[Tool]], Step
         yield Step({tool: _pose(place, -normal) for tool, place in enumerate(places)})
         yield from _nothing(2 * STEP)
         up = minimum_jerk(np.linspace(0.0, 1.0, round(0.3 / STEP)))
-        every = max(1, points // 4)  # steps between two forces of a tool: a bag of ten is no larger for it
+        every = max(1, points // 4)  # steps between two forces of a tool: a bag of ten tools is no larger for it
         for index, share in enumerate([*up, *np.ones(round(0.8 / STEP)), *up[::-1]]):
             force = -share * total / points * normal
             yield Step(forces=dict.fromkeys(range(points), force) if index % every == 0 else {})
@@ -164,7 +164,7 @@ def _pushed(total: float, points: int) -> Callable[[Organ, Sequence[Tool]], Step
 
 
 def _fly(organ: Organ, tools: Sequence[Tool]) -> Steps:
-    """A tool through all of the organ at 1.5 m/s, and back."""
+    """Move a tool through all of the organ at 1.5 m/s, and back."""
     surface = _surface(organ, tools[0].radius)
     touch = surface.poke_place()
     start, end = touch.at(-0.05), touch.at(0.12)
@@ -178,7 +178,7 @@ def _fly(organ: Organ, tools: Sequence[Tool]) -> Steps:
 
 
 def _bad_input(organ: Organ, tools: Sequence[Tool]) -> Steps:
-    """Poses that are refused while a tool presses; then none come, until its force has faded."""
+    """Send poses that are refused while a tool presses; then none, until its force has faded."""
     touch = _surface(organ, tools[0].radius).poke_place()
     yield from _along({0: (touch.at(-FAR), touch.place, touch.way)}, 0.4)
     yield from _along({0: (touch.place, touch.at(0.005), touch.way)}, 0.3)
@@ -193,7 +193,7 @@ def _bad_input(organ: Organ, tools: Sequence[Tool]) -> Steps:
 
 
 def _sleep(organ: Organ, tools: Sequence[Tool]) -> Steps:
-    """Touched, left until it sleeps, woken by a touch, and left again."""
+    """Touch the organ, leave it until it sleeps, wake it by a touch, and leave it again."""
     touch = _surface(organ, tools[0].radius).poke_place()
     for depth in (0.004, 0.002):
         yield from _along({0: (touch.at(-FAR), touch.at(depth), touch.way)}, 0.5)

@@ -20,7 +20,7 @@ POINTS, INTERIOR = 194, 40
 
 
 def make_small_kidney() -> Organ:
-    """By the usual stages from the surface that ships, with cells; not calibrated."""
+    """Make it by the usual stages from the surface that ships, with cells; not calibrated."""
     kidney = Organ.load(shipped_organ(AS_BUILT))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "kidney.ply"

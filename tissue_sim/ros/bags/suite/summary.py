@@ -1,4 +1,4 @@
-"""What a bag shows, in figures: a change of the model, or of a scene, shows as other figures in a diff."""
+"""A bag summed up in figures: a change of the model, or of a scene, shows as other figures in a diff."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from tissue_sim.organ.organ import signed_volume
 from tissue_sim.ros.bags.player import Player
 from tissue_sim.ros.bags.recording import Recording
 
-LOOK_EVERY = 10  # ticks between two looks at the surface
+LOOK_EVERY = 10  # ticks between two checks of the surface
 
 
 class _Watch:
-    """Looks at a replay after each of its ticks."""
+    """Observer of a replay, called after each of its ticks."""
 
     def __init__(self, player: Player) -> None:
         self._player, organ = player, player.organs[0].simulation.organ
@@ -40,7 +40,15 @@ class _Watch:
 
 
 def figures(recording: Recording, refused: Mapping[str, int]) -> dict[str, Any]:
-    """Replay a bag and sum it up: N, N s, mm, percent of the volume, ticks. refused: inputs that it therefore lacks."""
+    """Replay a bag and sum it up: N, N s, mm, percent of the volume, ticks.
+
+    Parameters
+    ----------
+    recording : Recording
+        The bag.
+    refused : Mapping[str, int]
+        Number of inputs that the node refused and the bag therefore lacks, by kind.
+    """
     (organ,) = (one.organ() for one in recording.organs)
     player = Player(recording, [organ])
     before = copy_of(player.organs[0].simulation.state.count)
@@ -65,7 +73,13 @@ def figures(recording: Recording, refused: Mapping[str, int]) -> dict[str, Any]:
 
 
 def as_text(scenes: Mapping[str, tuple[str, Mapping[str, Any]]]) -> str:
-    """The summary: by the scene's name what it is, and its figures."""
+    """Return the summary as text.
+
+    Parameters
+    ----------
+    scenes : Mapping[str, tuple[str, Mapping[str, Any]]]
+        Description and figures of each scene, by its name.
+    """
     parts = []
     for name, (what, found) in scenes.items():
         rows = "".join(f"  {key + ':':<24} {value}\n" for key, value in found.items())
