@@ -261,7 +261,7 @@ def test_ctrl_c_in_a_benchmark_prints_the_rows_that_there_are():
         rows = [process.stderr.readline() for _ in range(2)]
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=LIMIT)
-    assert all(re.fullmatch(r"0\.2 E, \w+: off [\d.]+ %\n", row) for row in rows)
+    assert all(re.fullmatch(r"0\.2 E, \w+: difference [\d.]+ %\n", row) for row in rows)
     assert (process.returncode, "Traceback" in err) == (130, False)
     first, *table = out.splitlines()
     assert first == "stopped by Ctrl-C: these are the measurements so far"

@@ -44,7 +44,7 @@ def test_bounds_are_on_what_is_felt_and_on_the_bare_loop():
     assert (len(both.seconds), both.lost) == (1000, 3)
 
     def bounds(node, napping, late):
-        trips = {name: node if name.startswith("felt") else trip(2e-4) for name in names()} | {WOKEN[0]: napping}
+        trips = {name: node if name.startswith("wrench") else trip(2e-4) for name in names()} | {WOKEN[0]: napping}
         told = {name: one.as_json() for name, one in trips.items()}
         return as_json(1.0, told, (1000.0, late), np.r_[np.zeros(990), np.full(10, 2e-3)], 100.0)["bounds"]
 

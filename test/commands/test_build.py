@@ -290,11 +290,13 @@ def test_every_parameter_of_the_segmentation_reaches_it(ct, tmp_path, capsys, mo
 def test_what_cannot_be_the_organ_passes_only_with_accept(ct, tmp_path, capsys):
     volume, seed = ct
     here = [write(volume, tmp_path / "ct.nrrd"), "--seed", seed_text(seed), "--organ", "liver", *ONE_WINDOW]
-    assert re.search(r"is no liver: it has a volume of \d+ mL \(at least 550\)", refused(capsys, *here))
+    assert re.search(
+        r"does not fit the anatomy of the liver: it has a volume of \d+ mL \(at least 550\)", refused(capsys, *here)
+    )
     organ, text = build(capsys, *here, "--accept", out=tmp_path / "o.npz")
     assert "warning: the region found" in text
     assert organ.provenance["segmentation_parameters"]["organ"] == "liver"
-    assert any("is no liver" in line for line in organ.provenance["segmentation"]["warnings"])
+    assert any("does not fit the anatomy of the liver" in line for line in organ.provenance["segmentation"]["warnings"])
 
 
 def test_options_of_a_mesh_reach_its_reader(tmp_path, capsys, monkeypatch):
