@@ -30,7 +30,7 @@ def failing_loop(loop: Loop) -> None:
 
 
 class Sabotaged(TissueNode):
-    loop_fails = False
+    loop_fails, hangs = False, False
 
     def start(self) -> None:
         super().start()
@@ -47,8 +47,8 @@ class Sabotaged(TissueNode):
             "mend": lambda: (setattr(organs, "post_poses", post_poses), setattr(output, "answer", answer)),
             "break_parameters": lambda: self.parameters.changed.append(failing),
             "fail_in_thread": lambda: threading.Thread(target=failing).start(),
-            "hang": lambda: self.signal_loop(signal.SIGUSR1),
-            "resume": lambda: self.signal_loop(signal.SIGUSR2),
+            "hang": lambda: self.let_hang(True),
+            "resume": lambda: self.let_hang(False),
             "end_loop": self.end_loop,
         }
         for name, act in ways.items():
@@ -60,8 +60,11 @@ class Sabotaged(TissueNode):
         response.success = True
         return response
 
-    def signal_loop(self, number: int) -> None:
-        signal.pthread_kill(self.loop._thread.ident, number)
+    def let_hang(self, hangs: bool) -> None:
+        """Once, however often it is asked: a client asks again where the answer is late, and a second signal stays."""
+        if hangs != self.hangs:
+            self.hangs = hangs
+            signal.pthread_kill(self.loop._thread.ident, signal.SIGUSR1 if hangs else signal.SIGUSR2)
 
     def end_loop(self) -> None:
         Sabotaged.loop_fails = True
