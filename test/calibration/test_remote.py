@@ -12,6 +12,7 @@ from importlib import import_module
 
 import pytest
 
+from helpers.patience import LIMIT
 from tissue_sim.calibration.remote import Remote
 from tissue_sim.errors import UserError
 
@@ -90,3 +91,13 @@ def test_it_ends_with_its_parent_however_that_ended(tmp_path):
     parent.wait()
     parent.stdout.close()
     wait_until_gone(process)
+
+
+def test_a_script_without_a_guard_is_run_once(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "print('begun')\nfrom tissue_sim.calibration.remote import Remote\nremote = Remote(dict, [('a', 5)])\n"
+        "print(remote.call('get', 'a'), __file__)\nremote.close()\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=LIMIT, check=False)
+    assert done.stdout.splitlines() == ["begun", f"5 {script}"], done.stderr

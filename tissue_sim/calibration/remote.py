@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.managers import BaseManager
 from typing import Any
@@ -30,7 +32,7 @@ class Remote:
 
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
         self._manager = _Process(ctx=get_context("spawn"))
-        with environment(_ONE_THREAD):
+        with environment(_ONE_THREAD), _script_hidden():
             self._manager.start(end_with_parent)
         self._object = self._manager.make(make, *arguments)  # type: ignore[attr-defined]
 
@@ -67,6 +69,19 @@ class Remote:
             process.kill()
             process.join()
         self._manager.shutdown()
+
+
+@contextmanager
+def _script_hidden() -> Iterator[None]:
+    """Keep a new process from running the user's script again: it needs none of it, and few scripts have a guard."""
+    main = sys.modules["__main__"]
+    kept = {name: main.__dict__[name] for name in ("__file__", "__spec__") if name in main.__dict__}
+    main.__dict__.pop("__file__", None)
+    main.__spec__ = None
+    try:
+        yield
+    finally:
+        main.__dict__.update(kept)
 
 
 class _Process(BaseManager):

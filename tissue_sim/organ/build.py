@@ -312,6 +312,9 @@ def digest_of(source: Path) -> str:
 
 
 def _warn(line: str) -> None:
-    """Warn of what the stages found wrong or repaired, in the caller's file; the rest is said to who asks for it."""
-    if line.startswith(("warning: ", "repaired: ", "left out ")):
+    """Warn of what the stages found wrong or repaired, in the caller's file; the rest is heard with `progress` alone.
+
+    STL has no shared points, so that it says nothing about a file that some coincide.
+    """
+    if line.startswith(("warning: ", "repaired: ", "left out ")) and not line.startswith("repaired: merged "):
         warnings.warn(line.removeprefix("warning: "), stacklevel=2, skip_file_prefixes=(_PACKAGE,))
