@@ -8,10 +8,10 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
 from tissue_sim.model.breathing import Breath, breathed_in
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.links import make_links, weigh_ends
 from tissue_sim.model.pairs import make_pairs
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined
 
 TOP, TOP_OF_FINE = (int(np.argmax(one.surface_positions[:, 2])) for one in (ball(), ball(2)))
 

@@ -35,8 +35,9 @@ from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
 from tissue_sim.model.inputs import load_nodes
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined, tick_together
+from tissue_sim.model.together import tick_together
 from tissue_sim.model.unfelt import UNFELT, UNFELT_FORCE
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ

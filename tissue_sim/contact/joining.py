@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from tissue_sim.contact.attachments import Attachment, Breathing, links_of
 from tissue_sim.model.breathing import Breath
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.pairs import make_pairs
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined
 
 
 def join(

@@ -18,8 +18,8 @@ from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.contact.touched import TouchedOrgan
 from tissue_sim.errors import UserError
 from tissue_sim.model.contact_set import ContactSet
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined
 from tissue_sim.organ.organ import Organ
 
 

@@ -18,9 +18,9 @@ from tissue_sim.contact.joining import join
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError, shown
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.pairs import MOST_ORGANS
 from tissue_sim.model.simulation import MOST_GRAVITY, Simulation
-from tissue_sim.model.together import Joined
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.placing import placed
 

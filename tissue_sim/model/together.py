@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.errors import UserError
-from tissue_sim.handles import handle, row
 from tissue_sim.jit import kernel
 from tissue_sim.model.breathing import Breath, breathe, weigh
-from tissue_sim.model.felt import sum_felt
-from tissue_sim.model.links import Links, least_substeps, load_links, make_links, measure_links, pull_links
+from tissue_sim.model.links import Links, load_links, measure_links, pull_links
 from tissue_sim.model.pairs import (
-    MOST_ORGANS,
     Pairs,
-    PairSet,
-    make_pairs,
     press_pairs,
     resolve_pairs,
-    take_pairs,
     wake_touched,
 )
 from tissue_sim.model.records import words_of
-from tissue_sim.model.settings import Settings
-from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.tick import begin_tick, end_tick, plan_tick, take_substep, tick
-from tissue_sim.model.unfelt import UNFELT, Unfelt, share_loads, unfelt_by
+from tissue_sim.model.unfelt import Unfelt, share_loads
 
 
 class Carried(NamedTuple):
@@ -52,153 +42,6 @@ class Together(NamedTuple):
     pairs: Pairs
     unfelt: Unfelt
     awake: Longs  # (k,) 1 for organs that this tick advances; before planning, for those that it may
-
-
-class Joined:
-    """Simulations that are advanced together: one, or several.
-
-    links between them; pairs where they touch, found by others; breath, and how far each goes with it, (k,), or nothing
-    where none does. unfelt: m that an organ may lack of what links and the breath do to it, see `unfelt`; 0: nothing.
-    Raises UserError where simulations don't fit together. worlds and handle are what `tick_together` takes.
-
-    alone: one organ, and nothing to join it. Then handle is None, and kernels are compiled without all of this.
-    """
-
-    def __init__(
-        self,
-        simulations: Sequence[Simulation],
-        links: Links | None = None,
-        pairs: Pairs | None = None,
-        breath: Breath | None = None,
-        moves: Sequence[float] = (),
-        unfelt: float = UNFELT,
-    ) -> None:
-        self.simulations = list(simulations)
-        self.alone = len(self.simulations) == 1 and links is None and pairs is None and breath is None
-        self.links = links = make_links(0) if links is None else links
-        self.pairs = pairs = make_pairs() if pairs is None else pairs
-        breath = Breath.new() if breath is None else breath
-        if len(self.simulations) > MOST_ORGANS:
-            raise UserError(f"{len(self.simulations)} organs are joined; expected: at most {MOST_ORGANS}")
-        if len({(one.rate, one.variant, one.local_region, one.integrator, one.implied) for one in simulations}) > 1:
-            raise UserError(
-                "the organs of a scene must have the same rate, model, local region, integrator and return target"
-            )
-        if self.simulations[0].implied and not self.alone:
-            raise UserError("the organs of a scene must have return target rest, not implied")
-        moves = list(moves) or [0.0] * len(self.simulations)
-        if len(moves) != len(self.simulations):
-            raise UserError(
-                f"the organs' breathing fractions are {len(moves)} numbers for {len(self.simulations)} organs"
-            )
-        gravity = np.array([gravity_of(one.settings) for one in self.simulations])
-        self.carried = carried_with(breath, moves, gravity)
-        ways = np.outer(moves, [breath.x, breath.y, breath.z])
-        self.unfelt = unfelt_by([one.model for one in self.simulations], links, ways, unfelt)
-        self.worlds = row([one.world for one in self.simulations])
-        awake = np.zeros(len(moves), dtype=np.int64)
-        self.handle = None if self.alone else handle(Together(self.carried, links, pairs, self.unfelt, awake))
-        self.set_substeps()
-
-    def step(self) -> None:
-        """Advance all by one tick."""
-        if self.alone:
-            self.simulations[0].step()
-        else:
-            tick_together(self.worlds, self.handle)
-
-    @property
-    def wrench(self) -> Floats:
-        """What every body of the tools feels of all organs, (b, 6) N and N m about its origin.
-
-        The live array of an organ alone.
-        """
-        if self.alone:
-            return np.asarray(self.simulations[0].state.wrench)
-        wrench = np.zeros_like(self.simulations[0].state.wrench)
-        sum_felt(self.worlds, wrench)
-        return wrench
-
-    def set_substeps(self) -> None:
-        """Compute the substeps of each, and those that links require, after stiffness, damping or the rate changed."""
-        for one in self.simulations:
-            one.set_substeps()
-        least = least_substeps(self.links, fastest(self.simulations), float(self.simulations[0].settings.tick_time))
-        for one in self.simulations:
-            one.settings.least_substeps = least
-
-    def take_pairs(self, found: PairSet) -> None:
-        """Apply where organs touch each other.
-
-        Parameters
-        ----------
-        found : PairSet
-            The pairs.
-        """
-        take_pairs(self.pairs, found)
-
-    def take_settings(self, organ: int, settings: Settings) -> None:
-        """Apply settings of an organ that were computed before, with its gravity less the breath's part.
-
-        Parameters
-        ----------
-        organ : int
-            Index of the organ.
-        settings : Settings
-            The settings.
-        """
-        self.simulations[organ].take_settings(settings)
-        self.carried.gravity[organ] = gravity_of(settings)
-
-    def note_gravity(self) -> None:
-        """Read the gravity of the simulations as the one without breath."""
-        for one, gravity in zip(self.simulations, self.carried.gravity, strict=True):
-            gravity[:] = gravity_of(one.settings)
-
-    def tell_breath(self, share: float) -> None:
-        """Set where a breath that follows a signal is to be.
-
-        Parameters
-        ----------
-        share : float
-            Fraction of its way.
-        """
-        self.carried.breath.told = share
-
-    def restore(self, breath: Breath, found: PairSet, pressed: Floats, held: Floats) -> None:
-        """Continue from a breath and from pairs with their forces.
-
-        Parameters
-        ----------
-        breath : Breath
-            The breath.
-        found : PairSet
-            The pairs.
-        pressed : Floats, shape (p,), N
-            Normal force of each pair.
-        held : Floats, shape (p, 3), N
-            Friction of each pair.
-        """
-        count = int(found.found[0])
-        self.pairs.found[0] = 0
-        self.take_pairs(found)
-        self.pairs.pressed[:count], self.pairs.held[:count] = pressed[:count], held[:count]
-        words_of(self.carried.breath)[:] = words_of(breath)
-
-    def reset(self) -> None:
-        """Return to the breathed-out state without contact between organs; simulations are reset by themselves."""
-        if not self.alone:
-            let_go(self.worlds, self.handle)
-
-
-def gravity_of(settings: Settings) -> tuple[float, float, float]:
-    """Return the gravity, m/s^2."""
-    return settings.gravity_x, settings.gravity_y, settings.gravity_z
-
-
-def fastest(simulations: Sequence[Simulation]) -> float:
-    """Return the largest angular frequency of any, rad/s."""
-    return max(one.frequency * math.sqrt(one.settings.stiffness_scale) for one in simulations)
 
 
 def carried_with(breath: Breath, moves: Sequence[float], gravity: Floats) -> Carried:

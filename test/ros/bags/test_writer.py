@@ -16,8 +16,8 @@ from helpers.patience import LIMIT, wait_for
 from helpers.scenes import ball
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined
 from tissue_sim.ros.bags import bag, recovery, spool
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.recording import Recording

@@ -12,9 +12,9 @@ from helpers.scenes import ball
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.contact_set import Engaged
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import BodyStatus
-from tissue_sim.model.together import Joined
 from tissue_sim.ros.node.contact_search import ContactSearch
 from tissue_sim.ros.node.contact_worker import ContactWorker
 from tissue_sim.ros.node.served_organ import ServedOrgan

@@ -10,8 +10,8 @@ from helpers.patience import wait_for
 from helpers.ros.clients import Client
 from helpers.ros.processes import PUSHED, UNHURRIED, poke_path, shipped, start_node
 from helpers.scenes import ball
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined
 from tissue_sim.ros.node import degrade
 from tissue_sim.ros.node.degrade import HOLD, LOOK_EVERY, MARKERS, NONE, PATIENCE, RATE, REGION, Ladder, Look
 from tissue_sim.ros.node.live_settings import ANY_FORCE, LiveSettings

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from helpers.scenes import ball
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined
 from tissue_sim.ros.node.freshness import Freshness
 from tissue_sim.ros.shared.cdr import UNSTAMPED
 from tissue_sim.ros.shared.loop import Loop

@@ -30,8 +30,8 @@ from helpers.ros.processes import (
 )
 from helpers.scenes import ball
 from tissue_sim.cli import main
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.bags import spool
 from tissue_sim.ros.bags.recorder import Recorder

@@ -8,8 +8,8 @@ import pytest
 
 from helpers.patience import wait_for
 from helpers.scenes import ball
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined
 from tissue_sim.ros.node import outlet
 from tissue_sim.ros.node.backlog import Backlog
 from tissue_sim.ros.node.outlet import Outlet

@@ -11,8 +11,8 @@ from helpers.patience import wait_for
 from helpers.ros.clients import Client
 from helpers.ros.processes import running_node
 from helpers.scenes import ball
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.priority import below, is_allowed

@@ -6,9 +6,9 @@ import pytest
 
 from helpers.patience import wait_for
 from helpers.scenes import ball
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.records import copy_of
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined
 from tissue_sim.ros.node.loop_timing import TimingReader
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs

@@ -8,8 +8,8 @@ from helpers.scenes import ball
 from tissue_sim.contact.finder import ContactFinder, Sought
 from tissue_sim.contact.joining import join
 from tissue_sim.contact.tools import Tool, ToolSet
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined
 from tissue_sim.organ.placing import placed
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs

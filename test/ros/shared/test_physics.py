@@ -8,7 +8,7 @@ import pytest
 from helpers.scenes import ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.together import Joined
+from tissue_sim.model.joined import Joined
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 

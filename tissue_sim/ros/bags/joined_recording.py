@@ -9,13 +9,13 @@ import numpy as np
 
 from tissue_sim.array_types import Longs
 from tissue_sim.model.breathing import Breath
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.joined_box import JoinedRow
 from tissue_sim.model.links import POINT, Links, make_links
 from tissue_sim.model.pairs import MOST_PAIRS, PairSet, make_pairs, pair_set
 from tissue_sim.model.records import copy_of
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state_check import MOST
-from tissue_sim.model.together import Joined
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.shared.cdr import parse_octets
 

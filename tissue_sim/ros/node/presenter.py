@@ -11,7 +11,7 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
-from tissue_sim.model.together import Joined
+from tissue_sim.model.joined import Joined
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.ligaments import Ligaments
 from tissue_sim.ros.node.served_organ import ServedOrgan

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.shapes import Shapes
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.shared.organ_topics import path_of

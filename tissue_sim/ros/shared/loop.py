@@ -14,10 +14,10 @@ import numpy as np
 from tissue_sim.handles import handle, row
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt
+from tissue_sim.model.joined import Joined
 from tissue_sim.model.joined_box import make_joined_box
 from tissue_sim.model.pairs import PairSet, used_words
 from tissue_sim.model.records import copy_of, field_of
-from tissue_sim.model.together import Joined
 from tissue_sim.model.world import make_world
 from tissue_sim.ros.shared.hold import Hold
 from tissue_sim.ros.shared.priority import prefer
