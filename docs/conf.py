@@ -38,7 +38,7 @@ rosdoc2_settings = {"allow_other_extensions": True}  # autoapi
 # The reference is read from the sources, not imported: of the library, not of the programs and their machinery, but for
 # what has a public name.
 autoapi_dirs = [str(ROOT / "tissue_sim")]
-PROGRAMS = ("ros/", "bench/", "commands/", "cli.py", "child.py", "jit.py", "store.py", "__main__.py")
+PROGRAMS = ("ros/", "bench/", "commands/", "cli.py", "parent_exit.py", "jit.py", "result_cache.py", "__main__.py")
 PUBLISHED = ("ros/__init__.py", "ros/bags/__init__.py", "ros/bags/reading.py")
 autoapi_ignore = [
     str(path)

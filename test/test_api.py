@@ -15,7 +15,7 @@ from helpers.paths import ROOT
 from helpers.scenes import RADIUS, ball, ball_of_cells
 from tissue_sim import Attachment, Organ, Scene, Simulation, Tool, UserError, build, calibrate, load_scene, placed
 from tissue_sim.organ.build import BuildOptions
-from tissue_sim.organ.making import Request
+from tissue_sim.organ.pipeline import Request
 
 PUBLIC = ("Organ", "Simulation", "Scene", "Tool", "load_scene", "build", "calibrate", "read_bag")
 

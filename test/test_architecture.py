@@ -10,7 +10,8 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path, PurePosixPath
 
 import pytest
 
@@ -37,6 +38,11 @@ MAY_IMPORT = {
         "calibration",
         "ros",
     },  # the public names; what is below has them directly
+}
+# Folders of a layer, each of which may import those before it; files beside them import all, and none imports those.
+FOLDERS = {
+    "model": ("data", "elasticity", "contact", "regions", "stepping", "runtime"),
+    "ros/node": ("shared", "input", "settings", "tools", "contact", "output", "services"),
 }
 LIBRARIES = {"organ", "model", "contact", "calibration"}  # what they find, others ask for and show
 ROS_PACKAGE = re.compile(r"rclpy|rpyutils|rosidl\w*|ament_index_\w+|launch(_\w+)?|tf2\w*|\w+_(msgs|srvs|interfaces)")
@@ -150,6 +156,69 @@ def test_the_check_sees_a_violation(tmp_path, monkeypatch, file, code):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(code)
     assert len(violations(path)) == 1
+
+
+def rank_of(place: tuple[str, ...], folders: tuple[str, ...]) -> int:
+    """Return how high a module stands, by its names below the layer: its folder's number, or above all of them."""
+    return folders.index(place[0]) if len(place) > 1 and place[0] in folders else len(folders)
+
+
+def upward_imports(layer: str) -> list[str]:
+    """Return imports of a layer from a folder that stands above the importing one, as `file:line: what`."""
+    folders, base = FOLDERS[layer], PACKAGE / layer
+    prefix = ".".join(("tissue_sim", *PurePosixPath(layer).parts)) + "."
+    found = []
+    for path in sorted(base.rglob("*.py")):
+        own = rank_of(path.relative_to(base).parts, folders)
+        for line, module in imported_modules(path):
+            place = tuple(module.removeprefix(prefix).split("."))
+            if module.startswith(prefix) and rank_of((*place, ""), folders) > own:
+                found.append(f"{path.relative_to(ROOT)}:{line}: imports {module}")
+    return found
+
+
+@pytest.mark.parametrize("layer", FOLDERS)
+def test_folders_of_a_layer_import_one_way(layer):
+    assert {path.name for path in (PACKAGE / layer).iterdir() if path.is_dir() and path.name != "__pycache__"} == set(
+        FOLDERS[layer]
+    )
+    assert not upward_imports(layer)
+
+
+def test_the_check_sees_an_upward_import(tmp_path, monkeypatch):
+    monkeypatch.setitem(globals(), "ROOT", tmp_path)
+    monkeypatch.setitem(globals(), "PACKAGE", tmp_path / "tissue_sim")
+    for folder, code in {
+        "data": "from tissue_sim.model.elasticity.forces import elastic_forces",
+        "stepping": "from tissue_sim.model import simulation",
+        "runtime": "from tissue_sim.model.data.arrays import copy",
+    }.items():
+        (tmp_path / "tissue_sim/model" / folder).mkdir(parents=True)
+        (tmp_path / "tissue_sim/model" / folder / "a.py").write_text(code)
+    assert [line.split("/")[2] for line in upward_imports("model")] == ["data", "stepping"]
+
+
+def import_graph() -> dict[str, set[str]]:
+    """Return the modules of tissue_sim that each of them imports: at its top, within functions, or for types."""
+    named = {}
+    for path in SOURCES:
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        named[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    graph: dict[str, set[str]] = {}
+    for name, path in named.items():
+        modules = (module for _, module in imported_modules(path))
+        found = {module if module in named else module.rpartition(".")[0] for module in modules}
+        graph[name] = found & (set(named) - {name})
+    return graph
+
+
+def test_no_circle_of_imports():
+    TopologicalSorter(import_graph()).prepare()  # raises CycleError, which names the circle
+
+
+def test_a_circle_is_found():
+    with pytest.raises(CycleError, match="a"):
+        TopologicalSorter({"a": {"b"}, "b": {"a"}}).prepare()
 
 
 def crossings(path: Path) -> list[str]:

@@ -43,7 +43,8 @@ def test_numba_cache_dir_of_the_user_comes_first(tmp_path, given):
 
 def test_second_process_finds_the_first_ones_kernels(tmp_path):
     """Compiled once, loaded after: no new index file appears."""
-    code = "from tissue_sim.model.shapes import rotation_matrix as r; import numpy as np; r(np.ones(4), np.zeros(9))"
+    load = "from tissue_sim.model.contact.shapes import rotation_matrix as r"
+    code = f"{load}; import numpy as np; r(np.ones(4), np.zeros(9))"
     environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
     environment.pop("NUMBA_CACHE_DIR", None)
 
@@ -61,7 +62,7 @@ def test_what_two_processes_need_at_once_is_compiled_by_one(tmp_path):
     code = (
         "import numba.core.event as events, numpy as np;"
         "seen = events.RecordingListener(); events.register('numba:compile', seen);"
-        "from tissue_sim.model.shapes import rotation_matrix as r;"
+        "from tissue_sim.model.contact.shapes import rotation_matrix as r;"
         "input('ready'); r(np.ones(4), np.zeros(9));"
         "print(sum(each.data['dispatcher'] is r for _, each in seen.buffer if each.is_start))"
     )

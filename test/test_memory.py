@@ -7,7 +7,7 @@ import sys
 FREED = """
 import os
 from tissue_sim.memory import give_back
-from tissue_sim.ros.probes.soak_watch import resident
+from tissue_sim.ros.probes.soak_monitor import resident
 before = resident(os.getpid())[0]
 held = [bytearray(20_000) for _ in range(3_000)]
 most = resident(os.getpid())[0]

@@ -22,8 +22,8 @@ def touched(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "ROOT", tmp_path)
     marked, plain = "@pytest.mark.extended\n", "def test_it(): ...\n"
     for path, text in {
-        "test/model/test_cells.py": marked,
-        "test/model/test_forces.py": plain,
+        "test/model/elasticity/test_cells.py": marked,
+        "test/model/elasticity/test_forces.py": plain,
         "test/organ/test_kidney.py": "from helpers.solids import box\n" + marked,
         "test/ros/bags/test_bits.py": marked,
         "test/bench/fuzz/test_fuzz.py": marked,
@@ -35,16 +35,22 @@ def touched(tmp_path, monkeypatch):
 
 
 def test_a_folder_is_tested_by_its_mirror_and_by_what_stands_on_it(touched):
-    found = touched.touched(["tissue_sim/model/cells.py", "README.md"])
-    assert set(found) == {"test/model/test_cells.py", "test/ros/bags/test_bits.py", "test/bench/fuzz/test_fuzz.py"}
-    assert set(found.values()) == {"tissue_sim/model/cells.py"}, "each with its reason"
+    found = touched.touched(["tissue_sim/model/elasticity/cells.py", "README.md"])
+    assert set(found) == {
+        "test/model/elasticity/test_cells.py",
+        "test/ros/bags/test_bits.py",
+        "test/bench/fuzz/test_fuzz.py",
+    }
+    assert set(found.values()) == {"tissue_sim/model/elasticity/cells.py"}, "each with its reason"
     assert touched.touched(["CHANGELOG.rst"]) == {}
 
 
 def test_a_test_is_touched_by_itself_and_by_its_helpers(touched):
-    assert touched.touched(["test/model/test_cells.py"]) == {"test/model/test_cells.py": "test/model/test_cells.py"}
+    assert touched.touched(["test/model/elasticity/test_cells.py"]) == {
+        "test/model/elasticity/test_cells.py": "test/model/elasticity/test_cells.py"
+    }
     assert touched.touched(["test/helpers/solids.py"]) == {"test/organ/test_kidney.py": "test/helpers/solids.py"}
-    assert set(touched.touched(["test/model/conftest.py"])) == {"test/model/test_cells.py"}
+    assert set(touched.touched(["test/model/conftest.py"])) == {"test/model/elasticity/test_cells.py"}
 
 
 def test_pins_and_packaging_are_touched_by_what_installs(touched):

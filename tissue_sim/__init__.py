@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tissue_sim.model.simulation import Simulation
     from tissue_sim.organ.build import build
     from tissue_sim.organ.organ import Organ
-    from tissue_sim.organ.placing import placed
+    from tissue_sim.organ.placement import placed
     from tissue_sim.ros.bags.reading import Bag, read_bag
 
 __all__ = [
@@ -49,7 +49,7 @@ _MODULES = {
     "build": "tissue_sim.organ.build",
     "calibrate": "tissue_sim.calibration.api",
     "load_scene": "tissue_sim.contact.scene_file",
-    "placed": "tissue_sim.organ.placing",
+    "placed": "tissue_sim.organ.placement",
     "read_bag": "tissue_sim.ros.bags.reading",
 }
 

@@ -13,7 +13,7 @@ import tissue_sim
 from tissue_sim import progress
 from tissue_sim.commands import COMMANDS
 from tissue_sim.errors import UserError, give_up_output, output_is_gone, printable
-from tissue_sim.unexpected import INTERRUPTED, catch_all, tell
+from tissue_sim.unexpected_errors import INTERRUPTED, catch_all, tell
 from tissue_sim.version import __version__
 
 UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends normally; they report no progress once they run

@@ -115,7 +115,7 @@ def handle(values: Any) -> Any:
     """Return a NamedTuple of arrays, records, numbers and further such tuples, for kernels to take by reference.
 
     As plain arguments a hundred arrays are unpacked at every call, and again in every kernel that is compiled:
-    microseconds per tick and minutes at the first one. Arrays and records (tissue_sim.model.records) are shared,
+    microseconds per tick and minutes at the first one. Arrays and records (tissue_sim.model.data.records) are shared,
     numbers copied.
 
     Parameters

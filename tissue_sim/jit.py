@@ -21,7 +21,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import overload
 
 from tissue_sim import progress
-from tissue_sim.store import used_longest_ago, user_cache
+from tissue_sim.result_cache import used_longest_ago, user_cache
 
 VERSIONS = 4  # number of versions of a layer's kernels that are kept; the least recently used are removed
 

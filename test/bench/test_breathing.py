@@ -4,7 +4,7 @@ import pytest
 
 from helpers.scenes import ball_of_cells
 from tissue_sim.bench.breathing import WAY, as_json, measure, text
-from tissue_sim.model.unfelt import UNFELT
+from tissue_sim.model.stepping.wake_threshold import UNFELT
 
 
 @pytest.mark.extended

@@ -22,7 +22,7 @@ from tissue_sim.bench.devices import DEVICES, NO_HAND, Device, Moving
 from tissue_sim.bench.haptics import Bare, Cell, Row, as_json, coupled, dry_limit, text
 from tissue_sim.bench.haptics_plot import write_plot
 from tissue_sim.cli import main
-from tissue_sim.model.coupling import passive_stiffness
+from tissue_sim.model.contact.virtual_coupling import passive_stiffness
 
 VISCOUS = Device("viscous", mass=0.1, damping=1.0, friction=0.0, quantum=0.0, most_force=1e3, source="test")
 AT_ONCE = Link(transport=0.0, smoothed=False)  # sample and hold, and nothing else

@@ -14,7 +14,7 @@ from tissue_sim.bench.latency import RATES, WOKEN, as_json, felt_at, measure, na
 from tissue_sim.bench.latency_busy import AFTER, BUSY, PHASES, QUIET
 from tissue_sim.cli import main
 from tissue_sim.ros.probes.graph import Graph
-from tissue_sim.ros.probes.pokes import DEPTH, Poked, Told, depth_after
+from tissue_sim.ros.probes.poke_probe import DEPTH, Poked, Told, depth_after
 from tissue_sim.ros.probes.probe import Trip, first_change, together
 from tissue_sim.ros.shared.priority import is_allowed
 

@@ -12,7 +12,7 @@ from tissue_sim.bench import page
 from tissue_sim.bench.page import as_json, text
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
-from tissue_sim.organ.placing import placed
+from tissue_sim.organ.placement import placed
 
 ORGANS = [ball(1), placed(ball(1), [0.2, 0.0, 0.0])]
 SCENE = SimpleNamespace(names=("left", "right"), organs=ORGANS)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball, ball_of_cells
-from tissue_sim.bench import pinch, pinch_reference, two_tools
+from tissue_sim.bench import pinch, pinch_reference
+from tissue_sim.bench import pinch_tools as two_tools
 from tissue_sim.cli import main
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError

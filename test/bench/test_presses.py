@@ -26,7 +26,7 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.winding import inside
 from tissue_sim.progress import Task
-from tissue_sim.ros.probes.presser import force_in_the_end
+from tissue_sim.ros.probes.press_probe import force_in_the_end
 
 TOOLS = {
     "sphere, 2 mm": Tool("left", radius=0.002),

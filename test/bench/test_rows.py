@@ -7,7 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from tissue_sim.bench import command, fall, growth, haptics, latency_busy, pinch, pinch_reference, region, rows, start
+from tissue_sim.bench import command, fall, haptics, latency_busy, pinch, pinch_reference, region, rows, start
+from tissue_sim.bench import scaling as growth
 from tissue_sim.bench.printing import Bound, bound_lines
 from tissue_sim.bench.timing import Phase, interleave
 from tissue_sim.cli import main

@@ -11,8 +11,8 @@ from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
 from tissue_sim.contact.attachments import Attachment
 from tissue_sim.contact.scene_file import SceneFile
-from tissue_sim.model.unfelt import UNFELT, UNFELT_FORCE
-from tissue_sim.organ.placing import placed
+from tissue_sim.model.stepping.wake_threshold import UNFELT, UNFELT_FORCE
+from tissue_sim.organ.placement import placed
 
 COPIES = {bench.ALONE: 100.0, bench.BESIDE: 104.0, bench.ASLEEP: 2.0, bench.AWAKE: 420.0}
 OF_SCENE = {bench.one_poked("one"): 110.0, bench.one_poked("two"): 220.0, bench.SCENE: 400.0, bench.TOUCHED: 330.0}

@@ -8,7 +8,7 @@ import pytest
 from tissue_sim.bench.soak import MOST_DRIFT, Soaked, as_json, memory_of
 from tissue_sim.bench.soak_bag import BagFound
 from tissue_sim.cli import main
-from tissue_sim.ros.probes.soak_watch import Sample
+from tissue_sim.ros.probes.soak_monitor import Sample
 from tissue_sim.ros.shared.priority import is_allowed
 from tissue_sim.ros.shared.report import STARVED
 

@@ -35,7 +35,7 @@ def test_compiling_is_told_by_module_and_without_what_is_called():
         dispatcher = SimpleNamespace(py_func=SimpleNamespace(__module__=module))
         return SimpleNamespace(is_start=is_start, data={"dispatcher": dispatcher})
 
-    outer, inner = "tissue_sim.model.tick", "tissue_sim.contact.grid"
+    outer, inner = "tissue_sim.model.stepping.tick", "tissue_sim.contact.grid"
     events = [(1.0, event(outer, True)), (3.0, event(inner, True)), (7.0, event(inner, False))]
     assert by_kernel([*events, (10.0, event(outer, False))]) == [("contact.grid", 4.0), ("model.tick", 5.0)]
 

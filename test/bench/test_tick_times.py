@@ -11,12 +11,12 @@ from helpers.scenes import ball, kidney
 from tissue_sim.bench import c_loop
 from tissue_sim.bench import tick_rows as rows
 from tissue_sim.bench import tick_times as tick
-from tissue_sim.bench.growth import Grown
 from tissue_sim.bench.organs import patch_load
 from tissue_sim.bench.printing import aligned, noise_lines
+from tissue_sim.bench.scaling import Grown
 from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
-from tissue_sim.model.settings import INTEGRATORS
+from tissue_sim.model.data.settings import INTEGRATORS
 
 
 def timing(us):

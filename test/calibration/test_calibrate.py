@@ -5,7 +5,7 @@ import pytest
 
 from tissue_sim.calibration.calibrate import BUCKLING, POKE, _near_buckling, _poke, _telling
 from tissue_sim.calibration.cases import Cases
-from tissue_sim.calibration.judge import Answer
+from tissue_sim.calibration.evaluation import Answer
 from tissue_sim.errors import UserError
 
 

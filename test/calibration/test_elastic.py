@@ -7,8 +7,8 @@ import pytest
 
 from helpers.scenes import ball, changed, kidney
 from tissue_sim.calibration.elastic import Elastic
-from tissue_sim.model.assembly import assemble
-from tissue_sim.model.modes import free_axes, stiffness_matrix, strains_of
+from tissue_sim.model.elasticity.assembly import assemble
+from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix, strains_of
 from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.topology import assemble_like
 

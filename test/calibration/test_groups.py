@@ -9,7 +9,7 @@ from helpers.springs_of_ball import MODEL, ORGAN, SPRINGS, START, linear_answers
 from tissue_sim.calibration.cases import fit_cases
 from tissue_sim.calibration.fit import Misfit
 from tissue_sim.calibration.groups import GROUPS, group_of, search
-from tissue_sim.model.assembly import assemble
+from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.organ.organ import SpringKind
 
 

@@ -16,9 +16,9 @@ from tissue_sim.calibration.inertia import (
     tissue_mass,
 )
 from tissue_sim.errors import UserError
-from tissue_sim.model.assembly import assemble
-from tissue_sim.model.frequency import largest_frequency
-from tissue_sim.model.modes import lowest_modes
+from tissue_sim.model.elasticity.assembly import assemble
+from tissue_sim.model.elasticity.frequency import largest_frequency
+from tissue_sim.model.elasticity.modes import lowest_modes
 
 tissue_mass = cache(tissue_mass)
 

@@ -5,9 +5,9 @@ import pytest
 
 from helpers.scenes import ball, kidney
 from tissue_sim.calibration.cases import AXES, fit_cases, held_out_cases
+from tissue_sim.calibration.evaluation import errors
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.judge import errors
 from tissue_sim.calibration.reference import FINER, LEFT, Refined, finer_body, made_good, refined, samples_of
 
 

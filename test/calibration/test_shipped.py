@@ -5,8 +5,8 @@ import pytest
 
 from helpers.scenes import assembled
 from tissue_sim.calibration.elastic import Elastic
+from tissue_sim.calibration.evaluation import errors
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.judge import errors
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 

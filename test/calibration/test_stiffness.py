@@ -14,8 +14,8 @@ from tissue_sim.calibration.stiffness import (
     with_stiffness,
 )
 from tissue_sim.errors import UserError
-from tissue_sim.model.assembly import assemble
-from tissue_sim.model.modes import strains_of
+from tissue_sim.model.elasticity.assembly import assemble
+from tissue_sim.model.elasticity.modes import strains_of
 
 
 def test_cells_fill_the_organ_and_groups_take_it_as_it_is():

@@ -22,11 +22,11 @@ from helpers.shapes import solid, write_dicom
 from tissue_sim.cli import main
 from tissue_sim.commands.build import parse_triple, report_path
 from tissue_sim.errors import UserError
-from tissue_sim.organ.fineness import mean_edge
 from tissue_sim.organ.imaging.image import Volume, read_image
 from tissue_sim.organ.inclusions import inclusions_of
 from tissue_sim.organ.organ import Organ, signed_volume
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
+from tissue_sim.organ.tool_resolution import mean_edge
 
 FEW = ["--points", "200", "--atoms", "12", "--branches", "none"]
 ONE_WINDOW = ["--window", "3.3"]  # how a window is chosen is no matter of the command line

@@ -10,9 +10,9 @@ import pytest
 
 from helpers.eggs import forked_egg
 from tissue_sim.cli import main
-from tissue_sim.organ.fineness import mean_edge, points_for
 from tissue_sim.organ.organ import SCHEMA_VERSION, Organ
 from tissue_sim.organ.reporting.description import describe
+from tissue_sim.organ.tool_resolution import mean_edge, points_for
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from helpers.pressing import PROBE, deepest, is_sound, lead, line, press, top_of
 from helpers.scenes import ball, free_ball, kidney
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.coupling import passive_stiffness
+from tissue_sim.model.contact.virtual_coupling import passive_stiffness
 
 STIFFNESS, DAMPING = 500.0, 1.0  # N/m, N s/m
 

@@ -20,8 +20,8 @@ from tissue_sim.contact.finder import (
 from tissue_sim.contact.local_compliance import OF_OTHERS, local_compliance, most_give
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
-from tissue_sim.model.contact_set import MOST_POINTS, Engaged
-from tissue_sim.ros.probes.soak_watch import resident
+from tissue_sim.model.data.contact_set import MOST_POINTS, Engaged
+from tissue_sim.ros.probes.soak_monitor import resident
 
 STILL = (0.0, 0.0, 0.0, 1.0)
 

@@ -20,7 +20,7 @@ from tissue_sim.contact.local_compliance import (
 )
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.organ.fineness import mean_edge
+from tissue_sim.organ.tool_resolution import mean_edge
 from tissue_sim.organ.topology import node_area
 
 

@@ -13,9 +13,9 @@ from helpers.turns import random_turns
 from tissue_sim.contact.attachments import Breathing
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.contact_constraint import RECOVERY_SPEED, count_impulse, give_impulse, set_nodes, set_plane
-from tissue_sim.model.forces import elastic_forces
-from tissue_sim.organ.placing import placed
+from tissue_sim.model.contact.constraint import RECOVERY_SPEED, count_impulse, give_impulse, set_nodes, set_plane
+from tissue_sim.model.elasticity.forces import elastic_forces
+from tissue_sim.organ.placement import placed
 from tissue_sim.organ.winding import inside
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from helpers.scenes import ball, fold
 from tissue_sim.contact.scene import Scene
-from tissue_sim.contact.self_finder import SelfFinder
+from tissue_sim.contact.self_contact_finder import SelfFinder
 
 
 def closed(organ, self_contact, by=0.005, ticks=800):

@@ -11,7 +11,7 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.errors import UserError
-from tissue_sim.organ.placing import placed
+from tissue_sim.organ.placement import placed
 from tissue_sim.organ.winding import inside
 
 TOOL = [Tool("ball", "sphere", radius=0.005)]

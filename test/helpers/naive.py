@@ -4,9 +4,9 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import shortest_path
 
-from tissue_sim.model.cell_law import SQUEEZED, STEEPEST
-from tissue_sim.model.cells import cells_of
-from tissue_sim.model.forces import SHORTEST
+from tissue_sim.model.elasticity.cell_law import SQUEEZED, STEEPEST
+from tissue_sim.model.elasticity.cells import cells_of
+from tissue_sim.model.elasticity.forces import SHORTEST
 from tissue_sim.organ.organ import SpringKind
 
 

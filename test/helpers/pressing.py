@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.states import is_finite
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.shapes import signed_distance
+from tissue_sim.model.contact.shapes import signed_distance
 
 PROBE = Tool("left", radius=0.008)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from tissue_sim.model.assembly import assemble
+from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ

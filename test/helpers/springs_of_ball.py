@@ -4,7 +4,7 @@ import numpy as np
 
 from helpers.scenes import ball, changed, filled
 from tissue_sim.calibration.elastic import Elastic
-from tissue_sim.model.assembly import assemble
+from tissue_sim.model.elasticity.assembly import assemble
 
 ORGAN = changed(filled(ball(2), 12), return_stiffness=0.02)
 MODEL = assemble(ORGAN)

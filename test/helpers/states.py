@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tissue_sim.model.state import fields_of
+from tissue_sim.model.data.state import fields_of
 
 
 def snapshot(simulation):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue_sim.model.breathing import FOLLOW, Breath, follow
+from tissue_sim.model.stepping.breathing import FOLLOW, Breath, follow
 
 
 def led(told, seconds, step=1e-3):

@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse.linalg import splu
 
 from helpers.scenes import assembled, ball, filled, kidney
-from tissue_sim.model.modes import stiffness_matrix
+from tissue_sim.model.elasticity.modes import stiffness_matrix
 from tissue_sim.model.simulation import Simulation
 
 

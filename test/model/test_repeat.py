@@ -14,7 +14,7 @@ from helpers.scenes import ball
 from helpers.states import assert_same, snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS
+from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.cell_mesh import with_cells
 

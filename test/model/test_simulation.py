@@ -16,10 +16,10 @@ from helpers.naive import angular_energy, return_energy, spring_energy
 from helpers.scenes import ball, changed, free_ball, kidney
 from helpers.states import assert_same, snapshot
 from tissue_sim.errors import UserError
-from tissue_sim.model.forces import elastic_forces
-from tissue_sim.model.rest import QUIET_TICKS
-from tissue_sim.model.settings import LOCAL_REGIONS
+from tissue_sim.model.data.settings import LOCAL_REGIONS
+from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.stepping.rest_recovery import QUIET_TICKS
 
 ROOT = Path(__file__).resolve().parents[2]
 

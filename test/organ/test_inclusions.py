@@ -18,7 +18,7 @@ from tissue_sim.organ.inclusions import (
     with_inclusions,
 )
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.placing import placed
+from tissue_sim.organ.placement import placed
 from tissue_sim.organ.reporting.description import describe
 from tissue_sim.organ.topology import assemble_like
 

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.scenes import kidney
 from tissue_sim.errors import UserError
-from tissue_sim.model.forces import return_forces
+from tissue_sim.model.elasticity.forces import return_forces
 from tissue_sim.organ.medial import (
     implied_boundary,
     nearest_atoms,

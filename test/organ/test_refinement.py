@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from helpers.shapes import solid
-from tissue_sim.organ.fineness import KIDNEY, relative_size
 from tissue_sim.organ.refinement import (
     BESIDE,
     NEAREST,
@@ -20,6 +19,7 @@ from tissue_sim.organ.refinement import (
 from tissue_sim.organ.surfaces.balloon import fibonacci_sphere
 from tissue_sim.organ.surfaces.grading import GROWTH
 from tissue_sim.organ.surfaces.sizing import local_edges
+from tissue_sim.organ.tool_resolution import KIDNEY, relative_size
 
 POSITIONS, TRIANGLES = fibonacci_sphere(1500)
 POSITIONS *= [0.05, 0.05, 0.01]  # m: a flat organ

@@ -9,7 +9,7 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.printing import Bound
 from tissue_sim.jit import kernel
-from tissue_sim.model.realtime import now, sleep_until
+from tissue_sim.model.runtime.loop import now, sleep_until
 from tissue_sim.ros.shared.priority import with_priority
 
 RATE = 1000.0  # Hz, of ticks and poses

@@ -22,7 +22,7 @@ from tissue_sim.calibration.dynamics import swing
 from tissue_sim.calibration.fem import Body
 from tissue_sim.contact.attachments import Breathing
 from tissue_sim.contact.scene import Scene
-from tissue_sim.model.breathing import breathed_in
+from tissue_sim.model.stepping.breathing import breathed_in
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 

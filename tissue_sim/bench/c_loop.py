@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.timing import clock_cost
-from tissue_sim.model.blocks import BLOCK, Blocks, empty_blocks
-from tissue_sim.model.cell_law import SQUEEZED, STEEPEST
-from tissue_sim.model.cells import CONSTANTS
-from tissue_sim.model.forces import SHORTEST, elastic_forces
-from tissue_sim.model.integrators import symplectic_euler
-from tissue_sim.model.model import Tissue
+from tissue_sim.model.data.blocks import BLOCK, Blocks, empty_blocks
+from tissue_sim.model.data.model import Tissue
+from tissue_sim.model.elasticity.cell_law import SQUEEZED, STEEPEST
+from tissue_sim.model.elasticity.cells import CONSTANTS
+from tissue_sim.model.elasticity.forces import SHORTEST, elastic_forces
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.stepping.integrators import symplectic_euler
 
 PLAIN = ("-O3",)
 # The last two options allow vectorised square roots and selections, as Numba's compiler does.

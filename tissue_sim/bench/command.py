@@ -12,7 +12,7 @@ from types import ModuleType
 
 from tissue_sim.bench import rows
 from tissue_sim.errors import UserError
-from tissue_sim.unexpected import INTERRUPTED
+from tissue_sim.unexpected_errors import INTERRUPTED
 
 BENCHMARKS = {
     "tick": (

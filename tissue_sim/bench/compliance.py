@@ -8,8 +8,8 @@ from scipy.sparse.linalg import splu
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.timing import time_calls
-from tissue_sim.model.model import Model
-from tissue_sim.model.modes import free_axes, stiffness_matrix
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
 
 AT_ONCE = 300  # columns solved together
 

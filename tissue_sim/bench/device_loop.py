@@ -18,10 +18,10 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench.devices import NO_HAND, SERVO, Device, Hand, Moving, quarters
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.coupling import passive_stiffness
+from tissue_sim.model.contact.virtual_coupling import passive_stiffness
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
-from tissue_sim.ros.node.passivity import Observer
+from tissue_sim.ros.node.tools.passivity import Observer
 
 PUSH, START = 0.5, 5e-4  # N of the hand, and m before the tissue: it lands at some 50 mm/s
 SOFTEST, STIFFEST = 1.0, 2e4  # N/m

@@ -18,9 +18,9 @@ from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.calibration.cases import held_out_cases, tractions
-from tissue_sim.calibration.judge import LONGEST, RAMP, TOLERANCE
+from tissue_sim.calibration.evaluation import LONGEST, RAMP, TOLERANCE
 from tissue_sim.errors import UserError
-from tissue_sim.model.cells import swelling
+from tissue_sim.model.elasticity.cells import swelling
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ

@@ -20,7 +20,7 @@ from numba.core import event  # noqa: E402
 
 from tissue_sim.model.simulation import Simulation  # noqa: E402
 from tissue_sim.organ.organ import Organ  # noqa: E402
-from tissue_sim.unexpected import catch_all  # noqa: E402
+from tissue_sim.unexpected_errors import catch_all  # noqa: E402
 
 
 def main(began: str, organ_file: str) -> None:

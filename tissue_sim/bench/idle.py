@@ -19,7 +19,7 @@ from tissue_sim import progress
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
-from tissue_sim.bench.shares import processor_seconds, shares_during
+from tissue_sim.bench.processor_load import processor_seconds, shares_during
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
 

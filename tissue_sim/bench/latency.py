@@ -71,8 +71,8 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
     path = organ_file or str(shipped_organ())
     organ = Organ.load(path)
     with Graph() as graph:
-        from tissue_sim.ros.probes.hand import RADIUS
         from tissue_sim.ros.probes.probe import Probe, together
+        from tissue_sim.ros.probes.tool_driver import RADIUS
         from tissue_sim.ros.shared.client import client_node
 
         settings = f"rate:={RATE}", f"realtime_priority:={priority}", "marker_rate:=60.0", f"left.radius:={RADIUS}"

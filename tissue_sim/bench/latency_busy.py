@@ -27,7 +27,7 @@ from tissue_sim.ros.shared.children import Child
 from tissue_sim.ros.shared.priority import below, is_allowed
 
 if TYPE_CHECKING:
-    from tissue_sim.ros.probes.pokes import Poked, Pokes
+    from tissue_sim.ros.probes.poke_probe import Poked, Pokes
 
 PRIORITY = 20  # where none is given
 PHASES = QUIET, BUSY, AFTER = "quiet", "busy", "quiet again"
@@ -74,8 +74,8 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
         )
 
     with Graph() as graph:
-        from tissue_sim.ros.probes.hand import RADIUS
-        from tissue_sim.ros.probes.pokes import Pokes
+        from tissue_sim.ros.probes.poke_probe import Pokes
+        from tissue_sim.ros.probes.tool_driver import RADIUS
         from tissue_sim.ros.shared.client import client_node
 
         settings = f"rate:={RATE}", f"realtime_priority:={priority}", "marker_rate:=60.0", f"left.radius:={RADIUS}"

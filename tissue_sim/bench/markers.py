@@ -18,10 +18,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissue_sim import progress
-from tissue_sim.bench import arriving, rows
+from tissue_sim.bench import message_rate as arriving
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
-from tissue_sim.bench.shares import processor_seconds, shares_during
+from tissue_sim.bench.processor_load import processor_seconds, shares_during
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -91,7 +92,7 @@ def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict
     """
     organ = Organ.load(organ_file)
     with Graph() as graph, tempfile.TemporaryDirectory() as folder:
-        from tissue_sim.ros.probes.hand import RADIUS, Hand
+        from tissue_sim.ros.probes.tool_driver import RADIUS, Hand
         from tissue_sim.ros.probes.viewer import Viewer
         from tissue_sim.ros.shared.client import client_node
 

@@ -24,7 +24,7 @@ import numpy as np
 from tissue_sim import progress
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
-from tissue_sim.bench.shares import processor_seconds, shares_during
+from tissue_sim.bench.processor_load import processor_seconds, shares_during
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
 from tissue_sim.organ.shipped import shipped_file

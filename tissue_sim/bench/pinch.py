@@ -13,9 +13,9 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import pinch_reference, rows
 from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.pinch_tools import Pinch, pairs, pinched
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines, write_json
 from tissue_sim.bench.timing import in_one_thread, noise_burst
-from tissue_sim.bench.two_tools import Pinch, pairs, pinched
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ

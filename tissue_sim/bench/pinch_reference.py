@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
+from tissue_sim.bench.pinch_tools import CLEAR, SPHERE, Place, both, place
 from tissue_sim.bench.printing import Bound, aligned
-from tissue_sim.bench.two_tools import CLEAR, SPHERE, Place, both, place
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.reference import LEFT
-from tissue_sim.calibration.squeeze import Squeezed, squeezed, touchable
+from tissue_sim.calibration.sphere_compression import Squeezed, squeezed, touchable
 from tissue_sim.contact.scene import Scene
 from tissue_sim.errors import UserError
-from tissue_sim.model.cells import swelling
+from tissue_sim.model.elasticity.cells import swelling
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_file
 

@@ -189,7 +189,7 @@ def organ_file(name: str) -> Path | None:
 
 def measure(files: Sequence[str], n_places: int, friction: float | None = None) -> list[Pressed]:
     """Press with every tool at some places of every organ. Raises UserError when rclpy or the node is missing."""
-    from tissue_sim.ros.probes.presser import pressing
+    from tissue_sim.ros.probes.press_probe import pressing
 
     found: list[Pressed] = []
     each = list(product(files, forms()))

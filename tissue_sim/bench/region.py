@@ -19,11 +19,11 @@ from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_co
 from tissue_sim.bench.timing import Phase, Ticks, Timing, interleave
 from tissue_sim.calibration.stiffness import Settings, prepared
 from tissue_sim.errors import UserError
-from tissue_sim.model.hops import hop_table
-from tissue_sim.model.modes import free_axes, stiffness_matrix
-from tissue_sim.model.settings import LocalRegion
+from tissue_sim.model.data.settings import LocalRegion
+from tissue_sim.model.data.state import Region
+from tissue_sim.model.elasticity.hop_distances import hop_table
+from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation, moves_whole
-from tissue_sim.model.state import Region
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ

@@ -34,14 +34,14 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
-from tissue_sim.model.inputs import load_nodes
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import tick_together
-from tissue_sim.model.unfelt import UNFELT, UNFELT_FORCE
+from tissue_sim.model.stepping.coupled_step import tick_together
+from tissue_sim.model.stepping.inputs import load_nodes
+from tissue_sim.model.stepping.wake_threshold import UNFELT, UNFELT_FORCE
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.placing import placed
+from tissue_sim.organ.placement import placed
 from tissue_sim.organ.shipped import shipped_file, shipped_organ
 
 ORGANS = 4

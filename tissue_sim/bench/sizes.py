@@ -19,11 +19,11 @@ from trimesh.remesh import subdivide
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.triangles import nearest_weights
-from tissue_sim.model.diagonal import diagonal
+from tissue_sim.model.elasticity.diagonal import diagonal
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.resample import thicken
 from tissue_sim.organ.topology import assemble_like, node_area
-from tissue_sim.store import remembered
+from tissue_sim.result_cache import remembered
 
 _CANDIDATES = 16  # triangles with the nearest centres, among which the nearest one is searched
 _PASS = 0.12  # fraction of the points that a pass of halving adds: roughly the longest edges first

@@ -30,7 +30,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
-from tissue_sim.ros.probes.soak_watch import PATIENCE, Sample, Watch
+from tissue_sim.ros.probes.soak_monitor import PATIENCE, Sample, Watch
 from tissue_sim.ros.shared.children import Child
 
 SHORTEST, LONGEST = 0.1, 1440.0  # min

@@ -19,7 +19,7 @@ from tissue_sim.bench.sweeps.cells import AXES, QUICK_AXES, SMALL_ORGAN, Cell, a
 from tissue_sim.bench.sweeps.trial import Record, made_for, organ_of, run_cell, simulation_of
 from tissue_sim.calibration.cohort import on_cluster
 from tissue_sim.errors import UserError
-from tissue_sim.model.settings import LOCAL_REGIONS
+from tissue_sim.model.data.settings import LOCAL_REGIONS
 from tissue_sim.model.simulation import moves_whole
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ

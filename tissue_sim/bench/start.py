@@ -156,7 +156,7 @@ def node_start(organ_file: Path, environment: Mapping[str, str]) -> tuple[dict[s
     """Return seconds from a node's start to its first tick and its first answered pose, and from SIGINT to its end."""
     organ = Organ.load(organ_file)
     with Graph() as graph:
-        from tissue_sim.ros.probes.hand import Hand
+        from tissue_sim.ros.probes.tool_driver import Hand
         from tissue_sim.ros.shared.client import client_node
 
         with client_node("hand", NODE) as own:

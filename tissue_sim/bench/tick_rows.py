@@ -18,7 +18,7 @@ from tissue_sim.bench.printing import made_or_skipped
 from tissue_sim.bench.timing import Burst, Ticks
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.settings import INTEGRATORS
+from tissue_sim.model.data.settings import INTEGRATORS
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ

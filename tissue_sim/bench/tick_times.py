@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tissue_sim.bench import growth
+from tissue_sim.bench import scaling as growth
 from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
 from tissue_sim.bench.printing import (

@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
-from tissue_sim.child import end_with_parent
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
-from tissue_sim.model.guard import check_cells, guard
-from tissue_sim.model.inputs import load_nodes, take_pose
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.tick import tick
+from tissue_sim.model.stepping.guard import check_cells, guard
+from tissue_sim.model.stepping.inputs import load_nodes, take_pose
+from tissue_sim.model.stepping.tick import tick
+from tissue_sim.parent_exit import end_with_parent
 
 Burst = Callable[[int], Floats]  # count -> seconds (count,) that each of count calls took
 

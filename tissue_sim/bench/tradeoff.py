@@ -19,11 +19,11 @@ import numpy as np
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.growth import exponent
 from tissue_sim.bench.peers.engine import Engine, Load
 from tissue_sim.bench.peers.rows import CALIBRATED, Row, rows_of
 from tissue_sim.bench.printing import emit, figure, made_or_skipped, noise_lines, told, with_remarks
 from tissue_sim.bench.rows import each, stopped, tell, until_stopped
+from tissue_sim.bench.scaling import exponent
 from tissue_sim.bench.sizes import Sized, sized
 from tissue_sim.bench.timing import Burst, Phase, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.bench.variants import fit_on_cluster, variants_of

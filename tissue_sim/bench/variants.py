@@ -27,7 +27,7 @@ from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.fit import Misfit, fit
 from tissue_sim.calibration.groups import group_of, search
 from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass, frequencies_of
-from tissue_sim.calibration.joint import fit_together, for_one_substep
+from tissue_sim.calibration.joint_fit import fit_together, for_one_substep
 from tissue_sim.calibration.reference import finer_body, made_good, samples_of
 from tissue_sim.calibration.stiffness import (
     INTERIOR_SHARE,
@@ -38,9 +38,9 @@ from tissue_sim.calibration.stiffness import (
     with_stiffness,
 )
 from tissue_sim.errors import UserError
-from tissue_sim.model.assembly import assemble
+from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.organ.organ import Organ
-from tissue_sim.store import remembered
+from tissue_sim.result_cache import remembered
 
 SEED = 0  # of the fit's cases
 BALANCED = Settings().aim

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.calibration.background import Poke, Reference
 from tissue_sim.calibration.cases import (
     DEPTH,
     HELD_OUT_SEED,
@@ -25,18 +24,19 @@ from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
 from tissue_sim.calibration.coarseness import check_coarseness
 from tissue_sim.calibration.dynamics import lowest_frequencies
 from tissue_sim.calibration.elastic import Elastic
+from tissue_sim.calibration.evaluation import Answer, Release, errors, released, settled_answers
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.fit import Misfit, fit
 from tissue_sim.calibration.groups import GROUPS, group_of, search
 from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass, frequencies_of
-from tissue_sim.calibration.joint import TICK, Together, fit_together, for_one_substep
-from tissue_sim.calibration.judge import Answer, Release, errors, released, settled_answers
+from tissue_sim.calibration.joint_fit import TICK, Together, fit_together, for_one_substep
 from tissue_sim.calibration.reference import Refined, answers_made_good, made_good, samples_of
+from tissue_sim.calibration.reference_process import Poke, Reference
 from tissue_sim.calibration.stiffness import ONE_STEP, Settings, first_stiffness, prepared, with_stiffness
 from tissue_sim.errors import UserError
-from tissue_sim.model.assembly import assemble
-from tissue_sim.model.critical_step import model_step, substeps_for
-from tissue_sim.model.frequency import largest_frequency
+from tissue_sim.model.elasticity.assembly import assemble
+from tissue_sim.model.elasticity.frequency import largest_frequency
+from tissue_sim.model.stepping.critical_step import model_step, substeps_for
 from tissue_sim.organ.organ import Organ
 from tissue_sim.version import __version__
 

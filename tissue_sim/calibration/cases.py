@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
-from tissue_sim.organ.fineness import relative_size
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.remesh import vertex_normals
+from tissue_sim.organ.tool_resolution import relative_size
 from tissue_sim.organ.topology import node_area
 
 HELD_OUT_SHARE = 0.3  # fraction of the nodes that may be pressed

@@ -11,10 +11,10 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import CLEARANCE, size_of
 from tissue_sim.errors import UserError
-from tissue_sim.organ.fineness import MOST_POINTS
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.refinement import NEAREST, Refinement, wanted_edges
 from tissue_sim.organ.surfaces.sizing import local_edges, thickness
+from tissue_sim.organ.tool_resolution import MOST_POINTS
 from tissue_sim.organ.topology import node_area
 
 THIN = 0.1  # the fraction of the medial atoms that may lie in thinner tissue

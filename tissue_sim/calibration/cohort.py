@@ -19,8 +19,8 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.child import end_with_parent
 from tissue_sim.errors import UserError
+from tissue_sim.parent_exit import end_with_parent
 
 CONNECT = 10.0  # s that a scheduler may take to answer
 TRIES = 3  # more, of a calculation that failed on the cluster through no fault of its own

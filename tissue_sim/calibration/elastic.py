@@ -7,8 +7,8 @@ from scipy.sparse import csc_array, csr_array
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.factor import Elimination, Factor
-from tissue_sim.model.model import Model
-from tissue_sim.model.modes import free_axes, strains_of
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.elasticity.modes import free_axes, strains_of
 
 _AT_A_TIME = 512  # entries whose products are summed at once, so that they stay in the cache
 

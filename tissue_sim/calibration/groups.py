@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.fit import Evaluation, Misfit
-from tissue_sim.model.model import Model
+from tissue_sim.model.data.model import Model
 from tissue_sim.organ.organ import Organ, SpringKind
 
 GROUPS = ("edges", "inner", "skeleton", "angular", "return")

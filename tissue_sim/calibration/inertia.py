@@ -16,7 +16,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.factor import Factor
 from tissue_sim.errors import UserError
-from tissue_sim.model.diagonal import diagonal
+from tissue_sim.model.elasticity.diagonal import diagonal
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
 

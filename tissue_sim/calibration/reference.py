@@ -15,9 +15,9 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.cases import AXES
 from tissue_sim.calibration.checkpoint import Arrays
+from tissue_sim.calibration.evaluation import errors
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.judge import errors
 
 BOUND = 1.0  # %, largest accepted error of the reference
 FINER = Grading(clamp=2, growth=0.8)  # and no element under the loads longer than the surface's

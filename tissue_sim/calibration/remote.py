@@ -9,9 +9,9 @@ from multiprocessing import get_context
 from multiprocessing.managers import BaseManager
 from typing import Any
 
-from tissue_sim.child import end_with_parent
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
+from tissue_sim.parent_exit import end_with_parent
 
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # for each BLAS, which reads it when it is loaded
 
@@ -75,7 +75,7 @@ class Remote:
 def _script_hidden() -> Iterator[None]:
     """Keep a new process from running the user's script again: it needs none of it, and few scripts have a guard."""
     main = sys.modules["__main__"]
-    kept = {name: main.__dict__[name] for name in ("__file__", "__spec__") if name in main.__dict__}
+    kept: dict[str, Any] = {name: main.__dict__[name] for name in ("__file__", "__spec__") if name in main.__dict__}
     main.__dict__.pop("__file__", None)
     main.__spec__ = None
     try:

@@ -8,8 +8,8 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.model.model import Model
-from tissue_sim.model.modes import strains_of
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.elasticity.modes import strains_of
 from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_like

@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from tissue_sim.organ.making import organ_from_mask
+    from tissue_sim.organ.pipeline import organ_from_mask
     from tissue_sim.organ.request import Request
     from tissue_sim.organ.surfaces.balloon import check_points
 

@@ -23,10 +23,10 @@ from tissue_sim.commands.build_refine import parse_refine
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build import EXTRA, digest_of, make, stem_of
 from tissue_sim.organ.build_record import STAGES, Progress
-from tissue_sim.organ.fineness import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, mean_edge
 from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
+from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, mean_edge
 from tissue_sim.progress import task
 
 # Relative durations of the stages of a usual build; only the pace of the progress bar depends on them.

@@ -13,7 +13,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped_kidney import KIDNEY, make_kidney, with_tumour
-from tissue_sim.unexpected import catch_all
+from tissue_sim.unexpected_errors import catch_all
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -13,9 +13,9 @@ from typing import Any
 
 from tissue_sim import progress
 from tissue_sim.calibration.calibrate import calibrate
+from tissue_sim.calibration.calibration_report import lines, write_pictures
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.stiffness import INTERIOR_SHARE, METHODS, Settings
-from tissue_sim.calibration.verdict import lines, write_pictures
 from tissue_sim.commands.calibrate_many import (
     add_cluster,
     calibrate_many,

@@ -15,7 +15,7 @@ from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.commands import build
 from tissue_sim.commands.calibrate_many import add_cluster, calibrate_many, check_cluster, write_figures
 from tissue_sim.errors import UserError
-from tissue_sim.unexpected import catch_all
+from tissue_sim.unexpected_errors import catch_all
 
 _LIVER, _HEART = 0.2, 0.12  # m, longest side of meshes without a unit
 

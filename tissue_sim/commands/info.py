@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 
 from tissue_sim.errors import UserError
-from tissue_sim.organ.fineness import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, points_for
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.reporting.description import describe, file_header, text_lines
+from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, points_for
 
 LARGEST = 0.5  # m, radius of a tool
 

@@ -11,8 +11,8 @@ import numpy as np
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.model.assembly import MODEL_NAMES
-from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS
+from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS
+from tissue_sim.model.elasticity.assembly import MODEL_NAMES
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 

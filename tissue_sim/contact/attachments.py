@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
-from tissue_sim.model.breathing import Breath
-from tissue_sim.model.links import POINT, Links, make_links, weigh_ends
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.stepping.breathing import Breath
+from tissue_sim.model.stepping.ligament_links import POINT, Links, make_links, weigh_ends
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissue_sim.jit import kernel
-from tissue_sim.model.shapes import signed_distance
+from tissue_sim.model.contact.shapes import signed_distance
 
 
 @kernel

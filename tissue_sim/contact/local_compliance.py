@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats
-from tissue_sim.organ.fineness import mean_edge
 from tissue_sim.organ.inclusions import inclusions_of, stiffness_at
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.tool_resolution import mean_edge
 from tissue_sim.organ.topology import node_area
 
 STRETCHED = 1.15  # largest stretch of the distance of points under a tool

@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.arguments import finite, number_of
 from tissue_sim.contact.attachments import Attachment, Breathing
+from tissue_sim.contact.contact_organ import TouchedOrgan
+from tissue_sim.contact.coupling_setup import join
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.gripper import about
-from tissue_sim.contact.joining import join
-from tissue_sim.contact.pair_finder import PairFinder
+from tissue_sim.contact.organ_contact_finder import PairFinder
 from tissue_sim.contact.tools import Tool, ToolSet
-from tissue_sim.contact.touched import TouchedOrgan
 from tissue_sim.errors import UserError
-from tissue_sim.model.contact_set import ContactSet
+from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ

@@ -14,15 +14,15 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from tissue_sim.contact.attachments import Attachment, Breathing
-from tissue_sim.contact.joining import join
+from tissue_sim.contact.coupling_setup import join
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError, shown
 from tissue_sim.model.joined import Joined
-from tissue_sim.model.pairs import MOST_ORGANS
 from tissue_sim.model.simulation import MOST_GRAVITY, Simulation
+from tissue_sim.model.stepping.organ_contact import MOST_ORGANS
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.placing import placed
+from tissue_sim.organ.placement import placed
 
 FORMAT = 1
 # Keys of a scene, an organ in it, its breathing, an attachment.

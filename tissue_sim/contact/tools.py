@@ -14,7 +14,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.arguments import number_of
 from tissue_sim.contact.gripper import Jaws, jaw_poses
 from tissue_sim.errors import UserError
-from tissue_sim.model.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes
+from tissue_sim.model.contact.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes
 from tissue_sim.organ.shipped import shipped_file
 
 if TYPE_CHECKING:

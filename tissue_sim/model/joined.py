@@ -10,15 +10,15 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.handles import handle, row
-from tissue_sim.model.breathing import Breath
-from tissue_sim.model.felt import sum_felt
-from tissue_sim.model.links import Links, least_substeps, make_links
-from tissue_sim.model.pairs import MOST_ORGANS, Pairs, PairSet, make_pairs, take_pairs
-from tissue_sim.model.records import words_of
-from tissue_sim.model.settings import Settings
+from tissue_sim.model.contact.haptic_output import sum_felt
+from tissue_sim.model.data.records import words_of
+from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Together, carried_with, let_go, tick_together
-from tissue_sim.model.unfelt import UNFELT, unfelt_by
+from tissue_sim.model.stepping.breathing import Breath
+from tissue_sim.model.stepping.coupled_step import Together, carried_with, let_go, tick_together
+from tissue_sim.model.stepping.ligament_links import Links, least_substeps, make_links
+from tissue_sim.model.stepping.organ_contact import MOST_ORGANS, Pairs, PairSet, make_pairs, take_pairs
+from tissue_sim.model.stepping.wake_threshold import UNFELT, unfelt_by
 
 
 class Joined:

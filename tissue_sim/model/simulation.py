@@ -12,25 +12,25 @@ from numpy.typing import ArrayLike, NDArray
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.handles import handle
-from tissue_sim.model.adjacency import adjacency_of, with_cell_neighbours
-from tissue_sim.model.assembly import assemble, model_of
-from tissue_sim.model.contact_set import ContactSet
-from tissue_sim.model.critical_step import SAFETY, model_step, substeps_for
-from tissue_sim.model.energy import Energy, energy_of
-from tissue_sim.model.frequency import largest_frequency
-from tissue_sim.model.hops import hop_table
-from tissue_sim.model.implicit import make_factor, write_factor
-from tissue_sim.model.model import Model
-from tissue_sim.model.records import words_of
-from tissue_sim.model.reduction import reduce_model
-from tissue_sim.model.scratch import make_scratch
-from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, LocalRegion, Settings
-from tissue_sim.model.settling import residuals, settle
-from tissue_sim.model.shapes import CAPSULE, SPHERE, Shapes, make_shapes
-from tissue_sim.model.state import Region, State, make_state, take_fields
-from tissue_sim.model.state_check import check_state
-from tissue_sim.model.tick import tick
-from tissue_sim.model.world import (
+from tissue_sim.model.contact.shapes import CAPSULE, SPHERE, Shapes, make_shapes
+from tissue_sim.model.data.contact_set import ContactSet
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.records import words_of
+from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, LocalRegion, Settings
+from tissue_sim.model.data.state import Region, State, make_state, take_fields
+from tissue_sim.model.elasticity.adjacency import adjacency_of, with_cell_neighbours
+from tissue_sim.model.elasticity.assembly import assemble, model_of
+from tissue_sim.model.elasticity.energy import Energy, energy_of
+from tissue_sim.model.elasticity.frequency import largest_frequency
+from tissue_sim.model.elasticity.hop_distances import hop_table
+from tissue_sim.model.regions.reduction import reduce_model
+from tissue_sim.model.stepping.critical_step import SAFETY, model_step, substeps_for
+from tissue_sim.model.stepping.equilibrium import residuals, settle
+from tissue_sim.model.stepping.implicit import make_factor, write_factor
+from tissue_sim.model.stepping.scratch import make_scratch
+from tissue_sim.model.stepping.state_check import check_state
+from tissue_sim.model.stepping.tick import tick
+from tissue_sim.model.stepping.world import (
     free_world,
     load_world,
     make_world,

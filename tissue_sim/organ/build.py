@@ -18,7 +18,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.inclusions import Inclusion, check_stiffness
-from tissue_sim.organ.making import organ_from_image, organ_from_mask, organ_from_mesh
+from tissue_sim.organ.pipeline import organ_from_image, organ_from_mask, organ_from_mesh
 from tissue_sim.organ.request import Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 

@@ -13,8 +13,8 @@ from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.imaging.image import read_image
 from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
 from tissue_sim.organ.inclusions import Inclusion
-from tissue_sim.organ.making import organ_from_image
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.pipeline import organ_from_image
 from tissue_sim.organ.request import Request
 from tissue_sim.organ.surfaces.remesh import vertex_normals
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface

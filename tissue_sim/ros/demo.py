@@ -22,7 +22,7 @@ from tissue_sim.ros.shared.domains import claim_domain
 from tissue_sim.ros.shared.priority import is_allowed
 from tissue_sim.ros.viewer.tokens import TOKEN_VARIABLE
 from tissue_sim.ros.viewer.view import add_page_arguments, address, check_port, page_token
-from tissue_sim.unexpected import write_error
+from tissue_sim.unexpected_errors import write_error
 
 NODE = "tissue_sim"
 PRIORITY = 20  # of the node, where the system allows it

@@ -89,7 +89,7 @@ def fitted(node: str, values: Mapping[str, Any]) -> str:
 
 def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
     """Return what each process may do, by its enclave."""
-    from tissue_sim.ros.node.simulation_services import SERVICES
+    from tissue_sim.ros.node.services.simulation_services import SERVICES
     from tissue_sim.ros.shared.tool_link import ToolLink
 
     links = [link for tool in values["tools"] if (link := ToolLink.told(values, tool, node)) is not None]

@@ -5,7 +5,7 @@ import pytest
 
 from helpers.scenes import RADIUS
 from tissue_sim.bench.palpation.places import KINDS, flat_places, thickness
-from tissue_sim.organ.fineness import mean_edge
+from tissue_sim.organ.tool_resolution import mean_edge
 
 
 def test_places_are_clear_of_the_clamp_and_of_each_other(organ):

@@ -9,7 +9,7 @@ from tissue_sim.bench.palpation.balls import as_json
 from tissue_sim.bench.palpation.places import KINDS
 from tissue_sim.contact import finder
 from tissue_sim.contact.local_compliance import OF_OTHERS
-from tissue_sim.organ.fineness import mean_edge
+from tissue_sim.organ.tool_resolution import mean_edge
 
 SMALL = 0.8  # edges
 

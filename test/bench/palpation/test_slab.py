@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tissue_sim.bench.palpation.slab import SLAB, slab_as_built
-from tissue_sim.organ.fineness import mean_edge
+from tissue_sim.organ.tool_resolution import mean_edge
 
 
 @pytest.mark.extended

@@ -8,8 +8,8 @@ from tissue_sim.bench.palpation import slides
 from tissue_sim.bench.palpation.slides import ripple, track_over
 from tissue_sim.contact import finder
 from tissue_sim.contact.local_compliance import OF_OTHERS
-from tissue_sim.organ.fineness import mean_edge
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
+from tissue_sim.organ.tool_resolution import mean_edge
 
 SMALL = 0.8  # edges
 

@@ -13,7 +13,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import Volume, read_image
 from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.imaging.phantom import kidney_distance, make_phantom
-from tissue_sim.organ.making import organ_from_image, organ_from_mask
+from tissue_sim.organ.pipeline import organ_from_image, organ_from_mask
 from tissue_sim.organ.request import Request
 from tissue_sim.organ.surfaces.surface import make_wall, marching_cubes_surface
 

@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from helpers.html_page import Page
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import BuildRecord, Progress
-from tissue_sim.organ.making import organ_from_image
+from tissue_sim.organ.pipeline import organ_from_image
 from tissue_sim.organ.reporting import pictures
 from tissue_sim.organ.reporting.description import describe
 from tissue_sim.organ.reporting.page import report_page, write_report

@@ -6,7 +6,7 @@ import pytest
 from helpers.shapes import ball, solid
 from helpers.solids import assert_near, assert_regular
 from tissue_sim.errors import UserError
-from tissue_sim.organ.making import wall_distance
+from tissue_sim.organ.pipeline import wall_distance
 from tissue_sim.organ.surfaces.balloon import fibonacci_sphere, inflate
 from tissue_sim.organ.surfaces.surface import make_wall, marching_cubes_surface
 

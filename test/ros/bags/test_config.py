@@ -8,7 +8,7 @@ import pytest
 
 from helpers.paths import ROOT
 from tissue_sim.ros.bags.config import check_config, read_config
-from tissue_sim.ros.bags.differing import Described, differences
+from tissue_sim.ros.bags.differences import Described, differences
 from tissue_sim.ros.bags.recording import Recording
 
 NEEDED = ["format", "package_version", "organ", "organ.name", "organ.digest", "parameters", "parameters.rate"]

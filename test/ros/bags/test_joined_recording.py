@@ -8,11 +8,11 @@ import pytest
 from helpers.patience import wait_for
 from helpers.scenes import ball
 from tissue_sim.contact.attachments import Attachment, Breathing
-from tissue_sim.contact.joining import join
-from tissue_sim.contact.pair_finder import PairFinder
+from tissue_sim.contact.coupling_setup import join
+from tissue_sim.contact.organ_contact_finder import PairFinder
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.placing import placed
+from tissue_sim.organ.placement import placed
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
 from tissue_sim.ros.bags.joined_recording import JoinedRecording, _check_fields
 from tissue_sim.ros.shared.loop import Loop

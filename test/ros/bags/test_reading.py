@@ -6,7 +6,7 @@ import pytest
 import tissue_sim
 from helpers.paths import ROOT
 from tissue_sim.errors import UserError
-from tissue_sim.model.settings import Settings
+from tissue_sim.model.data.settings import Settings
 from tissue_sim.ros.bags.reading import Clock, Series, read_bag
 
 BAGS = ROOT / "bags"

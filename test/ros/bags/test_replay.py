@@ -12,9 +12,9 @@ from rosbags.typesys import Stores, get_typestore
 from helpers.paths import ROOT
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
-from tissue_sim.model.records import array_of, copy_of
+from tissue_sim.model.data.records import array_of, copy_of
 from tissue_sim.ros.bags import bag
-from tissue_sim.ros.bags.comparing import compare
+from tissue_sim.ros.bags.comparison import compare
 from tissue_sim.ros.bags.organ_recording import settings_of
 from tissue_sim.ros.bags.player import replay
 from tissue_sim.ros.bags.recording import Recording

@@ -10,8 +10,8 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.ros.bridge.contact_locations import Surface
 from tissue_sim.ros.bridge.motion import FAST, Ball, minimum_jerk
-from tissue_sim.ros.bridge.places import Surface
 from tissue_sim.ros.bridge.trajectory import HOVER, POKE_DEPTH, SQUEEZE, STROKE_DEPTH, plan
 
 RADIUS = 0.005

@@ -15,7 +15,7 @@ import tissue_sim
 from helpers.patience import LIMIT
 from helpers.ros.clients import Client
 from helpers.ros.processes import poke_path, running_node, shipped
-from tissue_sim.organ.fineness import points_for
+from tissue_sim.organ.tool_resolution import points_for
 
 MISSPELT = "organ_fil:=kidney.npz", "lef.radius:=0.004", "entirely_else:=1"
 
@@ -167,7 +167,7 @@ WRONG_WORDS = {
 }
 STARTS = """
 import os, sys
-from tissue_sim.ros.shared.ending import Ending
+from tissue_sim.ros.shared.shutdown_handler import Ending
 from tissue_sim.ros.node.serve import serve
 
 ending = Ending()

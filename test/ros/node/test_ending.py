@@ -13,7 +13,7 @@ from tissue_sim.ros.node import serve
 
 IN_A_CALLBACK = """
 import ctypes, os, signal, time
-from tissue_sim.ros.shared.ending import Ending
+from tissue_sim.ros.shared.shutdown_handler import Ending
 
 ending = Ending()
 
@@ -55,7 +55,7 @@ def test_other_errors_there_are_still_shown():
 
 WHERE_THE_EVENT_IS_LOCKED = """
 import os, signal, sys, time
-from tissue_sim.ros.shared.ending import Ending
+from tissue_sim.ros.shared.shutdown_handler import Ending
 
 ending = Ending()
 ending.closes()

@@ -17,7 +17,7 @@ from visualization_msgs.msg import MarkerArray
 from helpers.paths import CONFIG
 from helpers.ros.clients import LATCHED, Client
 from helpers.ros.processes import poke_path, running_node, shipped, start_publisher
-from tissue_sim.ros.node.markers import OrganMarkers
+from tissue_sim.ros.node.output.markers import OrganMarkers
 from tissue_sim.ros.shared.appearance import MOVING, SHADES, TISSUE
 from tissue_sim.ros.shared.client import cloud_array
 

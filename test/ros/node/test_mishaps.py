@@ -43,10 +43,12 @@ def test_callback_that_fails_is_told_once_and_counted_and_the_node_goes_on(node,
         return int(client.diagnostics.get("callback_failures", 0)) > 10
 
     assert client.spin_until(is_counted), client.diagnostics
-    (line,) = lines(node, "ros/node/tool_input.py")
+    (line,) = lines(node, "ros/node/input/tool_input.py")
     assert re.search(r"callback failed: ZeroDivisionError: sabotaged, in two lines \(tissue_sim/\S+:\d+\)$", line)
     (key,) = (
-        key for key in client.diagnostics if key.startswith("callback_failures.tissue_sim/ros/node/tool_input.py:")
+        key
+        for key in client.diagnostics
+        if key.startswith("callback_failures.tissue_sim/ros/node/input/tool_input.py:")
     )
     assert int(client.diagnostics[key]) > 10
     assert any("callback_failures" in told for told in client.told), "it is a warning"

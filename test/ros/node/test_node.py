@@ -334,7 +334,7 @@ REFUSED_STARTS = {
 # Nodes that never come up, one after the other in a process: to start one for each would take half a minute.
 STARTS = """
 import sys
-from tissue_sim.ros.shared.ending import Ending
+from tissue_sim.ros.shared.shutdown_handler import Ending
 from tissue_sim.ros.node.serve import serve
 
 ending = Ending()

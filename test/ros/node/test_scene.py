@@ -13,7 +13,7 @@ from helpers.ros.clients import Client
 from helpers.ros.processes import UNHURRIED, Process, running_node, start_node
 from helpers.scenes import ball
 from tissue_sim.cli import main
-from tissue_sim.ros.bags.comparing import compare
+from tissue_sim.ros.bags.comparison import compare
 from tissue_sim.ros.bags.player import replay
 from tissue_sim.ros.bags.recording import Recording
 from tissue_sim.ros.shared import client as beside

@@ -8,12 +8,12 @@ from helpers.patience import wait_for
 from helpers.scenes import ball
 from helpers.states import assert_same
 from tissue_sim.contact.attachments import Attachment, Breathing
-from tissue_sim.contact.pair_finder import PairFinder
+from tissue_sim.contact.organ_contact_finder import PairFinder
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.pairs import pair_set
-from tissue_sim.model.records import copy_of
-from tissue_sim.organ.placing import placed
+from tissue_sim.model.data.records import copy_of
+from tissue_sim.model.stepping.organ_contact import pair_set
+from tissue_sim.organ.placement import placed
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 

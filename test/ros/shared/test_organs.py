@@ -5,12 +5,12 @@ import pytest
 
 from helpers.patience import wait_for
 from helpers.scenes import ball
+from tissue_sim.contact.coupling_setup import join
 from tissue_sim.contact.finder import ContactFinder, Sought
-from tissue_sim.contact.joining import join
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.placing import placed
+from tissue_sim.organ.placement import placed
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
 

@@ -8,8 +8,8 @@ from sensor_msgs.msg import JointState
 from helpers.ros.participant import Participant
 from helpers.ros.processes import UNHURRIED, start_node
 from tissue_sim.ros.shared.tool_link import ToolLink
-from tissue_sim.ros.viewer.held_jaws import HeldJaws
-from tissue_sim.ros.viewer.held_tool import LONGEST_STEP, TOP_SPEED
+from tissue_sim.ros.viewer.poked_jaws import HeldJaws
+from tissue_sim.ros.viewer.poked_tool import LONGEST_STEP, TOP_SPEED
 
 pytest.importorskip("viser")
 from helpers.paths import CONFIG

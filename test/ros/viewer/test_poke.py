@@ -14,7 +14,7 @@ from helpers.ros.clients import Client
 from helpers.ros.participant import Participant
 from helpers.ros.processes import UNHURRIED, Process, shipped, start_node
 from tissue_sim.ros.probes.graph import free_port
-from tissue_sim.ros.viewer.held_tool import ACCELERATION, TOP_SPEED, HeldTool, follow
+from tissue_sim.ros.viewer.poked_tool import ACCELERATION, TOP_SPEED, HeldTool, follow
 
 pytest.importorskip("viser")
 from helpers.ros import browser as browsers

@@ -15,7 +15,7 @@ from tissue_sim.ros.shared.frames import Transform
 from tissue_sim.ros.shared.node_parameters import NodeParameters
 from tissue_sim.ros.shared.tool_link import PoseWriter, ToolLink
 from tissue_sim.ros.shared.tool_messages import N_POSE, POSE_TYPES
-from tissue_sim.ros.viewer.held_tool import HeldTool
+from tissue_sim.ros.viewer.poked_tool import HeldTool
 
 pytest.importorskip("viser")
 from helpers.ros.told import values

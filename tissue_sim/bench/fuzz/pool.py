@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tissue_sim.bench.fuzz.cases import KINDS, Case, Outcome
 from tissue_sim.bench.fuzz.trial import Trial, remains_of
-from tissue_sim.child import end_with_parent
+from tissue_sim.parent_exit import end_with_parent
 
 PREPARING = 600.0  # s that a case may take until its input is ready: imports, and kernels the first time
 _LOOK_EVERY = 0.5  # s

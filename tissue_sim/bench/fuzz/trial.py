@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tissue_sim.bench.fuzz.cases import KINDS, Broken, Case, Input, Kind, Outcome, Verdict
-from tissue_sim.bench.fuzz.watching import Watch
+from tissue_sim.bench.fuzz.side_effects import Watch
 from tissue_sim.errors import UserError, shown
 from tissue_sim.memory import limited
-from tissue_sim.unexpected import told
+from tissue_sim.unexpected_errors import told
 
 INPUT, SCRATCH, PRINTED, CRASH, WHAT = "input", "scratch", "printed", "crash", "what"  # in a worker's folder
 OUTSIDE = "outside"  # file there that an input may name, and that must not be opened

@@ -25,7 +25,7 @@ from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.inertia import frequencies_of
 from tissue_sim.errors import UserError
-from tissue_sim.model.assembly import assemble
+from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 

@@ -17,9 +17,9 @@ from tissue_sim.calibration.solid import Solid
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.making import organ_from_mesh
 from tissue_sim.organ.meshes.mesh_input import SurfaceMesh
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.pipeline import organ_from_mesh
 from tissue_sim.organ.request import Request
 from tissue_sim.version import __version__
 

@@ -19,9 +19,9 @@ from tissue_sim.bench.palpation.slab import slab
 from tissue_sim.bench.palpation.slides import SLID_DEPTH, WAY, Slid, slides
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.errors import UserError
-from tissue_sim.organ.fineness import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, mean_edge
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, mean_edge
 
 RADII = 0.5, 0.8, 1.0, 1.5, 2.0, 3.0  # mean edges
 LEAST_RADIUS, MOST_RADIUS, MOST_PLACES = 0.2, 5.0, 100

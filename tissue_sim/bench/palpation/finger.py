@@ -14,7 +14,7 @@ from tissue_sim.bench import rows
 from tissue_sim.bench.palpation.pressing import FRICTION, Press, ball, forces
 from tissue_sim.bench.printing import Bound, aligned, bound_lines
 from tissue_sim.calibration.cases import CLEARANCE, Surface, surface_of
-from tissue_sim.calibration.squeeze import squeezed, touchable
+from tissue_sim.calibration.sphere_compression import squeezed, touchable
 from tissue_sim.contact.scene import Scene
 from tissue_sim.errors import UserError
 from tissue_sim.organ.inclusions import Inclusion, inclusions_of, with_inclusions

@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import surface_of
 from tissue_sim.errors import UserError
-from tissue_sim.organ.fineness import mean_edge
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.tool_resolution import mean_edge
 
 KINDS = {"node": (1.0, 0.0, 0.0), "edge": (0.5, 0.5, 0.0), "triangle": (1 / 3, 1 / 3, 1 / 3)}  # weights of corners
 CLEAR, AROUND = 5.0, 4.0  # edges from the clamp; edges around a place that are to be flat

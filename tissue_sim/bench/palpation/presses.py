@@ -14,9 +14,9 @@ from tissue_sim.bench.palpation.places import Spot, thickness
 from tissue_sim.bench.palpation.pressing import FRICTION, Press, ball, forces
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.squeeze import own_nodes, squeezed
-from tissue_sim.organ.fineness import mean_edge
+from tissue_sim.calibration.sphere_compression import own_nodes, squeezed
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.tool_resolution import mean_edge
 
 DEPTHS = np.array([0.3, 0.5, 0.8, 1.0])  # radii
 THROUGH = 0.35  # of the organ's thickness there, how deep a ball is pressed at most

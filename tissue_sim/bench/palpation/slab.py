@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.organ.organ import Organ
-from tissue_sim.store import user_cache
+from tissue_sim.result_cache import user_cache
 from tissue_sim.version import __version__
 
 SLAB = np.array([0.06, 0.06, 0.025])  # m
@@ -34,8 +34,8 @@ def slab_as_built() -> Organ:
     """Return the slab with the balloon's points and nothing fitted."""
     import trimesh
 
-    from tissue_sim.organ.making import organ_from_mesh
     from tissue_sim.organ.meshes.mesh_input import SurfaceMesh
+    from tissue_sim.organ.pipeline import organ_from_mesh
     from tissue_sim.organ.request import Request
 
     box = trimesh.creation.box(SLAB)

@@ -13,9 +13,9 @@ from tissue_sim.bench.palpation.places import AROUND, Spot
 from tissue_sim.bench.palpation.pressing import ball
 from tissue_sim.calibration.cases import surface_of
 from tissue_sim.contact.scene import Scene
-from tissue_sim.organ.fineness import mean_edge
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
+from tissue_sim.organ.tool_resolution import mean_edge
 
 FRICTIONS = 0.6, 0.0  # of a sliding ball: the node's default, and none
 SLID_DEPTH = 0.5  # radii

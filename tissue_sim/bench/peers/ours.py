@@ -9,7 +9,7 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.peers.engine import TOLERANCE, Answer, Load, timed
 from tissue_sim.bench.timing import Burst, Ticks
-from tissue_sim.model.settings import LocalRegion
+from tissue_sim.model.data.settings import LocalRegion
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 

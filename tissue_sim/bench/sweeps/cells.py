@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from tissue_sim.errors import UserError
-from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS
+from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS
 
 SMALL_ORGAN = "ellipsoid"  # organ for --quick where no organ file is named
 DEFAULT_RATE = 1000.0  # Hz

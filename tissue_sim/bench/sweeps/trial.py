@@ -14,19 +14,19 @@ from scipy.sparse import csc_array
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.sweeps.cells import AXES, DEFAULT_RATE, NEWTONS_A_UNIT, SMALL_ORGAN, Cell
+from tissue_sim.bench.sweeps.inversion_check import Turned, Witness
 from tissue_sim.bench.sweeps.loads import BRIEF, FULL, PROBE, QUICK, load_on
-from tissue_sim.bench.sweeps.witness import Turned, Witness
-from tissue_sim.model.assembly import assemble
-from tissue_sim.model.critical_step import model_step
-from tissue_sim.model.forces import elastic_forces
-from tissue_sim.model.frequency import largest_frequency
-from tissue_sim.model.implicit import bounding_stiffness
-from tissue_sim.model.modes import lowest_modes
-from tissue_sim.model.records import copy_of
-from tissue_sim.model.settings import Settings
+from tissue_sim.model.data.records import copy_of
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.state import Region
+from tissue_sim.model.elasticity.assembly import assemble
+from tissue_sim.model.elasticity.forces import elastic_forces
+from tissue_sim.model.elasticity.frequency import largest_frequency
+from tissue_sim.model.elasticity.modes import lowest_modes
 from tissue_sim.model.simulation import NO_TOOLS, Simulation, sphere_tools
-from tissue_sim.model.state import Region
-from tissue_sim.model.tick import steps_implicitly
+from tissue_sim.model.stepping.critical_step import model_step
+from tissue_sim.model.stepping.implicit import bounding_stiffness
+from tissue_sim.model.stepping.tick import steps_implicitly
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
 

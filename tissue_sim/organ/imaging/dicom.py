@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError, shown
 from tissue_sim.memory import limited
-from tissue_sim.organ.imaging.silence import silenced
+from tissue_sim.organ.imaging.itk_output import silenced
 from tissue_sim.organ.imaging.voxel_files import check_count
 
 _GAP = 0.1  # relative deviation of a slice distance that counts as a gap

@@ -24,10 +24,10 @@ from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
 from tissue_sim.memory import limited
 from tissue_sim.organ.imaging.dicom import Stack, is_dicom, read_frames, read_stack
+from tissue_sim.organ.imaging.itk_output import silenced
 from tissue_sim.organ.imaging.meta_header import read_meta_header
 from tissue_sim.organ.imaging.nifti_header import read_nifti_header
 from tissue_sim.organ.imaging.nrrd_header import read_nrrd_header
-from tissue_sim.organ.imaging.silence import silenced
 from tissue_sim.organ.imaging.voxel_files import Header, check_count, check_room
 
 MM = 1e-3  # metres in a millimetre

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError, shown
-from tissue_sim.organ.lengths import UNITS, metres
+from tissue_sim.organ.length_units import UNITS, metres
 
 MOST_VOXELS = 1 << 29  # of a volume: 512 x 512 x 2048, which take 2 GB as they are worked with
 LONGEST_HEADER = 1 << 20  # bytes of a text header

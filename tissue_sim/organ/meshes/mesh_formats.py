@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import shown
 from tissue_sim.memory import limited
-from tissue_sim.organ.imaging.silence import silenced
+from tissue_sim.organ.imaging.itk_output import silenced
 from tissue_sim.organ.meshes import cell_surface, vtk_xml_input
 
 logging.getLogger("trimesh").addHandler(logging.NullHandler())  # otherwise trimesh prints what it tolerates

@@ -13,7 +13,7 @@ from scipy import ndimage
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
-from tissue_sim.organ.lengths import UNITS, is_organ
+from tissue_sim.organ.length_units import UNITS, is_organ
 from tissue_sim.organ.meshes.mesh_formats import FORMATS, MeshFile, Piece, read_pieces
 from tissue_sim.organ.meshes.mesh_parts import choose, closed_part, split
 from tissue_sim.organ.meshes.mesh_repair import area_of, capped_volume, longest_side

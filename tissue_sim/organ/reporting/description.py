@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.cell_mesh import quality_of
-from tissue_sim.organ.fineness import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN
 from tissue_sim.organ.inclusions import inclusions_of
 from tissue_sim.organ.organ import Organ, SpringKind, signed_volume
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 from tissue_sim.organ.surfaces.surface_quality import measure
+from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN
 
 UNITS = "SI: m, kg, s, N, Pa"
 

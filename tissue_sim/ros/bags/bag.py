@@ -13,7 +13,7 @@ import io
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.model.records import Record
+from tissue_sim.model.data.records import Record
 from tissue_sim.npz import read_npz
 
 # Raised when an older replay could not read a newer bag. Format 1 held settings and state by position; 2 moved tools

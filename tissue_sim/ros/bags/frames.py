@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
-from tissue_sim.model.shapes import CAPSULE, SPHERE
+from tissue_sim.model.contact.shapes import CAPSULE, SPHERE
 from tissue_sim.organ.meshes.mesh_formats import GLTF_TO_LPS
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.bags.comparing import Shown
+from tissue_sim.ros.bags.comparison import Shown
 from tissue_sim.ros.bags.player import replay
 from tissue_sim.ros.bags.reading import Bag
 from tissue_sim.ros.shared.appearance import FULL_DISPLACEMENT, shades, tissue_colour

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from functools import cached_property
 
 from tissue_sim.array_types import Floats
-from tissue_sim.contact.pair_finder import PairFinder
+from tissue_sim.contact.organ_contact_finder import PairFinder
 from tissue_sim.errors import UserError
-from tissue_sim.model.pairs import PairSet
+from tissue_sim.model.stepping.organ_contact import PairSet
 from tissue_sim.ros.bags.joined_recording import JoinedRecording
 from tissue_sim.ros.bags.organ_player import OrganPlayer
 

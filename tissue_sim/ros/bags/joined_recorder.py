@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Longs
-from tissue_sim.model.breathing import Breath
-from tissue_sim.model.mailboxes import JOURNAL_ROWS
-from tissue_sim.model.pairs import PairSet, used_words
+from tissue_sim.model.runtime.mailboxes import JOURNAL_ROWS
+from tissue_sim.model.stepping.breathing import Breath
+from tissue_sim.model.stepping.organ_contact import PairSet, used_words
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bag_messages import BagMessages
 from tissue_sim.ros.shared.loop import Loop

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.model.mailboxes import BodyInputs, JournalRow
-from tissue_sim.model.records import Record
-from tissue_sim.model.state_check import MOST
+from tissue_sim.model.data.records import Record
+from tissue_sim.model.runtime.mailboxes import BodyInputs, JournalRow
+from tissue_sim.model.stepping.state_check import MOST
 from tissue_sim.ros.bags.bag import BodyContactRow, ContactRow, SurfaceRow, WrenchRow
 
 MOST_TICKS = 2**62

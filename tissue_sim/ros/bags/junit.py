@@ -7,7 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from tissue_sim.errors import UserError
-from tissue_sim.ros.bags.comparing import Deviation
+from tissue_sim.ros.bags.comparison import Deviation
 from tissue_sim.ros.bags.outcome import NOTHING, Outcome
 
 

@@ -20,8 +20,8 @@ from shape_msgs.msg import Mesh
 from std_srvs.srv import Trigger
 
 from tissue_sim.errors import UserError
-from tissue_sim.ros.bags.comparing import Shown
-from tissue_sim.ros.bags.differing import Described, differences
+from tissue_sim.ros.bags.comparison import Shown
+from tissue_sim.ros.bags.differences import Described, differences
 from tissue_sim.ros.bags.recording import Recording, tools_of
 from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
 from tissue_sim.ros.shared import client

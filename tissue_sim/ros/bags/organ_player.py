@@ -11,8 +11,8 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.finder import ContactFinder, Sought
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
-from tissue_sim.model.contact_set import ContactSet
-from tissue_sim.model.settings import Settings
+from tissue_sim.model.data.contact_set import ContactSet
+from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.organ_recording import OrganRecording

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.model.contact_set import ContactSet
-from tissue_sim.model.records import array_of
-from tissue_sim.model.settings import Settings
-from tissue_sim.model.state import fields_of, make_state
+from tissue_sim.model.data.contact_set import ContactSet
+from tissue_sim.model.data.records import array_of
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.state import fields_of, make_state
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bag_messages import BagMessages

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from tissue_sim.errors import UserError
-from tissue_sim.model.contact_set import ContactSet
-from tissue_sim.model.settings import Settings
-from tissue_sim.model.state_check import check_settings, contact_set_of
+from tissue_sim.model.data.contact_set import ContactSet
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.stepping.state_check import check_settings, contact_set_of
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.shared.cdr import parse_cloud, parse_octets

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.bags.against import align
-from tissue_sim.ros.bags.comparing import Comparison, compare
-from tissue_sim.ros.bags.differing import Described, differences
+from tissue_sim.ros.bags.bag_alignment import align
+from tissue_sim.ros.bags.comparison import Comparison, compare
+from tissue_sim.ros.bags.differences import Described, differences
 from tissue_sim.ros.bags.player import Replayed, replay
 from tissue_sim.ros.bags.recording import Recording
 

@@ -14,7 +14,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.bags.comparing import Shown
+from tissue_sim.ros.bags.comparison import Shown
 from tissue_sim.ros.bags.joined_player import JoinedPlayer
 from tissue_sim.ros.bags.organ_player import OrganPlayer, ToolInputs
 from tissue_sim.ros.bags.recording import Recording, tools_of

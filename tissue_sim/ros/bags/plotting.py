@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import UserError
-from tissue_sim.ros.bags.comparing import Deviation
+from tissue_sim.ros.bags.comparison import Deviation
 from tissue_sim.ros.bags.outcome import Outcome
 
 RECORDED, REPLAYED = "#777777", "#b2182b"

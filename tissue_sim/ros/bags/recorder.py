@@ -18,7 +18,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bag_messages import BagMessages
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
-from tissue_sim.ros.bags.offered import offered
+from tissue_sim.ros.bags.offered_qos import offered
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.bags.spool import Spool
 from tissue_sim.ros.bags.writer import WHOLE, BagWriter, Split, Topic

@@ -17,7 +17,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError, shown
 from tissue_sim.ros.bags import bag, recovery
-from tissue_sim.ros.bags.comparing import Shown
+from tissue_sim.ros.bags.comparison import Shown
 from tissue_sim.ros.bags.config import check_config, organs_of, read_config
 from tissue_sim.ros.bags.joined_recording import JoinedRecording
 from tissue_sim.ros.bags.journal import check_journal

@@ -9,7 +9,7 @@ from pathlib import Path
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import recovery
-from tissue_sim.ros.bags.comparing import Comparison
+from tissue_sim.ros.bags.comparison import Comparison
 from tissue_sim.ros.bags.junit import write_junit
 from tissue_sim.ros.bags.outcome import NOTHING, Asked, Outcome, replay_bag, replay_live
 from tissue_sim.ros.bags.plotting import picture_path, write_picture

@@ -10,7 +10,7 @@ from tissue_sim import progress
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge.script import ACTIONS, check
 from tissue_sim.ros.shared import client
-from tissue_sim.unexpected import write_error
+from tissue_sim.unexpected_errors import write_error
 
 MATCHING = 3.0  # s, at most, for DDS to bring the tools' topics together
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.gripper import Jaws
 from tissue_sim.errors import UserError
+from tissue_sim.ros.bridge.contact_locations import FRONT, UP, Surface, Touch, looking
 from tissue_sim.ros.bridge.motion import FAST, Path
-from tissue_sim.ros.bridge.places import FRONT, UP, Surface, Touch, looking
 from tissue_sim.ros.bridge.script import SCRIPT, check
 
 # Depths and ways in m, of a tool of a radius in m; thin organs get proportionally smaller values.

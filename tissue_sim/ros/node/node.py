@@ -19,38 +19,38 @@ from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.jit import is_compiled
-from tissue_sim.model.settings import Settings
-from tissue_sim.organ.fineness import mean_edge, too_coarse
+from tissue_sim.model.data.settings import Settings
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.organ.tool_resolution import mean_edge, too_coarse
 from tissue_sim.ros.bags import bag
-from tissue_sim.ros.bags.bound import Bound
+from tissue_sim.ros.bags.folder_bound import Bound
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.writer import Split
-from tissue_sim.ros.node import simulation_services
-from tissue_sim.ros.node.answers import Answers
-from tissue_sim.ros.node.backlog import Backlog, executor_of
-from tissue_sim.ros.node.contact_kernels import compile_beside
-from tissue_sim.ros.node.contact_points import ContactPoints, warm_up
-from tissue_sim.ros.node.contact_search import ContactSearch, PairSearch
-from tissue_sim.ros.node.contact_worker import ContactWorker
-from tissue_sim.ros.node.diagnostics import Diagnostics, LoopReport
-from tissue_sim.ros.node.entities import Entities
-from tissue_sim.ros.node.guarded import GuardedNode
-from tissue_sim.ros.node.live_settings import LiveSettings
-from tissue_sim.ros.node.namesakes import Namesakes
-from tissue_sim.ros.node.outlet import Outlet
-from tissue_sim.ros.node.passivity import DevicePort
-from tissue_sim.ros.node.pausing import NEXT_TICK, Pausing
-from tissue_sim.ros.node.presenter import OrganPresenter, ScenePresenter
-from tissue_sim.ros.node.respiration import RespirationInput
-from tissue_sim.ros.node.served_organ import ServedOrgan, ServedScene, told
-from tissue_sim.ros.node.served_tool import ServedTool
-from tissue_sim.ros.node.sim_clock import SimClock
-from tissue_sim.ros.node.tf_broadcast import TfBroadcast
-from tissue_sim.ros.node.tf_lookup import TfLookup, tf_installed
-from tissue_sim.ros.node.tool_port import ToolPort
-from tissue_sim.ros.node.tool_presenter import ToolPresenter
+from tissue_sim.ros.node.contact.contact_search import ContactSearch, PairSearch
+from tissue_sim.ros.node.contact.contact_worker import ContactWorker
+from tissue_sim.ros.node.input.respiration import RespirationInput
+from tissue_sim.ros.node.input.tf_lookup import TfLookup, tf_installed
+from tissue_sim.ros.node.output.contact_kernels import compile_beside
+from tissue_sim.ros.node.output.contact_points import ContactPoints, warm_up
+from tissue_sim.ros.node.output.diagnostics import Diagnostics, LoopReport
+from tissue_sim.ros.node.output.organ_publisher import OrganPresenter, ScenePresenter
+from tissue_sim.ros.node.output.publishing_thread import Outlet
+from tissue_sim.ros.node.output.tf_broadcast import TfBroadcast
+from tissue_sim.ros.node.output.tool_publisher import ToolPresenter
+from tissue_sim.ros.node.services import simulation_services
+from tissue_sim.ros.node.services.entities import Entities
+from tissue_sim.ros.node.services.pausing import NEXT_TICK, Pausing
+from tissue_sim.ros.node.settings.live_settings import LiveSettings
+from tissue_sim.ros.node.shared.backlog import Backlog, executor_of
+from tissue_sim.ros.node.shared.duplicate_nodes import Namesakes
+from tissue_sim.ros.node.shared.guarded_node import GuardedNode
+from tissue_sim.ros.node.shared.served_organ import ServedOrgan, ServedScene, told
+from tissue_sim.ros.node.shared.served_tool import ServedTool
+from tissue_sim.ros.node.shared.sim_clock import SimClock
+from tissue_sim.ros.node.tools.passivity import DevicePort
+from tissue_sim.ros.node.tools.tool_port import ToolPort
+from tissue_sim.ros.node.tools.wrench_replies import Answers
 from tissue_sim.ros.shared.dds import told_reach
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs

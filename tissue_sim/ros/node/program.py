@@ -7,8 +7,8 @@ import sys
 from contextlib import suppress
 from typing import NoReturn
 
-from tissue_sim.ros.shared.ending import Ending, Interrupted
-from tissue_sim.unexpected import catch_all, tell
+from tissue_sim.ros.shared.shutdown_handler import Ending, Interrupted
+from tissue_sim.unexpected_errors import catch_all, tell
 
 
 def run() -> NoReturn:

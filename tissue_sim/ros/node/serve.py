@@ -16,10 +16,10 @@ from tissue_sim import progress
 from tissue_sim.errors import UserError, give_up_output, shown
 from tissue_sim.ros.node.node import NAME, TissueNode
 from tissue_sim.ros.shared import dds
-from tissue_sim.ros.shared.ending import Ending, Interrupted
 from tissue_sim.ros.shared.executors import OLD_RCLPY, make_executor
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, Spec
-from tissue_sim.unexpected import tell, told, write_error
+from tissue_sim.ros.shared.shutdown_handler import Ending, Interrupted
+from tissue_sim.unexpected_errors import tell, told, write_error
 from tissue_sim.version import __version__
 
 RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError

@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseStamped
 from tissue_sim.ros.shared.client import Stop, client_node, stream_qos
 from tissue_sim.ros.shared.executors import make_executor
 from tissue_sim.ros.shared.priority import prefer
-from tissue_sim.unexpected import catch_all
+from tissue_sim.unexpected_errors import catch_all
 
 IN, OUT = "echo/measured_cp", "echo/servo_cf"
 

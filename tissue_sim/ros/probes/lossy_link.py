@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from tissue_sim.errors import UserError
-from tissue_sim.unexpected import catch_all
+from tissue_sim.unexpected_errors import catch_all
 
 OWN_FRAME = 4  # PACKET_OUTGOING: frames that we sent ourselves
 ALL_PROTOCOLS = 3  # ETH_P_ALL

@@ -16,7 +16,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.probes.echo import IN, OUT
 from tissue_sim.ros.probes.graph import first_within
-from tissue_sim.ros.probes.hand import DEPTH, FAR, SWING, Hand
+from tissue_sim.ros.probes.tool_driver import DEPTH, FAR, SWING, Hand
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.cdr import parse_stamped
 from tissue_sim.ros.shared.executors import make_executor

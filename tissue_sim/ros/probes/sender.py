@@ -15,7 +15,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros.shared.client import Stop, client_node, latched_qos, stream_qos
-from tissue_sim.unexpected import catch_all
+from tissue_sim.unexpected_errors import catch_all
 
 KINDS = {"markers": (MarkerArray, latched_qos), "surface": (PointCloud2, stream_qos)}
 

@@ -21,7 +21,7 @@ from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros.probes.graph import first_within
 from tissue_sim.ros.shared.client import Inbox, client_node, latched_qos, stream_qos
-from tissue_sim.unexpected import catch_all
+from tissue_sim.unexpected_errors import catch_all
 
 TURN = 0.004  # s between two checks
 KINDS = {

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 
-from tissue_sim.child import end_with_parent
+from tissue_sim.parent_exit import end_with_parent
 
 SECONDS_TO_END = 5.0
 SECONDS_TO_TERMINATE = 2.0

@@ -10,8 +10,8 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.handles import handle
-from tissue_sim.model import mailboxes as mb
-from tissue_sim.model.settings import Settings
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.runtime import mailboxes as mb
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 

@@ -19,8 +19,8 @@ from rclpy.parameter import Parameter
 from tissue_sim.contact.quaternions import unit_quaternion
 from tissue_sim.contact.tools import SHAPE_NAMES, Tool
 from tissue_sim.errors import UserError
-from tissue_sim.model.assembly import MODEL_NAMES, RETURN_TARGETS
-from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Settings
+from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS, Settings
+from tissue_sim.model.elasticity.assembly import MODEL_NAMES, RETURN_TARGETS
 from tissue_sim.model.simulation import acceleration_of
 from tissue_sim.ros.shared.appearance import MARKER_COLOURS
 from tissue_sim.ros.shared.frames import IDENTITY, Frames, Placed, Transform

@@ -10,11 +10,11 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.handles import handle
-from tissue_sim.model import mailboxes as mb
-from tissue_sim.model.contact_set import ContactSet
-from tissue_sim.model.records import words_of
-from tissue_sim.model.settings import Settings
-from tissue_sim.model.state import Region, Results, results_in
+from tissue_sim.model.data.contact_set import ContactSet
+from tissue_sim.model.data.records import words_of
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.state import Region, Results, results_in
+from tissue_sim.model.runtime import mailboxes as mb
 from tissue_sim.ros.shared.loop import Loop
 
 LONGEST = 0.1  # s that a wrench may be published again without a new one

@@ -10,7 +10,7 @@ import viser
 from rclpy.node import Node
 
 from tissue_sim.ros.shared.tool_link import ToolLink
-from tissue_sim.ros.viewer.held_jaws import HeldJaws
+from tissue_sim.ros.viewer.poked_jaws import HeldJaws
 from tissue_sim.ros.viewer.tool_view import ToolView
 
 WIDEST = 90.0  # degrees

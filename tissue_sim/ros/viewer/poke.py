@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared.tool_link import ToolLink
-from tissue_sim.ros.viewer.held_tool import HeldTool
 from tissue_sim.ros.viewer.jaws import JawSlider
+from tissue_sim.ros.viewer.poked_tool import HeldTool
 from tissue_sim.ros.viewer.scene import picture_axes
 from tissue_sim.ros.viewer.tool_view import ToolView
 

@@ -25,8 +25,8 @@ from tissue_sim.bench.fuzz.scenes.ticks import (
 from tissue_sim.contact.attachments import Attachment, Breathing
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_file import FORMAT
-from tissue_sim.model.settings import Settings
-from tissue_sim.organ.placing import placed
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.organ.placement import placed
 
 FRICTION = 0.3  # between organs
 WAY = (0.003, 0.0, 0.015)  # m that the first organ moves with the breath

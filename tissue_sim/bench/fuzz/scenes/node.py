@@ -19,7 +19,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
-from tissue_sim.ros.probes.soak_watch import resident
+from tissue_sim.ros.probes.soak_monitor import resident
 
 if TYPE_CHECKING:
     from tissue_sim.ros.probes.hostile import Hostile
@@ -98,7 +98,7 @@ _served: list[Served] = []  # none or one
 
 def prepare(case: Case, folder: Path) -> Input:
     """Draw up to three acts."""
-    from tissue_sim.ros.probes.hostile_acts import ACTS, OF_SCENES, play
+    from tissue_sim.ros.probes.hostile_actions import ACTS, OF_SCENES, play
 
     rng, several = case.rng(), case.kind == SEVERAL
     usual = list(ACTS | OF_SCENES) if several else list(ACTS)

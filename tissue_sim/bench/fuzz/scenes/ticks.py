@@ -17,8 +17,8 @@ from tissue_sim.bench.fuzz.cases import Broken, Case, Input
 from tissue_sim.bench.sweeps.trial import small_organ
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.records import copy_of, words_of
-from tissue_sim.model.settings import Settings
+from tissue_sim.model.data.records import copy_of, words_of
+from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ

@@ -11,8 +11,8 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.bridge.contact_locations import FRONT, Surface, looking
 from tissue_sim.ros.bridge.motion import minimum_jerk
-from tissue_sim.ros.bridge.places import FRONT, Surface, looking
 from tissue_sim.ros.bridge.trajectory import plan
 
 STEP = 0.004  # s of simulated time from one pose to the next

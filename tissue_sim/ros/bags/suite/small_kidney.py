@@ -8,9 +8,9 @@ from pathlib import Path
 import trimesh
 
 from tissue_sim.organ.cell_mesh import with_cells
-from tissue_sim.organ.making import organ_from_mesh
 from tissue_sim.organ.meshes.mesh_input import read_mesh
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.pipeline import organ_from_mesh
 from tissue_sim.organ.request import Request
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 from tissue_sim.organ.shipped_kidney import BACK

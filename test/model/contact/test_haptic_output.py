@@ -1,0 +1,74 @@
+"""Clamp, slew limit and fading of what is felt, against a plain NumPy version."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tissue_sim.model.contact.haptic_output import clamp_share, report_wrenches, slew_share
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.state import BodyStatus, Counts
+
+TICK = 1e-3
+
+
+def settings_of(clamp=10.0, slew=1e3):
+    settings = Settings.new()
+    settings.tick_time, settings.force_clamp, settings.force_slew = TICK, clamp, slew
+    settings.stale_time, settings.ramp_time = 0.05, 0.02
+    return settings
+
+
+def twin(felt, impulse, owners, ages, settings):
+    """What report_wrenches does, tool by tool."""
+    felt, wrench = felt.copy(), np.zeros_like(felt)
+    for tool in np.unique(owners):
+        own = owners == tool
+        wanted = -impulse[own] / TICK
+        size = np.linalg.norm(wanted[:, :3].sum(axis=0))
+        wanted *= min(1.0, settings.force_clamp / size) if size else 1.0
+        step = np.linalg.norm((wanted - felt[own])[:, :3].sum(axis=0))
+        share = min(1.0, settings.force_slew * TICK / step) if step else 1.0
+        felt[own] += share * (wanted - felt[own])
+        size = np.linalg.norm(felt[own][:, :3].sum(axis=0))
+        felt[own] *= min(1.0, settings.force_clamp / size) if size else 1.0
+        late = ages[own] * TICK - settings.stale_time
+        fresh = np.clip(1.0 - late / settings.ramp_time, 0.0, 1.0)[:, None]
+        felt[own] *= fresh > 0.0
+        wrench[own] = fresh * felt[own]
+    return felt, wrench
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_kernel_is_the_twin(seed):
+    random = np.random.default_rng(seed)
+    owners = np.array([0, 0, 1, 2, 2])
+    felt, impulse = random.normal(0.0, 2.0, (5, 6)), random.normal(0.0, 6e-3, (5, 6))
+    ages = np.array([3, 3, 55, 80, 0])
+    settings = settings_of(clamp=5.0, slew=2e3)
+    count, bodies = Counts.new(), BodyStatus.rows(np.zeros(5 * BodyStatus.words(), dtype=np.int64))
+    bodies.age = ages
+    expected = twin(felt, impulse, owners, ages, settings)
+    state = SimpleNamespace(felt=felt, wrench=np.zeros((5, 6)), bodies=bodies, count=count)
+    report_wrenches.py_func(state, SimpleNamespace(tool=owners), settings, SimpleNamespace(impulse=impulse))
+    np.testing.assert_allclose(state.felt, expected[0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(state.wrench, expected[1], rtol=1e-12, atol=1e-12)
+    for tool in range(3):
+        assert np.linalg.norm(state.wrench[owners == tool, :3].sum(axis=0)) <= 5.0 + 1e-12
+
+
+def test_compiled_shares_are_the_plain_ones():
+    random = np.random.default_rng(0)
+    owners = np.array([0, 0, 1])
+    felt, impulse = random.normal(0.0, 2.0, (3, 6)), random.normal(0.0, 6e-3, (3, 6))
+    settings = settings_of(slew=500.0)
+    assert clamp_share(felt, owners, 0, 1.0) == clamp_share.py_func(felt, owners, 0, 1.0) < 1.0
+    found = slew_share(felt, impulse, -1e3, owners, 1, settings)
+    assert found == slew_share.py_func(felt, impulse, -1e3, owners, 1, settings) < 1.0
+
+
+def test_nip_of_two_jaws_is_not_cut_when_their_sum_is_small():
+    owners = np.zeros(2, dtype=np.int64)
+    impulse = np.zeros((2, 6))
+    impulse[:, 0] = 20.0 * TICK, -19.0 * TICK
+    assert clamp_share(impulse, owners, 0, 10.0 * TICK) == 1.0

@@ -1,0 +1,48 @@
+"""How tools move where tissue is held: they stop there, and are resisted until they leave."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from helpers.pressing import depths, lead, line
+from helpers.scenes import RADIUS, ball_of_cells
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.model.contact.tool_motion import MOVES, WALL
+
+FOOT = np.array([0.0, 0.0, -RADIUS])  # of the ball, in the middle of its clamp
+
+
+def tool_of(shape, folder):
+    """A tool, and how far its origin lies from where it touches, m."""
+    if shape == "sphere":
+        return Tool("tool", radius=0.005), 0.005
+    jaw = trimesh.creation.box((0.012, 0.012, 0.004))
+    jaw.apply_translation([0.0, 0.0, -0.002])
+    jaw.export(folder / "jaw.stl")
+    return Tool("tool", shape="mesh", mesh=str(folder / "jaw.stl")), 0.0
+
+
+def held_points(scene):
+    """How deep, m, contact points that are held for the most part lie in a tool."""
+    state, contacts = scene.simulation.state, scene.contacts
+    free = ~np.isin(contacts.node, scene.simulation.organ.fixed)
+    held = (free * contacts.weight).sum(axis=1) < MOVES
+    points = np.einsum("ij,ijk->ik", contacts.weight, state.position[contacts.node])
+    return depths(scene, points)[held]
+
+
+@pytest.mark.parametrize("shape", ["sphere", "jaw"])
+def test_a_tool_at_the_clamp_stops_there_and_is_resisted_until_it_leaves(tmp_path, shape):
+    tool, ahead = tool_of(shape, tmp_path)
+    scene = Scene(ball_of_cells(), [tool], ticks_a_set=4)
+    outside, inside = (FOOT + [0.0, 0.0, deep - ahead] for deep in (-0.003, 0.012))
+    force = lead(scene, 0, line(outside, inside, 150), hold=100)
+    points = held_points(scene)
+    assert len(points) > 5
+    assert points.max() == pytest.approx(WALL * scene.tools.smallest[0], rel=1e-6)
+    assert np.all(force[-100:, 2] < -0.2)
+    assert np.ptp(force[-50:, 2]) < 0.05 * -force[-1, 2], "it doesn't shake"
+    assert scene.simulation.state.count.slips == scene.simulation.state.count.faults == 0
+    assert scene.simulation.state.status.backoff == 1
+    assert not lead(scene, 0, line(inside, outside, 150), hold=50)[-1].any()

@@ -1,0 +1,60 @@
+"""Organ that tools may touch: its simulation, and its contact sets."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.contact.finder import ContactFinder, Sought, reach_margins
+from tissue_sim.contact.tools import ToolSet
+from tissue_sim.model.data.contact_set import ContactSet
+from tissue_sim.model.simulation import Simulation
+
+
+class TouchedOrgan:
+    """Simulation whose contact sets are found every `ticks_a_set` ticks.
+
+    Parameters
+    ----------
+    tools : ToolSet
+        The tools.
+    ticks_a_set : int
+        Ticks per contact set.
+    simulation : Simulation
+        The simulation.
+    """
+
+    def __init__(self, simulation: Simulation, tools: ToolSet, ticks_a_set: int) -> None:
+        organ = simulation.organ
+        self.simulation = simulation
+        self.finder = ContactFinder(organ, tools)
+        self.contacts: ContactSet | None = None
+        self._ticks_a_set = ticks_a_set
+        self._set_goal: Floats | None = None  # the bodies' poses at the last contact set
+
+    def reset(self) -> None:
+        """Return to rest, untouched; the settings stay."""
+        self.simulation.reset()
+        self.contacts = self._set_goal = None
+
+    def find(self, sequence: int) -> None:
+        """Find what the bodies may touch at present, and apply it.
+
+        Parameters
+        ----------
+        sequence : int
+            Number of the contact set.
+        """
+        state = self.simulation.state
+        fresh = ((state.bodies.age >= 0) & (state.bodies.released == 0)).astype(np.int64)
+        pushing = (state.bodies.force_age >= 0).astype(np.int64)
+        goal, places = state.body_goal.copy(), state.body_pose.copy()
+        # A set before every tick holds everything on a tool's path; otherwise also what it may reach until the next
+        # one.
+        share, last = (0.0, goal) if self._ticks_a_set == 1 or self._set_goal is None else (2.0, self._set_goal)
+        margins = reach_margins(places, goal, last, share, self.finder.tools.shapes.extent)
+        self._set_goal = goal
+        releases = state.bodies.releases.copy()
+        found = self.finder.find(self.simulation.positions, Sought(places, margins, fresh, pushing, releases))
+        self.simulation.take_contacts(found, sequence)
+        self.contacts = found

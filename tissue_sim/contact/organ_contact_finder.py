@@ -1,0 +1,150 @@
+"""Search for contact of organs with each other or themselves, now or before the next search: nodes near triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.contact.broad_phase import Near, approach, surface_box, triangles_in_box
+from tissue_sim.contact.self_contact_finder import SelfFinder
+from tissue_sim.contact.triangles import nearest_among
+from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, PairSet, pair_set
+from tissue_sim.organ.organ import Organ
+
+MARGIN = 0.003  # m from a surface within which a node is examined
+DEEPEST = 0.01  # m that a node may lie inside
+STALE = 0.002  # m of approach after which all nodes are examined again
+
+
+@dataclass
+class PairCounters:
+    """Counts of searches, and of what could be left out."""
+
+    searches: int = 0
+    far_skips: int = 0  # pairs of organs whose boxes miss each other
+    apart_skips: int = 0  # and those that have come together by less than they were apart at the last search
+    dropped: int = 0  # pairs of nodes and triangles that there was no room for
+
+
+class _Apart(NamedTuple):
+    """Approach of two surfaces, (n, 3) and (m, 3) m, before a node of the first is near, (n,) m."""
+
+    room: Floats
+    first: Floats
+    second: Floats
+
+
+class PairFinder:
+    """Finder of contacts between k organs, given where they lie at rest."""
+
+    def __init__(self, organs: Sequence[Organ]) -> None:
+        self.counters = PairCounters()
+        self._triangles = [np.ascontiguousarray(organ.surface_triangles, dtype=np.int64) for organ in organs]
+        self._sizes = [organ.n_surface for organ in organs]
+        self._own = [SelfFinder(organ) for organ in organs]
+        self._low, self._high = np.zeros((2, len(organs), 3))
+        self._near = [np.zeros_like(triangles) for triangles in self._triangles]  # room
+        self._numbers = [np.zeros(len(triangles), dtype=np.int64) for triangles in self._triangles]  # room
+        self._apart: dict[tuple[int, int], _Apart] = {}
+        self._found = pair_set()
+
+    def forget(self) -> None:
+        """Note that organs have jumped."""
+        for one in self._own:
+            one.forget()
+
+    def find(self, positions: Sequence[Floats], own: Sequence[bool] = ()) -> PairSet:
+        """Return the pairs of surfaces; they are overwritten by the next call.
+
+        Parameters
+        ----------
+        positions : Sequence[Floats], one array of shape (n, 3) for each, m
+            Surfaces in one frame.
+        own : Sequence[bool], shape (k,), optional
+            Which organs may touch themselves; by default none.
+
+        Returns
+        -------
+        PairSet
+            The pairs.
+        """
+        found = self._found
+        found.found[0] = 0
+        points = [np.ascontiguousarray(p[:size]) for p, size in zip(positions, self._sizes, strict=True)]
+        for organ, surface in enumerate(points):
+            surface_box(surface, len(surface), self._low[organ], self._high[organ])
+        low, high = self._low - MARGIN, self._high + MARGIN
+        meet = np.all((self._low[:, None] <= high) & (self._high[:, None] >= low), axis=2)
+        np.fill_diagonal(meet, False)
+        searches = len(points) * (len(points) - 1)
+        self.counters.searches += searches
+        self.counters.far_skips += searches - int(meet.sum())
+        np.fill_diagonal(meet, list(own) or False)
+        for first, second in np.argwhere(meet).tolist():  # in the order of a set
+            if first == second:
+                self._put(first, first, *self._own[first].find(points[first]))
+            else:
+                self._add(first, second, points)
+        return found
+
+    def _add(self, first: int, second: int, points: Sequence[Floats]) -> None:
+        """Add pairs of a node of one surface and a triangle of the other."""
+        nodes, surface = points[first], points[second]
+        last = self._apart.get((first, second))
+        nearer = np.inf if last is None else approach(nodes, last.first, surface, last.second)
+        if last is not None and nearer <= STALE:
+            near = np.flatnonzero(last.room <= nearer)
+            if len(near) == 0:
+                self.counters.apart_skips += 1
+                return
+        else:
+            low, high = self._low[second] - DEEPEST, self._high[second] + DEEPEST
+            near = np.flatnonzero(np.all((nodes >= low) & (nodes <= high), axis=1))
+        triangles, weights, distance = self._nearest(second, nodes[near], surface)
+        corners = surface[triangles]
+        way = nodes[near] - np.einsum("kc,kcx->kx", weights, corners)
+        outside = np.einsum("kx,kx->k", way, _normals(corners)) >= 0.0
+        room = distance - np.where(outside, MARGIN, DEEPEST)
+        if nearer > STALE:
+            every = np.full(len(nodes), DEEPEST - MARGIN)
+            every[near] = room
+            self._apart[first, second] = _Apart(every, nodes.copy(), surface.copy())
+        kept = np.flatnonzero(room < 0.0)
+        if len(kept) > MOST_PAIRS:  # the nearest ones
+            self.counters.dropped += len(kept) - MOST_PAIRS
+            kept = np.sort(kept[np.argsort(distance[kept], kind="stable")[:MOST_PAIRS]])
+        self._put(first, second, np.column_stack([near[kept], triangles[kept]]), weights[kept])
+
+    def _nearest(self, second: int, nodes: Floats, surface: Floats) -> tuple[Longs, Floats, Floats]:
+        """Return for nodes (k, 3) m the nearest place of a surface (m, 3) m: triangles (k, 3), weights and distances.
+
+        Weights are (k, 3), distances (k,) m. A place farther than DEEPEST may be replaced by another that is, too.
+        """
+        triangles, count = self._near[second], 0
+        if len(nodes):
+            low, high = nodes.min(axis=0) - DEEPEST, nodes.max(axis=0) + DEEPEST
+            room = Near(triangles, self._numbers[second])
+            count, _ = triangles_in_box(surface, surface, self._triangles[second], low, high, room)
+        if count == 0:
+            return np.zeros((len(nodes), 3), dtype=np.int64), np.zeros((len(nodes), 3)), np.full(len(nodes), DEEPEST)
+        chosen, weights, distance = nearest_among(surface[triangles[:count]], nodes)
+        return triangles[chosen], weights, distance
+
+    def _put(self, first: int, second: int, nodes: Longs, weights: Floats) -> None:
+        """Add pairs of two organs, nodes (p, 4), weights (p, 3), as far as there is room."""
+        found = self._found
+        start = int(found.found[0])
+        count = min(len(nodes), MOST_PAIRS - start)
+        self.counters.dropped += len(nodes) - count
+        rows = slice(start, start + count)
+        found.organ[rows], found.node[rows], found.weight[rows] = (first, second), nodes[:count], weights[:count]
+        found.found[0] = rows.stop
+
+
+def _normals(corners: Floats) -> Floats:
+    """Return the outward normals (k, 3) of triangles (k, 3, 3), not of length 1."""
+    return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))

@@ -1,0 +1,98 @@
+"""Contact points that a tick examines: a contact set has many, since it serves several ticks."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.gap import point_in_body
+from tissue_sim.model.contact.shapes import signed_distance
+from tissue_sim.model.contact.tool_motion import FASTEST, set_frame
+from tissue_sim.model.data.state import Region
+
+FAST = 0.5  # m/s, of tissue towards a tool, at most, within a tick
+
+
+@kernel
+def watch_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+    """List the contact points that may touch in the coming tick in scratch.watched; forget the last impulses of others.
+
+    Left out are those that neither the tool's way, which leads from where it is to where it is held, nor tissue that
+    approaches at FAST can bring together. Call it after advance_held; scratch.last_* become the tools' present poses.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+    body, moved, turned, count = -1, 0.0, 0.0, 0
+    most = FASTEST * settings.tick_time if settings.coupling_stiffness == 0.0 else math.inf
+    for entry in range(state.contacts.header.points):
+        if body != state.contacts.body[entry]:
+            body = state.contacts.body[entry]
+            set_frame(state.body_pose[body], scratch.last_origin[body], scratch.last_rotation[body])
+            moved, turned = motion_of(settings, scratch, body)
+        gap = reach = 0.0
+        watched = state.contact_pressed[0, entry] > 0.0
+        if state.bodies[body].engaged:
+            _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.last_origin, scratch.last_rotation)
+            reach = min(most, moved + turned * math.sqrt(lx * lx + ly * ly + lz * lz)) + FAST * settings.tick_time
+            if not watched:
+                gap = signed_distance(shapes, body, lx, ly, lz)[0]
+                watched = gap < reach
+        if watched:
+            scratch.watched[count] = entry
+            scratch.watched_gap[count], scratch.watched_speed[count] = gap, reach / settings.tick_time - FAST
+            count += 1
+        else:
+            state.contact_pressed[0, entry] = 0.0
+            state.contact_held[0, entry] = 0.0
+    scratch.watching[0] = count
+
+
+@kernel
+def tissue_speed(state: Any) -> float:
+    """Return a bound on the speed of tissue towards a tool in a substep; contact may still add as much.
+
+    It is less than FAST only where velocities are all that moves the organ.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+
+    Returns
+    -------
+    float
+        m/s
+    """
+    if state.status.region != Region.WHOLE:
+        return FAST
+    square, velocity = 0.0, state.velocity
+    for node in range(len(velocity)):
+        speed = velocity[node, 0] ** 2 + velocity[node, 1] ** 2 + velocity[node, 2] ** 2
+        square = speed if speed > square else square
+    return min(FAST, 2.0 * math.sqrt(square))
+
+
+@kernel
+def motion_of(settings: Any, scratch: Any, body: int) -> tuple[float, float]:
+    """Return how far a body's origin may go in this tick, m, and a bound on how far it turns, rad.
+
+    A virtual coupling moves it a part of the way.
+    """
+    square = turn = 0.0
+    for axis in range(3):
+        square += (scratch.origin[body, axis] - scratch.last_origin[body, axis]) ** 2
+    for index in range(9):
+        turn += (scratch.rotation[body, index] - scratch.last_rotation[body, index]) ** 2
+    stiff = settings.coupling_stiffness * settings.tick_time
+    led = stiff / settings.coupling_damping if stiff < settings.coupling_damping else 1.0
+    return (led if stiff > 0.0 else 1.0) * math.sqrt(square), math.sqrt(turn)

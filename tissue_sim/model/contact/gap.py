@@ -1,0 +1,135 @@
+"""Places of contact points: in the organ's frame, in their tool's, and their distance from it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.shapes import signed_distance
+
+INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
+
+
+@kernel
+def point_in_body(
+    state: Any, entry: int, origin: Any, rotation: Any
+) -> tuple[float, float, float, float, float, float]:
+    """Return a contact point in the organ's frame and in its tool's frame.
+
+    origin (T, 3), rotation (T, 9) of the tools.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    entry : int
+        Index of the contact point in the contact set.
+    origin : Any, shape (T, 3), m
+        Origins of the tools.
+    rotation : Any, shape (T, 9)
+        Rotations of the tools.
+
+    Returns
+    -------
+    tuple[float, float, float, float, float, float], m
+        Three coordinates in the organ's frame, then three in the tool's.
+    """
+    body = state.contacts.body[entry]
+    x = y = z = 0.0
+    for c in range(3):
+        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
+        x += weight * state.position[node, 0]
+        y += weight * state.position[node, 1]
+        z += weight * state.position[node, 2]
+    r = rotation[body]
+    dx, dy, dz = x - origin[body, 0], y - origin[body, 1], z - origin[body, 2]
+    return (
+        x,
+        y,
+        z,
+        r[0] * dx + r[3] * dy + r[6] * dz,
+        r[1] * dx + r[4] * dy + r[7] * dz,
+        r[2] * dx + r[5] * dy + r[8] * dz,
+    )
+
+
+@kernel
+def gap_from_outside(state: Any, shapes: Any, entry: int, origin: Any, rotation: Any) -> float:
+    """Return the signed distance, m, of a contact point to its tool; infinite where the tool is on its inner side.
+
+    Tissue is pushed from outside only: a tool that came to lie inside leaves without catching it.
+    """
+    body = state.contacts.body[entry]
+    _, _, _, lx, ly, lz = point_in_body(state, entry, origin, rotation)
+    gap, nx, ny, nz = gap_and_normal(shapes, body, rotation[body], lx, ly, lz)
+    normal = state.contacts.normal[entry]
+    facing = normal[0] * nx
+    facing += normal[1] * ny
+    facing += normal[2] * nz
+    return gap if facing < INNER_SIDE else math.inf
+
+
+@kernel
+def is_touched(state: Any, shapes: Any, origin: Any, rotation: Any) -> bool:
+    """Return whether any contact point lies inside its tool.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    origin : Any, shape (T, 3), m
+        Origins of the tools.
+    rotation : Any, shape (T, 9)
+        Rotations of the tools.
+
+    Returns
+    -------
+    bool
+        True where one does.
+    """
+    for entry in range(state.contacts.header.points):
+        body = state.contacts.body[entry]
+        if state.bodies[body].engaged:
+            if gap_from_outside(state, shapes, entry, origin, rotation) < 0.0:
+                return True
+    return False
+
+
+@kernel
+def gap_and_normal(
+    shapes: Any, body: int, r: Any, lx: float, ly: float, lz: float
+) -> tuple[float, float, float, float]:
+    """Return the signed distance of a point from a tool, and the tool's outward normal there.
+
+    r (9,): the tool's rotation.
+
+    Parameters
+    ----------
+    shapes : Any
+        Shapes of the bodies.
+    body : int
+        Index of the body.
+    r : Any, shape (9,)
+        Rotation of the tool.
+    lx : float, m
+        Coordinate of the point in the tool's frame.
+    ly : float, m
+        Coordinate of the point in the tool's frame.
+    lz : float, m
+        Coordinate of the point in the tool's frame.
+
+    Returns
+    -------
+    tuple[float, float, float, float]
+        Distance, m, and normal in the organ's frame.
+    """
+    gap, mx, my, mz = signed_distance(shapes, body, lx, ly, lz)
+    return (
+        gap,
+        r[0] * mx + r[1] * my + r[2] * mz,
+        r[3] * mx + r[4] * my + r[5] * mz,
+        r[6] * mx + r[7] * my + r[8] * mz,
+    )

@@ -1,0 +1,104 @@
+"""Haptic output: minus the force on the tissue, within clamp and slew limit, faded when stale."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.tool_motion import freshness
+
+
+@kernel
+def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+    """Set the wrench of every body; clamp and slew limit hold for the sum over a tool's bodies.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+    cut = held_back = False
+    for tool in range(len(state.wrench)):
+        clamped = clamp_share(scratch.impulse, shapes.tool, tool, settings.force_clamp * settings.tick_time)
+        cut = cut or clamped < 1.0
+        wanted = -clamped / settings.tick_time
+        change = slew_share(state.felt, scratch.impulse, wanted, shapes.tool, tool, settings)
+        held_back = held_back or change < 1.0
+        for body in range(len(state.wrench)):
+            if shapes.tool[body] == tool:
+                felt, impulse = state.felt[body], scratch.impulse[body]
+                for c in range(6):
+                    felt[c] = (
+                        wanted * impulse[c] if change == 1.0 else felt[c] + change * (wanted * impulse[c] - felt[c])
+                    )
+        # The clamp itself may have been lowered meanwhile.
+        clamped = clamp_share(state.felt, shapes.tool, tool, settings.force_clamp)
+        for body in range(len(state.wrench)):
+            if shapes.tool[body] == tool:
+                fresh = freshness(state.bodies[body].age, settings)
+                # A released tool starts from zero when it comes back, whatever the limit on the force's rate.
+                kept = clamped if fresh > 0.0 else 0.0
+                for c in range(6):
+                    state.felt[body, c] *= kept
+                    state.wrench[body, c] = fresh * state.felt[body, c]
+    state.count.clamped_ticks += cut
+    state.count.slewed_ticks += held_back
+
+
+@kernel
+def sum_felt(worlds: Any, wrench: Any) -> None:
+    """Sum the wrenches of every body over all organs; the clamp holds for the sum over a tool's bodies.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    wrench : Any, shape (b, 6), N and N m
+        Receives the sums.
+    """
+    first = worlds[0]
+    for body in range(len(wrench)):
+        for axis in range(6):
+            total = 0.0
+            for organ in range(len(worlds)):
+                total += worlds[organ].state.wrench[body, axis]
+            wrench[body, axis] = total
+    for tool in range(len(wrench)):
+        share = clamp_share(wrench, first.shapes.tool, tool, first.settings.force_clamp)
+        for body in range(len(wrench)):
+            if first.shapes.tool[body] == tool and share < 1.0:
+                for axis in range(6):
+                    wrench[body, axis] *= share
+
+
+@kernel
+def clamp_share(values: Any, tools: Any, tool: int, most: float) -> float:
+    """Return the factor that limits the sum of a tool's forces, the first three of values (T, 6), to `most`."""
+    x = y = z = 0.0
+    for body in range(len(values)):
+        if tools[body] == tool:
+            x += values[body, 0]
+            y += values[body, 1]
+            z += values[body, 2]
+    size = math.sqrt(x * x + y * y + z * z)
+    return most / size if size > most else 1.0
+
+
+@kernel
+def slew_share(felt: Any, impulse: Any, wanted: float, tools: Any, tool: int, settings: Any) -> float:
+    """Return the fraction of the change from felt (T, 6) to wanted * impulse (T, 6) allowed to a tool in a tick."""
+    x = y = z = 0.0
+    for body in range(len(felt)):
+        if tools[body] == tool:
+            x += wanted * impulse[body, 0] - felt[body, 0]
+            y += wanted * impulse[body, 1] - felt[body, 1]
+            z += wanted * impulse[body, 2] - felt[body, 2]
+    size, most = math.sqrt(x * x + y * y + z * z), settings.force_slew * settings.tick_time
+    return most / size if size > most else 1.0

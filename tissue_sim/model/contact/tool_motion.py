@@ -1,0 +1,440 @@
+"""How the bodies of tools move through a tick, and how fresh their poses and forces are."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.gap import INNER_SIDE, gap_and_normal, is_touched, point_in_body
+from tissue_sim.model.contact.shapes import rotation_matrix
+from tissue_sim.model.data.arrays import copy
+
+ROUNDING = 1e-6  # fraction of a tick that counts as zero
+# Where tissue is near, a body moves in a step by at most this fraction of its finest feature: points before it then
+# end in its front half, and are pushed on, not past it.
+STEP = 0.25
+WALL = 0.5  # of a body's finest feature: it enters fixed tissue by at most that, so its middle stays outside
+MOVES = 0.5  # of a contact point's weights: with less on moving nodes it counts as fixed
+WALL_ROUNDS = 4  # rounds in a step that move a tool out of fixed tissue: a corner has three walls
+FASTEST = 1.0  # m/s, of a body that catches up there: well below the speed of sound in tissue
+
+
+@kernel
+def freshness(age: int, settings: Any) -> float:
+    """Return 1 while an input is fresh, falling linearly to 0 after it went stale; 0 when there was none.
+
+    Parameters
+    ----------
+    age : int
+        Ticks since the input; below 0: there was none.
+    settings : Any
+        Settings of the simulation.
+    """
+    if age < 0:
+        return 0.0
+    late = age * settings.tick_time - settings.stale_time
+    if late <= 0.0:
+        return 1.0
+    return max(0.0, 1.0 - late / settings.ramp_time)
+
+
+@kernel
+def advance_held(state: Any, settings: Any, scratch: Any) -> None:
+    """Move the place where each body is held towards its newest pose; release it when poses stop.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+    for body in range(len(state.held_pose)):
+        status = state.bodies[body]
+        copy(state.held_pose[body], scratch.held[body])
+        if status.age >= 0:
+            status.age += 1
+            is_late = status.age * settings.tick_time > settings.stale_time + settings.ramp_time
+            if is_late and not status.released:
+                release_body(status)
+        if status.force_age >= 0:
+            status.force_age += 1
+        if status.remaining > 0.0:
+            arrives = status.remaining < (1.0 + ROUNDING) * settings.tick_time
+            share = 1.0 if arrives else settings.tick_time / status.remaining
+            step_pose(state.held_pose[body], state.body_goal[body], share)
+            status.remaining = 0.0 if arrives else status.remaining - settings.tick_time
+        set_frame(state.held_pose[body], scratch.origin[body], scratch.rotation[body])
+
+
+@kernel
+def release_body(status: Any) -> None:
+    """End the life of a body whose poses stopped: its next pose may be anywhere.
+
+    Parameters
+    ----------
+    status : Any
+        Status of the body; updated.
+    """
+    status.resisted, status.placed = status.engaged or status.resisted, not status.held_off
+    status.engaged = status.held_off = False
+    status.released = True
+    status.releases += 1
+
+
+@kernel
+def follow_untouched(state: Any, shapes: Any, settings: Any, scratch: Any) -> bool:
+    """Move every body on while nothing is felt.
+
+    scratch.origin and scratch.rotation remain those of where the bodies are held.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+
+    Returns
+    -------
+    bool
+        False when a body would touch the tissue; none is moved then.
+    """
+    copy(state.body_pose, scratch.before)
+    copy(state.held_pose, scratch.goal)
+    advance_bodies(state, shapes, scratch, settings.tick_time)
+    for body in range(len(state.body_pose)):
+        set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
+    touched = is_touched(state, shapes, scratch.origin, scratch.rotation)
+    for body in range(len(state.body_pose)):
+        set_frame(state.held_pose[body], scratch.origin[body], scratch.rotation[body])
+    if touched:
+        copy(scratch.before, state.body_pose)
+        return False
+    state.wrench[:] = 0.0
+    state.felt[:] = 0.0
+    return True
+
+
+@kernel
+def advance_bodies(state: Any, shapes: Any, scratch: Any, step: float) -> None:
+    """Move every body towards scratch.goal (T, 7) as far as it may in a step, s; those of one tool together."""
+    for body in range(len(state.body_pose)):
+        fraction = 1.0
+        for other in range(len(state.body_pose)):
+            if shapes.tool[other] == shapes.tool[body]:
+                # Contact takes back what a pressing spring adds to the way: a bound on speed would bound its force.
+                is_pressed = scratch.give[other] > 0.0 and has_contact(state, other)
+                most = math.inf if is_pressed else FASTEST * step
+                fraction = min(fraction, free_way(state, shapes, other, scratch.goal[other], most))
+        scratch.fraction[body] = fraction
+    for body in range(len(state.body_pose)):
+        if scratch.fraction[body] > 0.0:
+            step_pose(state.body_pose[body], scratch.goal[body], scratch.fraction[body])
+    for _ in range(WALL_ROUNDS if scratch.walls[0] > 0 else 0):
+        if not leave_wall(state, shapes, scratch):
+            break
+
+
+@kernel
+def find_walls(model: Any, state: Any, scratch: Any) -> None:
+    """List the contact points on mostly fixed nodes in scratch.wall: they hardly yield to a tool.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
+    count, contacts = 0, state.contacts
+    for entry in range(contacts.header.points):
+        moves = 0.0
+        for c in range(3):
+            if model.inverse_mass[contacts.node[entry, c]] > 0.0:
+                moves += contacts.weight[entry, c]
+        if moves < MOVES and state.bodies[contacts.body[entry]].engaged:
+            scratch.wall[count] = entry
+            count += 1
+    scratch.walls[0] = count
+
+
+@kernel
+def leave_wall(state: Any, shapes: Any, scratch: Any) -> bool:
+    """Move a tool out of the fixed point that lies deepest in it; return False where none lies deeper than WALL.
+
+    Tissue that moves is pushed on by the tool; into fixed tissue it would go on until it has slipped inside.
+    """
+    deepest, chosen = 0.0, -1
+    x = y = z = 0.0
+    for index in range(scratch.walls[0]):
+        entry = scratch.wall[index]
+        body = state.contacts.body[entry]
+        if index == 0 or body != state.contacts.body[scratch.wall[index - 1]]:
+            set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
+        _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
+        gap, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
+        normal, deep = state.contacts.normal[entry], -gap - WALL * shapes.finest[body]
+        if deep > deepest and normal[0] * nx + normal[1] * ny + normal[2] * nz < INNER_SIDE:
+            deepest, chosen, x, y, z = deep, body, nx, ny, nz
+    if chosen < 0:
+        return False
+    for body in range(len(state.body_pose)):
+        if shapes.tool[body] == shapes.tool[chosen]:
+            pose = state.body_pose[body]
+            pose[0], pose[1], pose[2] = pose[0] - deepest * x, pose[1] - deepest * y, pose[2] - deepest * z
+    return True
+
+
+@kernel
+def has_contact(state: Any, body: int) -> bool:
+    """Return whether a body felt tissue in the last tick."""
+    felt = state.felt[body]
+    return felt[0] != 0.0 or felt[1] != 0.0 or felt[2] != 0.0
+
+
+@kernel
+def free_way(state: Any, shapes: Any, body: int, goal: Any, most: float) -> float:
+    """Return the fraction of its way to a goal (7,) that a body may go in a step and meet all tissue on it.
+
+    most: m that it may go where tissue is near, at its speed. It goes no farther than the contact set knows the surface
+    around it, and waits for the next one; where there is tissue, it goes no faster than points before it can be pushed.
+    A body that no set has looked at yet waits; one that nothing resists goes freely.
+    """
+    status, contacts, extent = state.bodies[body], state.contacts, shapes.extent[body]
+    if not status.engaged:
+        return 0.0 if status.placed else 1.0
+    pose, place, fraction = state.body_pose[body], contacts.place[body], 1.0
+    way = way_between(pose, goal, extent)
+    if contacts.n_points[body] > 0 and shapes.finest[body] > 0.0:
+        most = min(STEP * shapes.finest[body], most)
+        if way > most:
+            fraction = most / way
+    # Distances are convex: a fraction of the way adds at most that fraction of what the whole way adds.
+    now, then = way_between(pose, place, extent), way_between(goal, place, extent)
+    if then > contacts.reach[body] and then > now:
+        fraction = min(fraction, max(0.0, contacts.reach[body] - now) / (then - now))
+    return fraction
+
+
+@kernel
+def way_between(pose: Any, other: Any, extent: float) -> float:
+    """Return a bound on how far the points of a body lie apart in two poses.
+
+    Parameters
+    ----------
+    pose : Any, shape (7,)
+        A pose.
+    other : Any, shape (7,)
+        Another pose.
+    extent : float, m
+        Largest distance of its points from its origin.
+
+    Returns
+    -------
+    float
+        m
+    """
+    if extent == 0.0:
+        return distance(pose, other)
+    # A chord between unit quaternions is 2 sin(angle / 4), and a point moves by 2 sin(angle / 2) of its arm.
+    return distance(pose, other) + 2.0 * extent * quaternion_distance(pose, other)
+
+
+@kernel
+def distance(pose: Any, other: Any) -> float:
+    """Return the distance between the origins of two poses.
+
+    Parameters
+    ----------
+    pose : Any, shape (7,)
+        A pose.
+    other : Any, shape (7,)
+        Another pose.
+
+    Returns
+    -------
+    float
+        m
+    """
+    return math.sqrt((pose[0] - other[0]) ** 2 + (pose[1] - other[1]) ** 2 + (pose[2] - other[2]) ** 2)
+
+
+@kernel
+def quaternion_distance(pose: Any, other: Any) -> float:
+    """Return the chord between the quaternions of two poses, of either sign: half the angle where it is small.
+
+    Parameters
+    ----------
+    pose : Any, shape (7,)
+        A pose.
+    other : Any, shape (7,)
+        Another pose.
+    """
+    less = more = 0.0
+    for c in range(3, 7):
+        less += (pose[c] - other[c]) ** 2
+        more += (pose[c] + other[c]) ** 2
+    return math.sqrt(min(less, more))
+
+
+@kernel
+def couple_bodies(state: Any, shapes: Any, settings: Any, scratch: Any, step: float, share: float) -> None:
+    """Move where the bodies are held along their way, and each body after it through the virtual coupling.
+
+    A body has no mass: B p' = K (h - p) + F, of which a step without contact is done here; the displacement per impulse
+    of the contact is scratch.give, m / (N s). The held pose moves evenly through the tick, so that its speed has no
+    jumps. A body is behind where it may not go as far, see `free_way`.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    step : float, s
+        The substep.
+    share : float
+        Fraction of the rest of the tick's way.
+    """
+    stiffness, damping = settings.coupling_stiffness, settings.coupling_damping
+    for body in range(len(state.body_pose)):
+        held, pose = scratch.held[body], state.body_pose[body]
+        set_frame(pose, scratch.last_origin[body], scratch.last_rotation[body])
+        step_pose(held, state.held_pose[body], share)
+        goal = scratch.goal[body]
+        copy(held, goal)
+        scratch.give[body] = 0.0
+        if stiffness > 0.0:
+            scratch.give[body] = 1.0 / (damping + stiffness * step)
+            for c in range(3):
+                goal[c] = pose[c] + scratch.give[body] * stiffness * step * (held[c] - pose[c])
+    advance_bodies(state, shapes, scratch, step)
+    for body in range(len(state.body_pose)):
+        set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
+
+
+@kernel
+def keep_bodies(state: Any, scratch: Any) -> None:
+    """Copy to the poses where contact has pushed the tools.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
+    for body in range(len(state.body_pose)):
+        if scratch.give[body] > 0.0:
+            copy(scratch.origin[body], state.body_pose[body, :3])
+
+
+@kernel
+def restore_bodies(state: Any, farthest: float) -> None:
+    """Return bodies that contact has pushed out of bounds, or to no number, to where their contact points were found.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    farthest : float, m
+        Largest displacement allowed.
+    """
+    for body in range(len(state.body_pose)):
+        back = state.contacts.place[body] if state.bodies[body].engaged else state.held_pose[body]
+        square = 0.0
+        for c in range(3):
+            square += (state.body_pose[body, c] - back[c]) ** 2
+        if not square < farthest * farthest:
+            copy(back, state.body_pose[body])
+
+
+@kernel
+def step_pose(pose: Any, goal: Any, share: float) -> None:
+    """Move a pose (7,) by a fraction of the way to a goal; the quaternion by normalised lerp."""
+    if share >= 1.0:
+        copy(goal, pose)
+        return
+    for c in range(3):
+        pose[c] += share * (goal[c] - pose[c])
+    dot = pose[3] * goal[3] + pose[4] * goal[4] + pose[5] * goal[5] + pose[6] * goal[6]
+    sign = 1.0 if dot >= 0.0 else -1.0
+    norm = 0.0
+    for c in range(3, 7):
+        pose[c] += share * (sign * goal[c] - pose[c])
+        norm += pose[c] * pose[c]
+    norm = 1.0 / math.sqrt(norm)
+    for c in range(3, 7):
+        pose[c] *= norm
+
+
+@kernel
+def set_frame(pose: Any, origin: Any, rotation: Any) -> None:
+    """Write the origin and the rotation matrix of a pose.
+
+    Parameters
+    ----------
+    pose : Any, shape (7,), m and quaternion xyzw
+        The pose.
+    origin : Any, shape (3,), m
+        Its origin; updated.
+    rotation : Any, shape (9,)
+        Its rotation matrix, row by row; updated.
+    """
+    copy(pose[:3], origin)
+    rotation_matrix(pose[3:], rotation)
+
+
+@kernel
+def has_tip_force(state: Any, settings: Any) -> bool:
+    """Return whether an external force acts on the tissue under any tool's tip.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    """
+    for body in range(len(state.body_force)):
+        if state.contacts.tip_node[body, 0] >= 0 and freshness(state.bodies[body].force_age, settings) > 0.0:
+            force = state.body_force[body]
+            if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0:
+                return True
+    return False
+
+
+@kernel
+def add_tip_forces(state: Any, settings: Any, force: Any) -> None:
+    """Add the external forces at the tools' tips.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    force : Any, shape (n, 3), N
+        Forces on the nodes; updated.
+    """
+    for body in range(len(state.body_force)):
+        fresh = freshness(state.bodies[body].force_age, settings)
+        if fresh > 0.0 and state.contacts.tip_node[body, 0] >= 0:
+            for c in range(3):
+                node, weight = state.contacts.tip_node[body, c], fresh * state.contacts.tip_weight[body, c]
+                for axis in range(3):
+                    force[node, axis] += weight * state.body_force[body, axis]

@@ -1,0 +1,139 @@
+"""Contact set: the surface points that tools may touch, in one piece from the finder to the bag."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.jit import kernel
+from tissue_sim.model.data.layout import carve, size_of
+from tissue_sim.model.data.records import Record
+
+MOST_POINTS = 2048
+
+
+class Engaged(IntEnum):
+    """State of a body in a contact set."""
+
+    NO, YES, HELD_OFF, SLIPPED = range(4)  # not searched; it may touch; it appeared inside; it has slipped inside
+
+
+class ContactSetHeader(Record):
+    """Header of a contact set."""
+
+    sequence: int  # its number
+    points: int  # number of points
+    dropped: int  # number of points without room, the farthest ones
+
+
+class ContactSet(NamedTuple):
+    """Points on the surface that bodies may touch, and those under the bodies' tips; B bodies, C points at most.
+
+    All fields are views of `words`, of which the first `used_words` are the set.
+    """
+
+    words: Longs
+    header: ContactSetHeader
+    engaged: Longs  # (B,) Engaged
+    place: Floats  # (B, 7) pose of each body when its points were found; for one that has slipped, its goal
+    reach: Floats  # (B,) m that its points may move from there without touching anything outside the set
+    n_points: Longs  # (B,) number of its points
+    releases: Longs  # (B,) number of its releases by then
+    tip_node: Longs  # (B, 3) nodes of the triangle under the tip, -1 where none is near
+    tip_weight: Floats  # (B, 3) barycentric weights there
+    body: Longs  # (C,)
+    node: Longs  # (C, 3)
+    weight: Floats  # (C, 3) barycentric weights
+    normal: Floats  # (C, 3) outward unit normals of the tissue
+    compliance: Floats  # (C, 2) m/N of the tissue between nodes, along a tool's normal and across it
+    most_give: Floats  # (C,) m by which it yields at most
+
+
+PER_POINT = ("body", "node", "weight", "normal", "compliance", "most_give")
+_POINT = np.dtype(
+    [
+        ("body", "i8"),
+        ("node", "i8", 3),
+        ("weight", "f8", 3),
+        ("normal", "f8", 3),
+        ("compliance", "f8", 2),
+        ("most_give", "f8"),
+    ]
+)
+_POINT_WORDS = _POINT.itemsize // 8
+
+
+def _fields(n_bodies: int) -> dict[str, Any]:
+    return {
+        "header": ContactSetHeader,
+        "engaged": (np.int64, (n_bodies,)),
+        "place": (np.float64, (n_bodies, 7)),
+        "reach": (np.float64, (n_bodies,)),
+        "n_points": (np.int64, (n_bodies,)),
+        "releases": (np.int64, (n_bodies,)),
+        "tip_node": (np.int64, (n_bodies, 3)),
+        "tip_weight": (np.float64, (n_bodies, 3)),
+    }
+
+
+def contact_set_words(n_bodies: int, points: int = MOST_POINTS) -> int:
+    """Return the number of words of a contact set.
+
+    Parameters
+    ----------
+    n_bodies : int
+        Number of bodies.
+    points : int, optional
+        Number of points.
+
+    Returns
+    -------
+    int
+        The number.
+    """
+    return size_of(_fields(n_bodies)) + _POINT_WORDS * points
+
+
+def contact_set(n_bodies: int, points: int = MOST_POINTS, words: Longs | None = None) -> ContactSet:
+    """Return an empty contact set.
+
+    Parameters
+    ----------
+    n_bodies : int
+        Number of bodies.
+    points : int, optional
+        Number of points that it has room for.
+    words : Longs | None, shape (contact_set_words(),), optional
+        Memory; None for memory of its own.
+
+    Returns
+    -------
+    ContactSet
+        The contact set.
+    """
+    if words is None:
+        words = np.zeros(contact_set_words(n_bodies, points), dtype=np.int64)
+    head: dict[str, Any] = carve(words, _fields(n_bodies))
+    rows = words[size_of(_fields(n_bodies)) :].view(_POINT)
+    each: dict[str, Any] = {name: rows[name] for name in PER_POINT}
+    return ContactSet(words=words, **head, **each)
+
+
+@kernel
+def used_words(contacts: Any) -> int:
+    """Return how many words of a contact set are in use.
+
+    Parameters
+    ----------
+    contacts : Any
+        The contact set.
+
+    Returns
+    -------
+    int
+        The number.
+    """
+    return len(contacts.words) - _POINT_WORDS * (len(contacts.body) - contacts.header.points)

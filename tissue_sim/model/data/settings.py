@@ -1,0 +1,50 @@
+"""Parameters of a simulation that may change between two ticks."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from tissue_sim.model.data.records import Record
+
+
+class Integrator(IntEnum):
+    """Time integration of the nodes."""
+
+    SYMPLECTIC, EXPLICIT, IMPLICIT = range(3)
+
+
+class LocalRegion(IntEnum):
+    """Which nodes move under a small load."""
+
+    OFF, FROZEN, MODAL, AUTO = range(4)
+
+
+INTEGRATORS = tuple(one.name.lower() for one in Integrator)
+LOCAL_REGIONS = tuple(one.name.lower() for one in LocalRegion)
+
+
+class Settings(Record):
+    """Fields of `Simulation.settings`."""
+
+    tick_time: float  # s
+    friction: float  # Coulomb coefficient
+    force_clamp: float  # N
+    force_slew: float  # N/s, fastest change of the haptic output
+    stale_time: float  # s
+    ramp_time: float  # s
+    stiffness_scale: float
+    damping_scale: float
+    region_force: float  # N above which the region is skipped
+    region_inertia: float  # factor on mass and damping of a modal region, so that it needs no more substeps
+    runaway_span: float  # m, displacement from which the guard assumes a runaway
+    coupling_stiffness: float  # N/m between a body and where it is held; 0: it is there
+    coupling_damping: float  # N s/m on the tool
+    gravity_x: float  # m/s^2, in the organ's frame
+    gravity_y: float
+    gravity_z: float
+    substeps: int  # in a tick, from the critical step
+    least_substeps: int  # that links require of all organs that they join
+    region_substeps: int  # in a tick of a local region, whose nodes are never stepped implicitly
+    integrator: int  # Integrator
+    local_region: int  # LocalRegion
+    factor_slot: int  # which of the implicit matrix' two factors is in use

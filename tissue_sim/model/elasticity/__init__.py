@@ -1,0 +1,1 @@
+"""Elastic forces of springs and cells, gravity, and how a model is assembled from an organ."""

@@ -1,0 +1,591 @@
+"""Moving nodes: the whole organ, or a local region around a small load, and the change between the two.
+
+The tick, the guard and the mailboxes access local regions only through this module. A model without any (`adjacency` is
+None) is compiled without them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from tissue_sim.handles import has
+from tissue_sim.jit import chosen, kernel, part
+from tissue_sim.model.contact.constraint import add_contact_impulses
+from tissue_sim.model.contact.tool_motion import freshness
+from tissue_sim.model.data.arrays import copy, copy_nodes
+from tissue_sim.model.data.settings import LocalRegion
+from tissue_sim.model.data.state import Region
+from tissue_sim.model.elasticity.gravity import is_heavy
+from tissue_sim.model.regions import local_region, modal_region
+from tissue_sim.model.regions.edge_gradient import edge_gradient
+
+# Fraction of the region force and of the steepest edge: below both, an organ that moved as a whole takes a region
+# again.
+RETURN_SHARE = 0.5
+CALM_TIME = 0.2  # s for which it has to be below
+SLOWEST = 1.01  # of the time in which the far field follows a load: longest tick of a modal region
+# Gradient of the displacement at a region's edge from which on the whole model moves: a modal region is then off by 5 %
+# at most, wherever the load is (`bench region`).
+STEEPEST_EDGE = 0.04
+CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
+
+
+def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator: one kernel for models with a local region, and another for those without."""
+    return chosen(lambda model, *_: kernel if has(model, "adjacency") else without)
+
+
+@kernel
+def _nothing(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Do nothing where the whole organ always moves."""
+
+
+@kernel
+def _choose(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    if takes_whole(model, state, settings):
+        state.status.region = Region.WHOLE
+        return
+    modal_region.forget_region(state)
+    scratch.mode_move[:] = 0.0  # nodes that join the region are at rest
+    state.status.calm = 0
+    state.status.region = Region.FROZEN if settings.local_region == LocalRegion.FROZEN else Region.MODAL
+
+
+@_or(_choose, _nothing)
+def choose_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Choose on waking: a local region if ticks are short enough for it, else the whole model.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+
+
+@kernel
+def takes_whole(model: Any, state: Any, settings: Any) -> bool:
+    """Return whether a local region is impossible: its surroundings are linear about an unloaded, free shape.
+
+    Also where a modal region is wanted, but its surroundings would follow a load within a tick: a jump.
+    """
+    if state.status.prescribed > 0 or is_heavy(model, settings):
+        return True
+    return settings.local_region >= LocalRegion.MODAL and settings.tick_time > SLOWEST * modal_region.LOAD_TIME
+
+
+@kernel
+def _prepare(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    status, count = state.status, state.count
+    if status.region == Region.WHOLE:
+        return
+    modal = status.region == Region.MODAL
+    if scratch.stale[0] == 1:
+        local_region.list_nodes(state, scratch)
+        collect(model, state, scratch)
+        if modal:
+            modal_region.set_propagator(model, settings, scratch)
+            modal_region.project_load(state, scratch)
+            modal_region.set_mode_move(model, state, scratch)
+    fresh = local_region.mark_loaded(state, scratch)
+    if fresh > 0:
+        nodes = status.region_nodes
+        local_region.spread(
+            model, state, scratch, fresh, modal_region.hops_of(model) if modal else local_region.FROZEN_HOPS
+        )
+        if modal:
+            modal_region.place_joined(model, state, settings, scratch, nodes)
+        collect(model, state, scratch)
+    status.active = status.region_nodes
+    if not modal:
+        count.frozen_ticks += 1
+        return
+    if not modal_region.fits(state):
+        leave_region(model, state, settings, scratch)
+        return
+    count.modal_ticks += 1
+    modal_region.advance_modes(model, state, settings, scratch)
+    modal_region.place_boundary(model, state, settings, scratch)
+
+
+@_or(_prepare, _nothing)
+def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Grow the local region to what is loaded before a tick, and move its edge; or switch to the whole model.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+
+
+@kernel
+def _forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> None:
+    local_region.clear_force(state, scratch)
+    local_region.region_forces(model, state, scratch)
+    if state.status.region == Region.MODAL and last:
+        modal_region.measure_drive(model, state, settings, scratch)
+    local_region.region_return_forces(model, state, scratch)
+    local_region.scale_force(state, scratch, settings.stiffness_scale)
+
+
+@kernel
+def _no_forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> None:
+    """Do nothing; never called."""
+
+
+@_or(_forces, _no_forces)
+def region_forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> None:
+    """Compute the elastic forces of the region's springs into scratch.force (n, 3) N.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    last : bool
+        Whether it is the tick's last substep.
+    """
+
+
+@kernel
+def _absorb(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    if state.status.region == Region.MODAL:
+        modal_region.absorb_load(state, settings, scratch, modal_region.load_share(model, settings))
+
+
+@_or(_absorb, _nothing)
+def absorb_load(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Hand the tick's loads to what surrounds the region, after the substeps.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+
+
+@kernel
+def collect(model: Any, state: Any, scratch: Any) -> None:
+    """Make the region's lists from its nodes."""
+    local_region.collect(model, state, scratch)
+    if state.status.region == Region.MODAL:
+        local_region.list_drive(state, scratch)
+        if modal_region.fits(state):
+            modal_region.gather_rows(model, state, scratch)
+    scratch.stale[0] = 0
+
+
+@kernel
+def _change(world: Any) -> None:
+    model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
+    status = state.status
+    if takes_whole(model, state, settings):
+        if status.region != Region.WHOLE:
+            leave_region(model, state, settings, scratch)
+        return
+    if settings.local_region == LocalRegion.MODAL:
+        return
+    load = total_load(state, settings)
+    if status.region != Region.WHOLE:
+        if load > settings.region_force or is_bent(model, state, scratch, 1.0):
+            leave_region(model, state, settings, scratch)
+            status.calm = 0
+        return
+    if settings.local_region == LocalRegion.FROZEN or load > RETURN_SHARE * settings.region_force or load == 0.0:
+        status.calm = 0
+        return
+    status.calm += 1
+    if status.calm * settings.tick_time >= CALM_TIME:
+        status.calm = 0
+        if is_calm(model, state):
+            enter_region(world)
+
+
+@kernel
+def _no_change(world: Any) -> None:
+    """Do nothing: the whole organ always moves."""
+
+
+@chosen(lambda world: _change if has(world, "model", "adjacency") else _no_change)
+def change_region(world: Any) -> None:
+    """Switch to the whole model under a load too large for a region, or that bends the organ; later back.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+
+
+@kernel
+def is_bent(model: Any, state: Any, scratch: Any, share: float) -> bool:
+    """Return whether the gradient at a modal region's edge exceeds a fraction of its limit."""
+    modal = state.status.region == Region.MODAL
+    return modal and edge_gradient(model, state, scratch) > share * STEEPEST_EDGE
+
+
+@kernel
+def is_calm(model: Any, state: Any) -> bool:
+    """Return whether no node moves faster than a new region could follow."""
+    for index in range(len(model.moving)):
+        velocity = state.velocity[model.moving[index]]
+        if velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2 > CALM_SPEED**2:
+            return False
+    return True
+
+
+@kernel
+def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Move the whole model from here on, from where the region and the rest of the organ are.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+    if state.status.region == Region.MODAL:
+        show_region(model, state, settings, scratch)
+    state.status.region = Region.WHOLE
+
+
+@kernel
+def _show(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    modal_region.place_outside(model, state, settings, scratch)
+
+
+@_or(_show, _nothing)
+def show_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Put the nodes outside a modal region where they belong; this is done on request only.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+
+
+@kernel
+def is_shown(state: Any) -> bool:
+    """Return whether all positions are up to date; else show_region updates them.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+
+    Returns
+    -------
+    bool
+        True where they are.
+    """
+    return state.status.region != Region.MODAL or state.status.asleep
+
+
+@kernel
+def drop_region(state: Any) -> None:
+    """Move the whole model from here on, from where its nodes are.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    """
+    state.status.region = Region.WHOLE
+    modal_region.forget_region(state)
+
+
+@kernel
+def inertia_of(state: Any, settings: Any) -> float:
+    """Return the factor of mass and damping of the moving nodes.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+
+    Returns
+    -------
+    float
+        The factor.
+    """
+    return settings.region_inertia if state.status.region == Region.MODAL else 1.0
+
+
+@kernel
+def damping_of(state: Any, settings: Any) -> float:
+    """Return the factor of the damping; a modal region has at least the organ's own.
+
+    Its surroundings follow the load slightly late, which excites undamped motion.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+
+    Returns
+    -------
+    float
+        The factor.
+    """
+    scale = settings.damping_scale
+    return max(scale, 1.0) if state.status.region == Region.MODAL else scale
+
+
+@part
+def integrated_nodes(model: Any, state: Any, scratch: Any) -> Any:
+    """Return the nodes that a tick integrates.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+
+    Returns
+    -------
+    Any, shape (k,)
+        Nodes.
+    """
+    return model.moving if state.status.region == Region.WHOLE else scratch.moved_node[: scratch.moved[0]]
+
+
+@part
+def watched_nodes(model: Any, state: Any, scratch: Any) -> Any:
+    """Return the nodes that a tick moves or places.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+
+    Returns
+    -------
+    Any, shape (k,)
+        Nodes.
+    """
+    if state.status.region == Region.WHOLE:
+        return model.moving
+    if state.status.region == Region.MODAL:
+        return local_region.driving(state, scratch)
+    return scratch.region_node[: state.status.region_nodes]
+
+
+@kernel
+def _are_moved(model: Any, state: Any, scratch: Any, a: int, b: int, c: int, d: int) -> bool:
+    mark, stamp = scratch.node_mark, scratch.stamp[0]
+    listed = mark[a] == stamp and mark[b] == stamp and mark[c] == stamp and mark[d] == stamp
+    return listed or state.status.region != Region.MODAL
+
+
+@kernel
+def _always(model: Any, state: Any, scratch: Any, a: int, b: int, c: int, d: int) -> bool:
+    return True
+
+
+@_or(_are_moved, _always)
+def are_placed(model: Any, state: Any, scratch: Any, a: int, b: int, c: int, d: int) -> Any:
+    """Return whether positions of four nodes are those of this tick; outside a modal region they may be old.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    a : int
+        Node.
+    b : int
+        Node.
+    c : int
+        Node.
+    d : int
+        Node.
+
+    Returns
+    -------
+    Any
+        True where they are.
+    """
+
+
+@kernel
+def modes_are_finite(state: Any) -> bool:
+    """Return whether all modes of a modal region are finite.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+
+    Returns
+    -------
+    bool
+        True where they are.
+    """
+    finite = True
+    for k in range(len(state.mode_position)):
+        finite = finite and abs(state.mode_position[k]) < math.inf and abs(state.mode_velocity[k]) < math.inf
+    return finite
+
+
+@kernel
+def _swing(model: Any, state: Any) -> tuple[float, float]:
+    """Return the largest speed, m/s, and displacement, m, that the modes may have anywhere."""
+    speed = away = 0.0
+    if state.status.region == Region.MODAL:
+        for k in range(len(model.reduction.peak)):
+            away += abs(state.mode_position[k]) * model.reduction.peak[k]
+            speed += abs(state.mode_velocity[k]) * model.reduction.peak[k]
+    return speed, away
+
+
+@kernel
+def largest_motion(model: Any, state: Any, scratch: Any) -> tuple[float, float]:
+    """Return the largest components of velocity and of displacement from rest of the nodes.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+
+    Returns
+    -------
+    tuple[float, float]
+        Velocity, m/s, and displacement, m.
+    """
+    speed_x = speed_y = speed_z = away_x = away_y = away_z = 0.0
+    position, velocity, rest = state.position, state.velocity, model.rest
+    nodes = scratch.region_node[: state.status.region_nodes] if state.status.region == Region.MODAL else model.moving
+    for index in range(len(nodes)):
+        node = nodes[index]
+        speed_x = max(speed_x, abs(velocity[node, 0]))
+        speed_y = max(speed_y, abs(velocity[node, 1]))
+        speed_z = max(speed_z, abs(velocity[node, 2]))
+        away_x = max(away_x, abs(position[node, 0] - rest[node, 0]))
+        away_y = max(away_y, abs(position[node, 1] - rest[node, 1]))
+        away_z = max(away_z, abs(position[node, 2] - rest[node, 2]))
+    swing_speed, swing = _swing(model, state)
+    return max(speed_x, speed_y, speed_z, swing_speed), max(away_x, away_y, away_z, swing)
+
+
+@kernel
+def restore_shape(model: Any, state: Any, scratch: Any) -> None:
+    """Return to the last good shape, without speed; outside a modal region it is the one last computed.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
+    if state.status.region == Region.MODAL:
+        copy_nodes(state.good_position, state.position, watched_nodes(model, state, scratch))
+        copy(state.position, state.good_position)
+        drop_region(state)
+    else:
+        copy(state.good_position, state.position)
+    state.velocity[:] = 0.0
+
+
+@part
+def enter_region(world: Any) -> None:
+    """Move a modal region around the load from here on, and the rest of the organ from where it is."""
+    model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
+    modal_region.forget_region(state)
+    state.status.region = Region.MODAL
+    fresh = local_region.mark_loaded(state, scratch)
+    local_region.spread(model, state, scratch, fresh, modal_region.hops_of(model))
+    collect(model, state, scratch)
+    if not modal_region.fits(state):
+        state.status.region = Region.WHOLE
+        return
+    add_contact_impulses(state, world.shapes, scratch, state.status.substeps, state.contact_impulse)
+    local_region.clear_force(state, scratch)
+    local_region.region_forces(model, state, scratch)
+    modal_region.measure_drive(model, state, settings, scratch)
+    modal_region.absorb_load(state, settings, scratch, 1.0)
+    modal_region.keep_offset(model, state, settings, scratch)
+    modal_region.move_edge(model, state, settings, scratch)
+    if is_bent(model, state, scratch, RETURN_SHARE):
+        drop_region(state)
+
+
+@kernel
+def total_load(state: Any, settings: Any) -> float:
+    """Return the sum of the magnitudes of contact, nodal and external tool forces, N."""
+    load = 0.0
+    for index in range(state.status.loaded):
+        force = state.nodal_force[state.loaded_node[index]]
+        load += math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+    for body in range(len(state.wrench)):
+        load += math.sqrt(state.wrench[body, 0] ** 2 + state.wrench[body, 1] ** 2 + state.wrench[body, 2] ** 2)
+        if state.contacts.tip_node[body, 0] >= 0:
+            force = state.body_force[body]
+            fresh = freshness(state.bodies[body].force_age, settings)
+            load += fresh * math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+    return load

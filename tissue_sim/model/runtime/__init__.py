@@ -1,0 +1,1 @@
+"""The fixed-rate loop, and the mailboxes between it and Python."""

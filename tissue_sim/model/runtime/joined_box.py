@@ -1,0 +1,158 @@
+"""What goes in and out of all organs, beside the mailboxes of each: where they touch, what tools feel."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.haptic_output import sum_felt
+from tissue_sim.model.data.records import Record
+from tissue_sim.model.runtime.mailboxes import JOURNAL_ROWS, Mailbox, fence, mailbox, put, take
+from tissue_sim.model.stepping.breathing import Breath
+from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, PairSet, pair_set, take_pairs
+
+
+class JoinedRow(Record):
+    """Sequence numbers of inputs to several organs that a tick applied."""
+
+    tick: int
+    pairs: int
+    respiration: int
+
+
+class Kept(NamedTuple):
+    """State of what joins organs after a tick, as far as it changes."""
+
+    breath: Longs  # the words of a Breath
+    pairs: PairSet
+    pressed: Floats  # (p,) N, as in pairs.Pairs
+    held: Floats  # (p, 3) N
+
+
+class JoinedBox(NamedTuple):
+    """Mailboxes of all organs. T rigid bodies."""
+
+    pairs: Mailbox  # PairSet.words
+    respiration: Mailbox  # (1,) a share of the breath's way
+    felt: Mailbox  # felt_words
+    row: JoinedRow  # as the last tick took it up
+    journal_written: Longs  # (1,)
+    journal: Any  # (JOURNAL_ROWS,) of JoinedRow
+    kept: Kept  # when asked
+    # The loop's own.
+    taken: PairSet
+    taken_share: Floats  # (1,)
+    felt_words: Longs  # (1 + 6 T,) the tick, and the wrench
+    wrench: Floats  # (T, 6) N, N m, which views them
+
+
+def make_joined_box(n_bodies: int) -> JoinedBox:
+    """Return empty mailboxes of joined organs.
+
+    Parameters
+    ----------
+    n_bodies : int
+        Number of bodies.
+
+    Returns
+    -------
+    JoinedBox
+        The mailboxes.
+    """
+    taken, words = pair_set(), np.zeros(1 + 6 * n_bodies, dtype=np.int64)
+    return JoinedBox(
+        pairs=mailbox(len(taken.words)),
+        respiration=mailbox(1),
+        felt=mailbox(len(words)),
+        row=JoinedRow.new(),
+        journal_written=np.zeros(1, dtype=np.int64),
+        journal=JoinedRow.rows(np.zeros(JOURNAL_ROWS * JoinedRow.words(), dtype=np.int64)),
+        kept=Kept(
+            np.zeros(Breath.words(), dtype=np.int64), pair_set(), np.zeros(MOST_PAIRS), np.zeros((MOST_PAIRS, 3))
+        ),
+        taken=taken,
+        taken_share=np.zeros(1),
+        felt_words=words,
+        wrench=words[1:].view(np.float64).reshape(n_bodies, 6),
+    )
+
+
+@kernel
+def take_joined(joined: Any, box: Any, tick: int) -> None:
+    """Apply new pairs and the breath's external input, and note the tick that did.
+
+    Parameters
+    ----------
+    joined : Any
+        What joins the organs; updated.
+    box : Any
+        Mailboxes of the joined organs; updated.
+    tick : int
+        Number of the tick.
+    """
+    row, changed = box.row, False
+    sequence = take(box.respiration, 0, row.respiration, box.taken_share.view(np.int64))
+    if sequence != row.respiration:
+        row.respiration, changed = sequence, True
+        joined.carried.breath.told = box.taken_share[0]
+    sequence = take(box.pairs, 0, row.pairs, box.taken.words)
+    if sequence != row.pairs:
+        row.pairs, changed = sequence, True
+        take_pairs(joined.pairs, box.taken)
+    if changed:
+        note_joined(box, tick)
+
+
+@kernel
+def note_joined(box: Any, tick: int) -> None:
+    """Note what was applied by this tick."""
+    box.row.tick = tick
+    box.journal[box.journal_written[0] % JOURNAL_ROWS] = box.row
+    fence()
+    box.journal_written[0] += 1
+    fence()
+
+
+@kernel
+def post_felt(worlds: Any, joined: Any, box: Any) -> None:
+    """Hand out what tools feel of all organs; of one that nothing joins as it is, which is clamped already."""
+    box.felt_words[0] = worlds[0].state.status.tick
+    if joined is None:
+        for body in range(len(box.wrench)):
+            for axis in range(6):
+                box.wrench[body, axis] = worlds[0].state.wrench[body, axis]
+    else:
+        sum_felt(worlds, box.wrench)
+    put(box.felt, 0, box.felt_words)
+
+
+@kernel
+def keep_joined(joined: Any, box: Any, tick: int) -> None:
+    """Copy what joins organs; the journal shows what it has applied.
+
+    Parameters
+    ----------
+    joined : Any
+        What joins the organs; updated.
+    box : Any
+        Mailboxes of the joined organs; updated.
+    tick : int
+        Number of the tick.
+    """
+    note_joined(box, tick)
+    pairs, kept, words = joined.pairs, box.kept, joined.carried.breath_words
+    for index in range(len(words)):
+        kept.breath[index] = words[index]
+    kept.pairs.found[0] = pairs.found[0]
+    for pair in range(pairs.found[0]):
+        kept.pressed[pair] = pairs.pressed[pair]
+        for end in range(2):
+            kept.pairs.organ[pair, end] = pairs.organ[pair, end]
+        for corner in range(4):
+            kept.pairs.node[pair, corner] = pairs.node[pair, corner]
+        for axis in range(3):
+            kept.pairs.weight[pair, axis] = pairs.weight[pair, axis]
+            kept.held[pair, axis] = pairs.held[pair, axis]

@@ -1,0 +1,250 @@
+"""Fixed-rate loop: one compiled function that never takes the GIL.
+
+Ticks are due by the monotonic clock, or by times that are posted (ROS's /clock). By the monotonic clock a pose or force
+brings the next tick forward, by a period at most: no tick begins before the one before it was due, so that their number
+stays that of the clock. While organs sleep and no tool is near, the loop naps over several ticks and does them
+afterwards; a bell (a semaphore) wakes it for a pose or force.
+
+Inputs and outputs are in mailboxes (tissue_sim.model.runtime.mailboxes).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.tool_motion import freshness
+from tissue_sim.model.runtime.joined_box import keep_joined, post_felt, take_joined
+from tissue_sim.model.runtime.mailboxes import fence, keep_states, note_tick, post_results, take_inputs
+from tissue_sim.model.stepping.breathing import note_gravity
+from tissue_sim.model.stepping.coupled_step import let_go, tick_together
+
+CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
+# ns; further behind than this, ticks are dropped instead of run in a burst. Posted times come in larger steps.
+LATEST_CATCH_UP, LATEST_CATCH_UP_POSTED = 50_000_000, 1_000_000_000
+NAP = 4_000_000  # ns that an idle loop sleeps at most, so that simulated time is never 5 ms behind
+LOOK_UP = 50_000_000  # ns after which a loop that waits for a posted time checks whether it has to end
+STANDS_AFTER = 500_000_000  # ns of wall time after which a clock that doesn't advance counts as stopped
+
+_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
+_clock_nanosleep = types.ExternalFunction(
+    "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)
+)
+_sem_post = types.ExternalFunction("sem_post", types.int32(types.intp))
+_sem_clockwait = types.ExternalFunction("sem_clockwait", types.int32(types.intp, types.int32, types.intp))
+
+
+@kernel
+def now(timespec: Any) -> int:
+    """Return the monotonic time.
+
+    Parameters
+    ----------
+    timespec : Any, shape (2,)
+        Buffer.
+
+    Returns
+    -------
+    int, ns
+        The time.
+    """
+    _clock_gettime(CLOCK_MONOTONIC, timespec.ctypes.data)
+    return timespec[0] * 1_000_000_000 + timespec[1]
+
+
+@kernel
+def set_time(time: int, timespec: Any) -> None:
+    """Write an absolute time, ns, as the system's calls take it."""
+    timespec[0], timespec[1] = time // 1_000_000_000, time % 1_000_000_000
+
+
+@kernel
+def sleep_until(deadline: int, timespec: Any) -> None:
+    """Sleep to an absolute monotonic time; a signal doesn't end it early.
+
+    Parameters
+    ----------
+    deadline : int, ns
+        The time.
+    timespec : Any, shape (2,)
+        Buffer.
+    """
+    set_time(deadline, timespec)
+    while _clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, timespec.ctypes.data, 0) == 4:
+        pass
+
+
+@kernel
+def sleep_until_bell(deadline: int, loop: Any) -> None:
+    """Sleep until the bell is rung, or to an absolute monotonic time, ns."""
+    set_time(deadline, loop.wake)
+    _sem_clockwait(loop.bell.ctypes.data, CLOCK_MONOTONIC, loop.wake.ctypes.data)
+
+
+@kernel
+def wait_until(deadline: int, loop: Any) -> int:
+    """Sleep until a tick is due by a posted time, ns; return the time that was posted.
+
+    It may not have reached the deadline yet: then it is earlier, and the caller asks again.
+    """
+    control, pace = loop.control, loop.pace
+    if control.posted_time < deadline:
+        sleep_until_bell(now(loop.now) + LOOK_UP, loop)
+    fence()
+    time = control.posted_time
+    if time != pace.seen:
+        pace.behind = max(0, pace.seen - deadline)
+        pace.seen, pace.seen_at = time, now(loop.now)
+    elif time < deadline and now(loop.now) - pace.seen_at > STANDS_AFTER:
+        control.standing = True
+    return time
+
+
+@kernel
+def wait_for_tick(due: int, period: int, answered: int, loop: Any) -> int:
+    """Sleep until a tick is due by the monotonic clock, a period after `due`, ns, or is requested.
+
+    answered: control.asked when the last tick began. The time is returned, which is `due` or later.
+    """
+    control, time = loop.control, now(loop.now)
+    while time < due + period:
+        control.waiting = True
+        fence()  # from here on a post rings the bell
+        is_asked = control.asked != answered
+        if is_asked and time >= due:
+            break
+        sleep_until_bell(due if is_asked else due + period, loop)
+        time = now(loop.now)
+    control.waiting = False
+    return time
+
+
+@kernel
+def is_idle(world: Any, box: Any, resets: int) -> bool:
+    """Return whether an organ sleeps, no pose or force is fresh, and none has come."""
+    state, settings = world.state, world.settings
+    idle = state.status.asleep and resets == box.row.resets
+    for body in range(len(state.bodies)):
+        status, taken = state.bodies[body], box.inputs[body]
+        idle = idle and freshness(status.age, settings) == 0.0 and freshness(status.force_age, settings) == 0.0
+        idle = idle and box.pose.sequence[body] == taken.pose and box.force.sequence[body] == taken.force
+    return idle
+
+
+@kernel
+def all_idle(worlds: Any, boxes: Any, control: Any) -> bool:
+    """Return whether all organs are idle."""
+    resets, idle = control.resets, True
+    for organ in range(len(worlds)):
+        idle = idle and is_idle(worlds[organ], boxes[organ], resets)
+    return idle
+
+
+@kernel
+def nap(deadline: int, worlds: Any, boxes: Any, loop: Any) -> int:
+    """Sleep to an absolute monotonic time, ns, unless something is due sooner; return until when."""
+    control = loop.control
+    control.napping = True
+    fence()  # from here on a post rings the bell
+    if all_idle(worlds, boxes, control):
+        sleep_until_bell(deadline, loop)
+    control.napping = False
+    return min(now(loop.now), deadline)
+
+
+@kernel
+def take_all(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box: Any) -> None:
+    """Take up what came in: a reset lets go of all that joins organs, gravity is what it is without the breath."""
+    if joined is None:
+        take_inputs(worlds[0], boxes[0], resets)
+        return
+    was_reset = resets != boxes[0].row.resets
+    for organ in range(len(worlds)):
+        row, before = boxes[organ].row, boxes[organ].row.settings
+        take_inputs(worlds[organ], boxes[organ], resets)
+        if row.settings != before:
+            note_gravity(worlds[organ].settings, joined.carried, organ)
+    if was_reset:
+        let_go(worlds, joined)
+    take_joined(joined, joined_box, worlds[0].state.status.tick + 1)
+
+
+@kernel
+def post_all(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
+    """Post the results of every organ, and the haptic output of all."""
+    for organ in range(len(worlds)):
+        post_results(worlds[organ], boxes[organ])
+    post_felt(worlds, joined, joined_box)
+
+
+@kernel
+def keep_all(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
+    """Copy the whole states, and what joins them."""
+    keep_states(worlds, boxes)
+    if joined is not None:
+        keep_joined(joined, joined_box, worlds[0].state.status.tick)
+
+
+@kernel
+def run_loop(worlds: Any, boxes: Any, loop: Any, joined: Any, joined_box: Any) -> None:
+    """Tick a row of worlds, each with its mailboxes, every settings.tick_time s of the first one until control.stop.
+
+    joined: what joins them, see `together.Together`; None, and compiled without any of it, for an organ alone.
+    """
+    settings, control, pace = worlds[0].settings, loop.control, loop.pace
+    for organ in range(len(boxes)):
+        boxes[organ].demand.moved = True  # the rest shape
+    post_all(worlds, boxes, joined, joined_box)
+    control.looked_up = now(loop.now)
+    control.started = True
+    due = 0  # when the last tick was due by the clock that ticks follow; 0 before its first time
+    answered = 0  # control.asked when the last tick began
+    posted = not control.sim_time
+    while not control.stop:
+        control.looked_up = now(loop.now)
+        asked = control.snapshot_asked
+        if asked != control.snapshot_done:
+            keep_all(worlds, boxes, joined, joined_box)
+            fence()
+            control.snapshot_done = asked
+        if posted != control.sim_time:
+            posted = control.sim_time
+            due = 0 if posted else now(loop.now)
+            control.standing = posted  # until its first tick
+        period = int(settings.tick_time * 1e9 + 0.5)
+        if not posted and 2 * period <= NAP and all_idle(worlds, boxes, control):
+            rested = nap(due + NAP // period * period, worlds, boxes, loop)
+            while due + 2 * period <= rested:
+                due += period
+                begin = now(loop.now)
+                tick_together(worlds, joined)
+                note_tick(loop, due, period, 0, now(loop.now) - begin)
+        if posted:
+            start = wait_until(due + period, loop)
+            if due == 0 or start < due:  # the first time that was posted, or it jumped back
+                due = start
+            if start < due + period:
+                continue
+        else:
+            start = wait_for_tick(due, period, answered, loop)
+        due += period
+        late = max(0, start - due)
+        begin = start
+        if late > (LATEST_CATCH_UP_POSTED if posted else LATEST_CATCH_UP):
+            control.dropped += late // period
+            due = start
+        if posted:  # a posted time makes many ticks due at once; late is what was left of the one before
+            begin, late, pace.behind = now(loop.now), pace.behind, 0
+        if late > period:
+            control.overruns += 1
+        before, answered = answered, control.asked
+        fence()  # inputs posted before the request are applied
+        take_all(worlds, boxes, control.resets, joined, joined_box)
+        tick_together(worlds, joined)
+        post_all(worlds, boxes, joined, joined_box)
+        if answered != before:
+            _sem_post(loop.answered.ctypes.data)
+        control.standing = False
+        note_tick(loop, due, period, late, now(loop.now) - begin)

@@ -1,0 +1,419 @@
+"""Mailboxes between the compiled loop and Python, in shared arrays.
+
+A mailbox has a sequence number and a few slots: the writer fills slot `(sequence + 1) % slots` and then raises the
+number; the reader copies slot `sequence % slots` and accepts it if the writer can't have reached it again meanwhile. No
+side waits for the other. Messages are words, whose meaning is up to writer and reader.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.jit import kernel
+from tissue_sim.model.data.contact_set import ContactSet, contact_set
+from tissue_sim.model.data.records import Record
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.state import State
+from tissue_sim.model.regions.active_region import is_shown, show_region
+from tissue_sim.model.stepping.inputs import reset_state, take_contacts, take_force, take_pose
+
+SLOTS = 4
+JOURNAL_ROWS = 8192
+TIMING_ROWS = 8192
+POSE_WORDS = 8
+CARRIED_ON = 5e-5  # m that the breath moves a sleeping organ before its shape is posted again
+
+
+class Mailbox(NamedTuple):
+    """Newest messages for each of m addressees."""
+
+    sequence: Longs  # (m,) of the newest one; 0 before the first
+    length: Longs  # (m, SLOTS) words of each
+    slots: Longs  # (m, SLOTS, most)
+
+
+def mailbox(most: int, addressees: int = 1) -> Mailbox:
+    """Return an empty mailbox.
+
+    Parameters
+    ----------
+    most : int
+        Largest number of words of a message.
+    addressees : int, optional
+        Number of addressees.
+
+    Returns
+    -------
+    Mailbox
+        The mailbox.
+    """
+    counts = np.zeros(addressees, dtype=np.int64), np.zeros((addressees, SLOTS), dtype=np.int64)
+    return Mailbox(*counts, np.zeros((addressees, SLOTS, most), dtype=np.int64))
+
+
+class Control(Record):
+    """Words between the loop and Python, each written by one of them."""
+
+    stop: bool
+    started: bool  # the loop runs and has posted the rest shape
+    napping: bool  # the loop sleeps over several ticks
+    waiting: bool  # the loop sleeps until its next tick, which a pose brings forward
+    asked: int  # raised after posting something urgent: all of a tool's bodies, to all organs
+    sim_time: bool  # ticks follow posted_time, not the monotonic clock
+    standing: bool  # /clock gives no time, or hasn't advanced for a while
+    resets: int
+    snapshot_asked: int
+    snapshot_done: int
+    loop_ticks: int
+    overruns: int
+    dropped: int
+    simulated: int  # ns of simulated time
+    due: int  # ns of the clock in use: when the last tick was due
+    looked_up: int  # ns of the monotonic clock when the loop last began to wait; an old time: it hangs, or starves
+    posted_time: int  # ns, newest time of /clock; 0 before the first one
+
+
+class Demand(Record):
+    """Words about an organ's positions between the loop and Python, each written by one of them."""
+
+    on_demand: bool  # they are posted only on request, because most of them are not computed
+    moved: bool  # since they were posted
+    asked: int
+    done: int
+    x: float  # m that the breath had moved the organ when they were posted
+    y: float
+    z: float
+
+
+class Pace(Record):
+    """Notes of the loop about posted times."""
+
+    seen: int  # ns, the newest that it has seen
+    seen_at: int  # ns of the monotonic clock, when it did
+    behind: int  # ns, remaining lag behind the previous one
+
+
+class JournalRow(Record):
+    """Sequence numbers of the inputs that a tick applied, where any was new."""
+
+    tick: int
+    contact_set: int
+    settings: int
+    resets: int
+
+
+class BodyInputs(Record):
+    """Sequence numbers of a rigid body's inputs that a tick applied."""
+
+    pose: int
+    force: int
+
+
+class Timing(Record):
+    """Timing of a tick."""
+
+    late: int  # ns
+    duration: int  # ns
+
+
+class LoopWords(NamedTuple):
+    """Inputs and outputs of a loop, whatever organs it advances."""
+
+    control: Control
+    timing: Any  # (TIMING_ROWS,) of Timing
+    pace: Pace
+    now: Longs  # (2,) a timespec
+    wake: Longs  # (2,) another
+    bell: Longs  # (4,) a sem_t, posted to wake the loop
+    answered: Longs  # (4,) another, posted by the loop after a requested tick
+
+
+class Mailboxes(NamedTuple):
+    """All inputs and outputs of an organ; T rigid bodies, n nodes."""
+
+    pose: Mailbox  # to each body, (7,) floats and the stamp, ns
+    force: Mailbox  # to each body, (3,) floats
+    contacts: Mailbox  # ContactSet.words
+    settings: Mailbox  # words of Settings
+    results: Mailbox  # State.results, after every tick
+    shape: Mailbox  # State.shape, after every tick with motion, or on request
+    snapshot: Longs  # State.words, on request
+    demand: Demand
+    journal_written: Longs  # (1,)
+    journal: Any  # (JOURNAL_ROWS,) of JournalRow
+    journal_inputs: Any  # (JOURNAL_ROWS, T) of BodyInputs
+    row: JournalRow  # as applied by the last tick
+    inputs: Any  # (T,) of BodyInputs, likewise
+    # The loop's copies.
+    taken_pose: Longs  # (8,) the words of 7 floats, and the stamp
+    taken_force: Floats  # (3,)
+    taken_contacts: ContactSet
+
+
+def _longs(*shape: int) -> Longs:
+    return np.zeros(shape, dtype=np.int64)
+
+
+def make_loop_words() -> LoopWords:
+    """Return the words of a loop that has not begun."""
+    return LoopWords(
+        control=Control.new(),
+        timing=Timing.rows(_longs(TIMING_ROWS * Timing.words())),
+        pace=Pace.new(),
+        now=_longs(2),
+        wake=_longs(2),
+        bell=_longs(4),
+        answered=_longs(4),
+    )
+
+
+def make_mailboxes(state: State) -> Mailboxes:
+    """Return empty mailboxes for a simulation's state.
+
+    Parameters
+    ----------
+    state : State
+        The state.
+
+    Returns
+    -------
+    Mailboxes
+        The mailboxes.
+    """
+    n_bodies = len(state.body_pose)
+    body_words = BodyInputs.words()
+    return Mailboxes(
+        pose=mailbox(POSE_WORDS, n_bodies),
+        force=mailbox(3, n_bodies),
+        contacts=mailbox(len(state.contacts.words)),
+        settings=mailbox(Settings.words()),
+        results=mailbox(len(state.results)),
+        shape=mailbox(len(state.shape)),
+        snapshot=_longs(len(state.words)),
+        demand=Demand.new(),
+        journal_written=_longs(1),
+        journal=JournalRow.rows(_longs(JOURNAL_ROWS * JournalRow.words())),
+        journal_inputs=BodyInputs.rows(_longs(JOURNAL_ROWS * n_bodies * body_words)).reshape(JOURNAL_ROWS, n_bodies),
+        row=JournalRow.new(),
+        inputs=BodyInputs.rows(_longs(n_bodies * body_words)),
+        taken_pose=_longs(POSE_WORDS),
+        taken_force=np.zeros(3),
+        taken_contacts=contact_set(n_bodies),
+    )
+
+
+@intrinsic
+def fence(typing_context):  # type: ignore[no-untyped-def]
+    """Keep loads and stores on their side of this line, in the compiler and the processor."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        builder.fence("seq_cst")
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+@kernel
+def put(box: Any, addressee: int, message: Any) -> int:
+    """Post a message.
+
+    Parameters
+    ----------
+    box : Any
+        The mailbox; updated.
+    addressee : int
+        Index of the addressee.
+    message : Any, shape (l,)
+        Words.
+
+    Returns
+    -------
+    int
+        Its sequence number.
+    """
+    sequence = box.sequence[addressee] + 1
+    slot = sequence % SLOTS
+    target = box.slots[addressee, slot]
+    for index in range(len(message)):
+        target[index] = message[index]
+    box.length[addressee, slot] = len(message)
+    fence()
+    box.sequence[addressee] = sequence
+    fence()
+    return sequence
+
+
+@kernel
+def take(box: Any, addressee: int, last: int, message: Any) -> int:
+    """Copy the newest message.
+
+    Parameters
+    ----------
+    box : Any
+        The mailbox.
+    addressee : int
+        Index of the addressee.
+    last : int
+        Sequence number of the last one that was taken.
+    message : Any
+        Receives the words.
+
+    Returns
+    -------
+    int
+        Its sequence number; `last` when none is newer.
+    """
+    while box.sequence[addressee] != last:
+        sequence = box.sequence[addressee]
+        fence()
+        slot = sequence % SLOTS
+        source = box.slots[addressee, slot]
+        for index in range(min(box.length[addressee, slot], len(message))):
+            message[index] = source[index]
+        fence()
+        if box.sequence[addressee] - sequence < SLOTS - 1:
+            return sequence
+    return last
+
+
+@kernel
+def take_inputs(world: Any, box: Any, resets: int) -> None:
+    """Apply what is new in the mailboxes, and a requested reset.
+
+    box.row and box.inputs become this tick's in the journal, which has a row when anything was new.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    box : Any
+        Mailboxes of the organ; updated.
+    resets : int
+        Number of resets requested so far.
+    """
+    state, row, changed = world.state, box.row, False
+    if resets != row.resets:
+        row.resets = resets
+        reset_state(world.model, state)
+        box.demand.moved = changed = True
+    sequence = take(box.settings, 0, row.settings, world.settings_words)
+    if sequence != row.settings:
+        row.settings, changed = sequence, True
+    for body in range(len(box.inputs)):
+        taken = box.inputs[body]
+        sequence = take(box.pose, body, taken.pose, box.taken_pose)
+        if sequence != taken.pose:
+            taken.pose, changed = sequence, True
+            pose, stamp = box.taken_pose[:7].view(np.float64), box.taken_pose[7]
+            for axis in range(3):
+                pose[axis] -= state.carried[axis]
+            take_pose(world, body, pose, stamp, sequence)
+        sequence = take(box.force, body, taken.force, box.taken_force.view(np.int64))
+        if sequence != taken.force:
+            taken.force, changed = sequence, True
+            take_force(state, body, box.taken_force, sequence)
+    sequence = take(box.contacts, 0, row.contact_set, box.taken_contacts.words)
+    if sequence != row.contact_set:
+        row.contact_set, changed = sequence, True
+        take_contacts(state, world.shapes, box.taken_contacts, sequence)
+    if changed:
+        write_journal(box, state.status.tick + 1)
+
+
+@kernel
+def write_journal(box: Any, tick: int) -> None:
+    """Note what was applied by this tick."""
+    box.row.tick = tick
+    place = box.journal_written[0] % JOURNAL_ROWS
+    box.journal[place] = box.row
+    for body in range(len(box.inputs)):
+        box.journal_inputs[place, body] = box.inputs[body]
+    fence()
+    box.journal_written[0] += 1
+    fence()
+
+
+@kernel
+def post_results(world: Any, box: Any) -> None:
+    """Post wrenches and counters, and the positions when they moved: with a modal region, on request.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    box : Any
+        Mailboxes of the organ; updated.
+    """
+    state, demand = world.state, box.demand
+    put(box.results, 0, state.results)
+    if not state.status.asleep or is_carried_on(state.carried, demand):
+        demand.moved = True
+    lazy = not is_shown(state)
+    demand.on_demand = lazy
+    asked = demand.asked
+    if lazy and asked != demand.done:
+        show_region(world.model, state, world.settings, world.scratch)
+        lazy, demand.moved = False, True
+    if demand.moved and not lazy:
+        state.shape_tick[0] = state.status.tick
+        demand.x, demand.y, demand.z = state.carried[0], state.carried[1], state.carried[2]
+        put(box.shape, 0, state.shape)
+    demand.moved = False
+    fence()
+    demand.done = asked
+
+
+@kernel
+def is_carried_on(carried: Any, demand: Any) -> bool:
+    """Return whether the breath has moved an organ by more than CARRIED_ON since its positions were posted."""
+    x, y, z = carried[0] - demand.x, carried[1] - demand.y, carried[2] - demand.z
+    return x * x + y * y + z * z > CARRIED_ON * CARRIED_ON
+
+
+@kernel
+def keep_states(worlds: Any, boxes: Any) -> None:
+    """Copy the whole states; the journals show what they have applied.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    boxes : Any
+        Mailboxes of every organ; updated.
+    """
+    for organ in range(len(worlds)):
+        state, box = worlds[organ].state, boxes[organ]
+        write_journal(box, state.status.tick)
+        for index in range(len(state.words)):
+            box.snapshot[index] = state.words[index]
+
+
+@kernel
+def note_tick(loop: Any, due: int, period: int, late: int, duration: int) -> None:
+    """Note when a tick was due, and its timing.
+
+    Parameters
+    ----------
+    loop : Any
+        Words of the loop; updated.
+    due : int, ns
+        When it was due.
+    period : int, ns
+        Its length.
+    late : int, ns
+        Its lateness.
+    duration : int, ns
+        Its duration.
+    """
+    control = loop.control
+    timing = loop.timing[control.loop_ticks % TIMING_ROWS]
+    timing.late, timing.duration = late, duration
+    control.due = due
+    control.simulated += period
+    control.loop_ticks += 1
+    fence()

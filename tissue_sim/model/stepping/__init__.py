@@ -1,0 +1,1 @@
+"""One tick: inputs, time integration, guard, recovery, and organs that are coupled."""

@@ -1,0 +1,143 @@
+"""Breathing: how far it moves what is attached, and the load that organs feel from it.
+
+An organ that breathes is simulated in the frame of its clamp, in which the clamp is at rest. Tools come towards it as
+the frame moves the other way, and the frame's acceleration is a weight on its nodes. Loads that hardly bend an organ
+are left out (`unfelt`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.data.records import Record
+
+FOLLOW = 20.0  # 1/s, rate at which it follows external input: 0.1 s behind
+
+
+class Breath(Record):
+    """Course of breathing: out at time 0, with a pause there, and in after half a period (Lujan et al. 1999, n = 2).
+
+    Or it follows external input, smoothly, as a critically damped spring would.
+    """
+
+    period: float  # s; 0: none
+    follows: bool  # whether it follows external input
+    x: float  # m, the way from breathed out to breathed in
+    y: float
+    z: float
+    time: float  # s
+    told: float  # fraction of the way, external input
+    share: float  # present fraction of the way
+    speed: float  # 1/s
+
+
+@kernel
+def breathed_in(time: float, period: float) -> tuple[float, float, float]:
+    """Return how far a periodic breath is at a time: sin^4(pi t / T) and its derivatives.
+
+    Parameters
+    ----------
+    time : float, s
+        The time.
+    period : float, s
+        The period.
+
+    Returns
+    -------
+    tuple[float, float, float]
+        Fraction of the way, its speed, 1/s, and its acceleration, 1/s^2.
+
+    References
+    ----------
+    Lujan et al. 1999, n = 2.
+    """
+    if period <= 0.0:
+        return 0.0, 0.0, 0.0
+    turn = math.pi / period
+    s, c = math.sin(turn * time), math.cos(turn * time)
+    return s**4, 4.0 * turn * s**3 * c, turn * turn * s * s * (12.0 * c * c - 4.0 * s * s)
+
+
+@kernel
+def follow(breath: Any, step: float) -> tuple[float, float, float]:
+    """Advance by `step` s towards the external input; return fraction, speed, 1/s, and acceleration, 1/s^2."""
+    change = FOLLOW * (FOLLOW * (breath.told - breath.share) - 2.0 * breath.speed)
+    breath.speed += step * change
+    breath.share += step * breath.speed
+    return breath.share, breath.speed, change
+
+
+@kernel
+def breathe(worlds: Any, carried: Any, step: float) -> None:
+    """Move organs with the breath for one tick; `share_loads` sets the load that they feel from it.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    carried : Any
+        How organs follow the breath; updated.
+    step : float, s
+        Duration of the tick.
+    """
+    breath = carried.breath
+    breath.time += step
+    if breath.follows:
+        share, speed, change = follow(breath, step)
+    else:
+        share, speed, change = breathed_in(breath.time, breath.period)
+    carried.share[0], carried.share[1] = share, speed
+    for organ in range(len(worlds)):
+        state, moves = worlds[organ].state, carried.moves[organ]
+        if moves == 0.0:
+            continue
+        for axis in range(3):
+            way = moves * (breath.x if axis == 0 else breath.y if axis == 1 else breath.z)
+            shift = share * way - state.carried[axis]
+            state.carried[axis] += shift
+            carried.speed[organ, axis] = speed * way
+            carried.change[organ, axis] = change * way
+            for body in range(len(state.bodies)):
+                if state.bodies[body].age >= 0:
+                    state.held_pose[body, axis] -= shift
+                    state.body_goal[body, axis] -= shift
+
+
+@kernel
+def weigh(settings: Any, carried: Any, organ: int, share: float) -> None:
+    """Set an organ's gravity, minus the part of its frame's acceleration that it feels.
+
+    Parameters
+    ----------
+    settings : Any
+        Settings of the simulation.
+    carried : Any
+        How organs follow the breath; updated.
+    organ : int
+        Index of the organ.
+    share : float
+        Fraction of the acceleration that it feels.
+    """
+    change, gravity = carried.change[organ], carried.gravity[organ]
+    settings.gravity_x = gravity[0] - share * change[0]
+    settings.gravity_y = gravity[1] - share * change[1]
+    settings.gravity_z = gravity[2] - share * change[2]
+
+
+@kernel
+def note_gravity(settings: Any, carried: Any, organ: int) -> None:
+    """Note an organ's gravity without the breath, from its settings, which are new.
+
+    Parameters
+    ----------
+    settings : Any
+        Settings of the simulation.
+    carried : Any
+        How organs follow the breath; updated.
+    organ : int
+        Index of the organ.
+    """
+    gravity = carried.gravity[organ]
+    gravity[0], gravity[1], gravity[2] = settings.gravity_x, settings.gravity_y, settings.gravity_z

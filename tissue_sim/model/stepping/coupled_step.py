@@ -1,0 +1,150 @@
+"""The organs of a scene in one tick: carried by the breath, pulled by links, each then advanced as one alone is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.jit import kernel
+from tissue_sim.model.data.records import words_of
+from tissue_sim.model.stepping.breathing import Breath, breathe, weigh
+from tissue_sim.model.stepping.ligament_links import Links, load_links, measure_links, pull_links
+from tissue_sim.model.stepping.organ_contact import (
+    Pairs,
+    press_pairs,
+    resolve_pairs,
+    wake_touched,
+)
+from tissue_sim.model.stepping.tick import begin_tick, end_tick, plan_tick, take_substep, tick
+from tissue_sim.model.stepping.wake_threshold import Unfelt, share_loads
+
+
+class Carried(NamedTuple):
+    """How breathing moves k organs; see `state.carried`."""
+
+    breath: Breath
+    breath_words: Longs  # memory of the breath
+    share: Floats  # (2,) fraction of the breath's way, and its rate, 1/s
+    moves: Floats  # (k,) fraction of the way that each follows
+    gravity: Floats  # (k, 3) m/s^2, of each without the breath
+    speed: Floats  # (k, 3) m/s
+    change: Floats  # (k, 3) m/s^2
+
+
+class Together(NamedTuple):
+    """Everything that joins organs."""
+
+    carried: Carried
+    links: Links
+    pairs: Pairs
+    unfelt: Unfelt
+    awake: Longs  # (k,) 1 for organs that this tick advances; before planning, for those that it may
+
+
+def carried_with(breath: Breath, moves: Sequence[float], gravity: Floats) -> Carried:
+    """Return organs that follow a breath by the fractions `moves` (k,), breathed out; see Carried."""
+    count = len(moves)
+
+    def rows() -> Floats:
+        return np.zeros((count, 3))
+
+    given = np.array(moves, dtype=np.float64), np.array(gravity, dtype=np.float64)
+    return Carried(breath, words_of(breath), np.zeros(2), *given, rows(), rows())
+
+
+@kernel
+def let_go(worlds: Any, joined: Any) -> None:
+    """Return to the breathed-out state without contact, and undo the breath's part of gravity, for organs at rest.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    joined : Any
+        What joins the organs; updated.
+    """
+    carried = joined.carried
+    joined.pairs.found[0] = 0
+    carried.breath.time = carried.breath.told = carried.breath.share = carried.breath.speed = 0.0
+    carried.share[:] = 0.0
+    carried.speed[:] = 0.0
+    carried.change[:] = 0.0
+    for organ in range(len(worlds)):
+        weigh(worlds[organ].settings, carried, organ, 0.0)
+
+
+@kernel
+def tick_together(worlds: Any, joined: Any) -> None:
+    """Advance organs, a row of worlds, by one tick of the first one's settings; joined: None for an organ alone."""
+    if joined is None:
+        tick(worlds[0])
+        return
+    step, carried, links, unfelt = worlds[0].settings.tick_time, joined.carried, joined.links, joined.unfelt
+    pairs, awake, linked = joined.pairs, joined.awake, len(links.slack) > 0
+    breathes = carried.breath.period > 0.0 or carried.breath.follows
+    if breathes:
+        breathe(worlds, carried, step)
+    for organ in range(len(worlds)):
+        status = worlds[organ].state.status
+        worlds[organ].scratch.plan.handled = status.loaded > 0
+        # Links and other organs release an organ that recovers from a false rest shape: they would hold it there.
+        awake[organ] = 0 if status.snapped else 1
+    measure_links(worlds, carried, links, unfelt, awake, step)
+    wake_touched(worlds, pairs, awake)
+    if linked or breathes:
+        share_loads(worlds, carried, unfelt, breathes)
+        load_links(worlds, links, unfelt)
+    touching = pairs.found[0] > 0
+    substeps = plan_together(worlds, awake, linked or touching)
+    for substep in range(substeps):
+        if linked:
+            pull_links(worlds, carried, links, unfelt, awake, step / substeps)
+        if touching:
+            press_pairs(worlds, pairs, awake)
+        for organ in range(len(worlds)):
+            world = worlds[organ]
+            if awake[organ] == 1 and substep < world.scratch.plan.substeps:
+                take_substep(world, substep)
+        if touching:
+            resolve_pairs(worlds, carried, pairs, awake, step / substeps)
+    handled = are_handled(worlds)
+    for organ in range(len(worlds)):
+        world = worlds[organ]
+        if awake[organ] == 1:
+            world.scratch.plan.handled = handled
+            end_tick(world)
+
+
+@kernel
+def are_handled(worlds: Any) -> bool:
+    """Return whether a hand touches, pulls or moves any organ: through it, it may hold the others as they are."""
+    for organ in range(len(worlds)):
+        world = worlds[organ]
+        if world.scratch.plan.handled or world.state.status.touching > 0:
+            return True
+    return False
+
+
+@kernel
+def plan_together(worlds: Any, awake: Any, joined: bool) -> int:
+    """Plan the tick of every organ; return the most substeps of any, or those that links require.
+
+    Joined organs take the same number each.
+    """
+    most = worlds[0].settings.least_substeps
+    for organ in range(len(worlds)):
+        world = worlds[organ]
+        planned = plan_tick(world)
+        awake[organ] = 1 if planned else 0
+        if planned:
+            most = max(most, world.scratch.plan.substeps)
+    for organ in range(len(worlds)):
+        world = worlds[organ]
+        if awake[organ] == 1:
+            if joined:
+                world.scratch.plan.substeps = most
+            begin_tick(world)
+    return most

@@ -1,0 +1,202 @@
+"""Guard: keeps the last good shape, returns to it after a faulty tick, and detects inversion."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.tool_motion import restore_bodies
+from tissue_sim.model.data.arrays import copy, copy_nodes
+from tissue_sim.model.data.state import Fault, Region
+from tissue_sim.model.regions.active_region import are_placed, modes_are_finite, restore_shape, watched_nodes
+from tissue_sim.model.stepping.inputs import MAX_BACKOFF
+
+RUNAWAY_RATE = 100.0  # 1/s, largest speed over the organ's size of all nodes together
+WAY_BACK = 20.0  # 1/s, rate of the recovery to rest
+CELLS_A_TICK = 32  # a rolling check: all 1984 of the kidney's every 62 ticks
+PER_AXIS = 1.0 / math.sqrt(3.0)  # a vector with smaller coordinates is shorter than 1
+KEEP_EVERY = 4  # ticks between two shapes that are kept
+MOST_TURNED = 0.5  # fraction of the cells; an organ with more inverted cells doesn't recover by itself
+
+
+@kernel
+def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Keep this shape if it is finite and bounded, else return to the last good one, at rest.
+
+    Bounded: no node farther from rest than the organ's own size, none faster than that per tick, and not all of them
+    together faster than a hundred times that per second. After a fault the substeps double, up to 8 times and then from
+    1 again, until the organ has slept or recovered; where these are no remedy, the good shape is moved towards rest a
+    little. So is, in each tick, an organ of which more than half is inverted.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+    status, count = state.status, state.count
+    span = settings.runaway_span
+    speed = span / settings.tick_time
+    energy = (RUNAWAY_RATE * span) ** 2
+    if status.region == Region.WHOLE:
+        size = state.position.size
+        x, v, x0 = state.position.reshape(size), state.velocity.reshape(size), model.rest.reshape(size)
+        fault = 0
+        # Faults are rare, and only then the nodes are checked one by one.
+        if not is_bounded(x, v, x0, span * PER_AXIS, min(speed, RUNAWAY_RATE * span) * PER_AXIS):
+            fault = check(model, state, model.moving, span * span, speed * speed, energy)
+    else:
+        fault = check(model, state, watched_nodes(model, state, scratch), span * span, speed * speed, energy)
+        if not modes_are_finite(state):
+            fault = Fault.NOT_FINITE.value
+    collapsing = status.turned > MOST_TURNED * len(model.cells)
+    if collapsing and not status.collapsing:
+        count.faults += 1
+        status.fault_kind = Fault.COLLAPSED
+        status.faulted = True
+    status.collapsing = collapsing
+    if fault == 0:
+        if collapsing:
+            lead_back(model, state, settings)
+        keep(model, state, scratch)
+        return
+    restore_shape(model, state, scratch)
+    restore_bodies(state, span)
+    state.contact_pressed[:] = 0.0
+    state.contact_held[:] = 0.0
+    scratch.impulse[:] = 0.0
+    count.faults += 1
+    status.fault_kind = fault
+    status.faulted = True
+    again = status.good_age > KEEP_EVERY
+    status.good_age = KEEP_EVERY + 1
+    if status.backoff < MAX_BACKOFF:
+        status.backoff *= 2
+        return
+    # What stays too much for the shortest substeps is not their fault but the load's, or that of the shape itself.
+    status.backoff = 1
+    if again:
+        lead_back(model, state, settings)
+        copy(state.position, state.good_position)
+
+
+@kernel
+def lead_back(model: Any, state: Any, settings: Any) -> float:
+    """Move every node nearer to rest, without speed.
+
+    This is the recovery from a shape that the springs hold, so it is done without their forces.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+
+    Returns
+    -------
+    float, m
+        Largest remaining displacement.
+    """
+    displacement, left = 0.0, math.exp(-WAY_BACK * settings.tick_time)
+    for index in range(len(model.moving)):
+        node = model.moving[index]
+        for c in range(3):
+            offset = left * (state.position[node, c] - model.rest[node, c])
+            state.position[node, c] = model.rest[node, c] + offset
+            state.velocity[node, c] = 0.0
+            displacement = max(displacement, abs(offset))
+    return displacement
+
+
+@kernel
+def is_bounded(position: Any, velocity: Any, rest: Any, span: float, speed: float) -> bool:
+    """Return whether all coordinates are within `span`, m, of rest and slower than `speed`, m/s; flat arrays.
+
+    The good ones are counted, since whole numbers may be added in any order, so that the vector units do it.
+    Comparisons with NaN are false, so this catches it, too.
+    """
+    good = 0
+    for index in range(len(position)):
+        near = abs(position[index] - rest[index]) < span
+        slow = abs(velocity[index]) < speed
+        good += near & slow
+    return good == len(position)
+
+
+@kernel
+def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy: float) -> int:
+    """Return what is wrong with the nodes, Fault.NOT_FINITE or Fault.RUNAWAY; 0 for nothing.
+
+    span: m^2 from rest, speed: m^2/s^2, energy: m^2/s^2 on average, from which it is a fault.
+    """
+    good = True
+    moved_sum = sped_sum = 0.0
+    position, velocity, rest = state.position, state.velocity, model.rest
+    for index in range(len(nodes)):
+        node = nodes[index]
+        x = position[node, 0] - rest[node, 0]
+        y = position[node, 1] - rest[node, 1]
+        z = position[node, 2] - rest[node, 2]
+        u, v, w = velocity[node, 0], velocity[node, 1], velocity[node, 2]
+        moved = x * x + y * y + z * z
+        sped = u * u + v * v + w * w
+        # Comparisons with NaN are false, so this catches it too.
+        good = good and moved < span and sped < speed
+        moved_sum += moved
+        sped_sum += sped
+    if good and sped_sum <= energy * len(nodes):
+        return 0
+    # Values, not members: Numba before 0.61 makes no one type of a member and a number.
+    return Fault.RUNAWAY.value if moved_sum + sped_sum < math.inf else Fault.NOT_FINITE.value
+
+
+@kernel
+def keep(model: Any, state: Any, scratch: Any) -> None:
+    """Keep this shape as the last good one; that of the whole organ only every few ticks, as copying it takes time."""
+    if state.status.region != Region.WHOLE:
+        copy_nodes(state.position, state.good_position, watched_nodes(model, state, scratch))
+        state.status.good_age = KEEP_EVERY
+        return
+    state.status.good_age += 1
+    if state.status.good_age >= KEEP_EVERY:
+        copy(state.position, state.good_position)
+        state.status.good_age = 0
+
+
+@kernel
+def check_cells(model: Any, state: Any, scratch: Any) -> None:
+    """Note which of the next few cells are inverted; state.status.turned holds their number.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
+    status, cells, x, is_turned = state.status, model.cells, state.position, state.is_turned
+    if len(cells) == 0:
+        return
+    cell = status.next_cell
+    for _ in range(min(CELLS_A_TICK, len(cells))):
+        a, b, c, d = cells[cell, 0], cells[cell, 1], cells[cell, 2], cells[cell, 3]
+        ax, ay, az = x[a, 0] - x[d, 0], x[a, 1] - x[d, 1], x[a, 2] - x[d, 2]
+        bx, by, bz = x[b, 0] - x[d, 0], x[b, 1] - x[d, 1], x[b, 2] - x[d, 2]
+        cx, cy, cz = x[c, 0] - x[d, 0], x[c, 1] - x[d, 1], x[c, 2] - x[d, 2]
+        volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+        turned = 1 if volume < 0.0 and are_placed(model, state, scratch, a, b, c, d) else 0
+        status.turned += turned - is_turned[cell]
+        is_turned[cell] = turned
+        cell = cell + 1 if cell + 1 < len(cells) else 0
+    status.next_cell = cell

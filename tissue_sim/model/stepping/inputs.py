@@ -1,0 +1,303 @@
+"""Inputs from outside, applied before a tick: by the node's loop, by a test, by a replay."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.tool_motion import distance, quaternion_distance, way_between
+from tissue_sim.model.data.arrays import copy
+from tissue_sim.model.data.contact_set import Engaged, used_words
+from tissue_sim.model.regions.active_region import drop_region
+from tissue_sim.model.stepping.prescribed import forget_prescribed
+
+CATCH_UP = 0.03  # s in which a tool catches up most of its lag behind its poses, where these were that fast
+RESUMED = 1.0  # s without poses after which a returning hand counts as new
+MAX_BACKOFF = 8  # highest factor on the substeps
+AFTER_SLIP = 2  # factor after a tool has slipped inside; more would not keep it out of a pinch, and last long
+CREEP = 1e-3, 1e-2  # m/s and 1/s at least, so that it arrives
+
+
+@kernel
+def take_pose(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> None:
+    """Apply the newest pose of a body.
+
+    The first pose puts the tool there, and so does any pose while nothing resists it; it is moved to others. Where
+    poses resume after a pause of at most RESUMED while the tool was resisted, it is resisted from where it was.
+
+    Parameters
+    ----------
+    world : Any
+        World of the organ; updated.
+    body : int
+        Index of the body.
+    pose : Any, shape (7,)
+        Position, m, and unit quaternion xyzw.
+    stamp : int, ns
+        Time of the pose, 0 where unknown.
+    sequence : int
+        Number of the pose.
+    """
+    state = world.state
+    status = state.bodies[body]
+    if status.age < 0 or status.released or status.held_off:
+        goes_on = status.released and status.placed and status.age * world.settings.tick_time < RESUMED
+        if not goes_on:
+            copy(pose, state.body_pose[body])
+        copy(pose, state.held_pose[body])
+        status.remaining = status.speed = status.turning = 0.0
+        status.resisted = status.resisted and goes_on
+        status.placed = not status.held_off
+        status.released = False
+    else:
+        lead_to(world, body, pose, stamp)
+    copy(pose, state.body_goal[body])
+    status.age = 0
+    status.stamp = stamp
+    status.pose_sequence = sequence
+
+
+@kernel
+def lead_to(world: Any, body: int, pose: Any, stamp: int) -> None:
+    """Set how fast a tool moves to a pose (7,): at most as fast as its poses, by their stamps or arrival times.
+
+    Where poses were skipped or came late, the tool still has a part of their way before it. It catches up softly, and
+    no faster than they were: a hand must not feel that a machine is busy. It is never behind for longer than
+    stale_time. Of all that time a tool takes its `smoothing`, and at least a tick.
+    """
+    state, settings = world.state, world.settings
+    status, held, goal = state.bodies[body], state.held_pose[body], state.body_goal[body]
+    told = 1e-9 * (stamp - status.stamp) if 0 < status.stamp < stamp else max(status.age, 1) * settings.tick_time
+    before = status.remaining > 0.0
+    moved, turned = distance(goal, pose), quaternion_distance(goal, pose)
+    status.speed = max(moved / told, status.speed if before else 0.0)
+    status.turning = max(turned / told, status.turning if before else 0.0)
+    seconds = max(
+        way_time(distance(held, pose), moved, told, status.speed, CREEP[0]),
+        way_time(quaternion_distance(held, pose), turned, told, status.turning, CREEP[1]),
+    )
+    seconds = min(seconds, settings.stale_time)
+    smoothed = max(world.shapes.smoothing[body] * seconds, settings.tick_time)
+    status.remaining = min(seconds, smoothed)
+
+
+@kernel
+def way_time(way: float, new: float, told: float, most: float, creep: float) -> float:
+    """Return the time, s, for a way to which the last pose added `new`, in `told` s; most: largest speed."""
+    if way == 0.0:
+        return 0.0
+    return way / min(most, new / told + max(0.0, way - new) / CATCH_UP + creep) if most > 0.0 else told
+
+
+@kernel
+def take_force(state: Any, body: int, force: Any, sequence: int) -> None:
+    """Apply the newest external force on the tissue at a tool's tip.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    body : int
+        Index of the body.
+    force : Any, shape (3,), N
+        The force.
+    sequence : int
+        Number of the force.
+    """
+    copy(force, state.body_force[body])
+    state.bodies[body].force_age = 0
+    state.bodies[body].force_sequence = sequence
+
+
+@kernel
+def take_contacts(state: Any, shapes: Any, found: Any, sequence: int) -> None:
+    """Apply a contact set, unless it lacks the surface around a tool that is resisted.
+
+    A tool may have moved on since the set was found. Then it keeps the present set, moves no farther than that reaches,
+    and the next set covers it.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    found : Any
+        The contact set.
+    sequence : int
+        Its number.
+    """
+    contacts = state.contacts
+    for body in range(len(state.bodies)):
+        if state.bodies[body].engaged and not covers(state, shapes, found, body):
+            return
+    carry_impulses(state, found)
+    for index in range(used_words(found)):
+        contacts.words[index] = found.words[index]
+    contacts.header.sequence = sequence
+    for body in range(len(state.bodies)):
+        status = state.bodies[body]
+        # What was found before a body's last release says nothing about where it is now.
+        if status.age >= 0 and not status.released and found.releases[body] == status.releases:
+            if found.engaged[body] == Engaged.SLIPPED and covers(state, shapes, found, body):
+                put_back(state, body)
+            status.engaged = status.engaged or covers(state, shapes, found, body)
+            status.resisted = status.resisted and not status.engaged
+            # What slips without ever having been resisted appeared inside, too.
+            is_inside = found.engaged[body] == Engaged.HELD_OFF or found.engaged[body] == Engaged.SLIPPED
+            status.held_off = not status.engaged and (status.held_off or is_inside)
+            status.placed = not status.held_off
+
+
+@kernel
+def covers(state: Any, shapes: Any, found: Any, body: int) -> bool:
+    """Return whether a contact set has all points of the surface that a body may touch where it is, or is put."""
+    status = state.bodies[body]
+    if found.releases[body] != status.releases:
+        return False
+    way = way_between(state.body_pose[body], found.place[body], shapes.extent[body])
+    is_reached = found.engaged[body] == Engaged.YES and way <= found.reach[body]
+    return is_reached or (found.engaged[body] == Engaged.SLIPPED and (status.engaged or status.resisted))
+
+
+@kernel
+def put_back(state: Any, body: int) -> None:
+    """Put a body that is inside on the surface, from where it presses again; after a slip in shorter substeps."""
+    copy(state.contacts.place[body], state.body_pose[body])
+    if state.bodies[body].engaged:
+        state.status.backoff = max(AFTER_SLIP, state.status.backoff)
+        state.count.slips += 1
+
+
+@kernel
+def load_nodes(state: Any, nodes: Any, forces: Any) -> None:
+    """Add forces to nodes for the coming tick.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    nodes : Any, shape (k,)
+        Nodes.
+    forces : Any, shape (k, 3), N
+        Forces.
+    """
+    for index in range(len(nodes)):
+        load_node(state, nodes[index], forces[index, 0], forces[index, 1], forces[index, 2])
+
+
+@kernel
+def load_node(state: Any, node: int, x: float, y: float, z: float) -> None:
+    """Add a force to a node for the coming tick.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    node : int
+        The node.
+    x : float, N
+        Component of the force.
+    y : float, N
+        Component of the force.
+    z : float, N
+        Component of the force.
+    """
+    if state.is_loaded[node] == 0:
+        state.is_loaded[node] = 1
+        state.loaded_node[state.status.loaded] = node
+        state.status.loaded += 1
+    force = state.nodal_force[node]
+    force[0] += x
+    force[1] += y
+    force[2] += z
+
+
+@kernel
+def unload_nodes(state: Any) -> None:
+    """Remove the forces of load_nodes.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    """
+    for index in range(state.status.loaded):
+        node = state.loaded_node[index]
+        state.is_loaded[node] = 0
+        for c in range(3):
+            state.nodal_force[node, c] = 0.0
+    state.status.loaded = 0
+
+
+@kernel
+def carry_impulses(state: Any, found: Any) -> None:
+    """Give points of a new contact set that were pressed in the old one their impulses of the last substep."""
+    pressed, held, old_set, points = state.contact_pressed, state.contact_held, state.contacts, found.header.points
+    pressed[1, :points] = 0.0
+    held[1, :points] = 0.0
+    for old in range(old_set.header.points):
+        if pressed[0, old] <= 0.0:
+            continue
+        for point in range(points):
+            same = found.body[point] == old_set.body[old]
+            for c in range(3):
+                same = same and found.node[point, c] == old_set.node[old, c]
+                same = same and found.weight[point, c] == old_set.weight[old, c]
+            if same:
+                pressed[1, point] = pressed[0, old]
+                copy(held[0, old], held[1, point])
+                break
+    copy(pressed[1, :points], pressed[0, :points])
+    copy(held[1, :points], held[0, :points])
+
+
+@kernel
+def reset_state(model: Any, state: Any) -> None:
+    """Return to the rest shape, asleep, without tools; the counters continue.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    """
+    status = state.status
+    status.snapped = status.collapsing = status.faulted = False
+    status.fault_kind = status.substeps = status.quiet = status.alone = status.calm = 0
+    status.touching = status.active = status.loaded = status.turned = status.next_cell = 0
+    status.good_age = status.shown = status.shivering = status.halving = 0
+    status.turning = 0.0
+    status.asleep = True
+    status.backoff = 1
+    state.contacts.header.points = state.contacts.header.sequence = 0
+    copy(model.rest, state.position)
+    copy(model.rest, state.good_position)
+    state.velocity[:] = 0.0
+    state.nodal_force[:] = 0.0
+    state.is_loaded[:] = 0
+    forget_prescribed(state)
+    state.is_turned[:] = 0
+    state.contact_pressed[:] = 0.0
+    state.contact_held[:] = 0.0
+    drop_region(state)
+    state.body_goal[:] = 0.0
+    state.body_goal[:, 6] = 1.0
+    copy(state.body_goal, state.held_pose)
+    copy(state.body_goal, state.body_pose)
+    state.body_force[:] = 0.0
+    state.carried[:] = 0.0
+    state.wrench[:] = 0.0
+    state.felt[:] = 0.0
+    for body in range(len(state.bodies)):
+        status = state.bodies[body]
+        if status.pose_sequence > 0:
+            status.releases += 1
+        status.age = status.force_age = -1
+        status.stamp = status.pose_sequence = status.force_sequence = 0
+        status.remaining = status.speed = status.turning = 0.0
+        status.engaged = status.held_off = status.released = status.resisted = status.placed = False
+        state.contacts.engaged[body] = Engaged.NO.value
+        for c in range(3):
+            state.contacts.tip_node[body, c] = -1

@@ -1,0 +1,143 @@
+"""Detection of oscillation: a step that has become too long under load is halved for a while.
+
+Tissue that is squeezed or stretched is stiffer than at rest, so that a substep may exceed the critical step. Nodes then
+reverse in every substep, ever faster. Such nodes are searched in some ticks of cells, whose penalties add up where
+several are squeezed, and in those of one substep, which is as long as rest allows.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tissue_sim.handles import has
+from tissue_sim.jit import chosen, kernel
+from tissue_sim.model.data.arrays import copy
+
+LOOK_EVERY = 2  # least number of substeps between two checks
+FAST = 2e-3  # m/s, 2 um in a step of a ms: contacts that settle are slower, but
+FAST_AGAIN = 2e-5  # m/s, once a step was too long: held tissue must not be shaken off at each new trial
+TURNED = 0.5  # of a speed, that it has at least in the reverse direction
+MANY = 4  # coordinates that reverse
+GREW = 1.5  # ratio of their squared speeds between two checks
+MOST = 0.2  # of all squared speeds is theirs: after an impact more of the motion reverses, while it decays
+# Ticks for which the step stays halved. An impact is soon over. A step that is too long is found so again, and each
+# time halved for MORE times as long, until the oscillation has decayed.
+HALVED, MORE, LONGEST = 120, 3, 1080
+
+
+@kernel
+def _at_any(model: Any) -> bool:
+    return True
+
+
+@kernel
+def _at_one(model: Any) -> bool:
+    return False
+
+
+@chosen(lambda model: _at_any if has(model, "tissue") else _at_one)
+def looks_at_any(model: Any) -> Any:
+    """Return whether ticks of more than one substep are checked, too."""
+
+
+@kernel
+def is_looked_at(model: Any, state: Any, substeps: int) -> bool:
+    """Return whether this tick is to be checked; a step stays halved one tick less.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    substeps : int
+        Number of substeps of the tick.
+
+    Returns
+    -------
+    bool
+        True where it is.
+    """
+    status = state.status
+    if status.shivering > 0:
+        status.shivering -= 1
+    else:
+        status.halving = max(HALVED, status.halving - 1)
+    if substeps > 1 and not looks_at_any(model):
+        return False
+    return substeps * status.tick % LOOK_EVERY < substeps
+
+
+@kernel
+def begin_look(state: Any, scratch: Any) -> None:
+    """Keep the velocities before the tick's last substep.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
+    copy(state.velocity, scratch.velocity_before)
+
+
+@kernel
+def end_look(state: Any, scratch: Any) -> None:
+    """Have the step halved when nodes have reversed in this substep, faster than at the last check.
+
+    After an impact, a mode that the step just allows reverses as often, but decays.
+
+    Parameters
+    ----------
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
+    size, status = state.velocity.size, state.status
+    before, after = scratch.velocity_before.reshape(size), state.velocity.reshape(size)
+    last, status.turning = status.turning, 0.0
+    fast = FAST_AGAIN if status.halving > HALVED else FAST
+    if count_turning(before, after, fast) < MANY:
+        return
+    status.turning = energy_of_turning(before, after, fast)
+    if 0.0 < GREW * last < status.turning and status.turning > MOST * energy_of(after):
+        status.turning = 0.0
+        status.shivering = max(HALVED, status.halving)
+        status.halving = min(LONGEST, MORE * status.shivering)
+        state.count.shivers += 1
+
+
+@kernel
+def turns(before: float, after: float, fast: float) -> bool:
+    """Return whether a speed of more than `fast`, m/s, has about reversed."""
+    return (before * before > fast * fast) & (before * after < -TURNED * before * before)
+
+
+@kernel
+def count_turning(before: Any, after: Any, fast: float) -> int:
+    """Return how many coordinates faster than `fast`, m/s, have about reversed; flat arrays."""
+    turning = 0
+    for index in range(len(before)):
+        turning += turns(before[index], after[index], fast)
+    return turning
+
+
+@kernel
+def energy_of(velocity: Any) -> float:
+    """Return the sum of all squared speeds, m^2/s^2; flat array."""
+    total = 0.0
+    for index in range(len(velocity)):
+        total += velocity[index] * velocity[index]
+    return total
+
+
+@kernel
+def energy_of_turning(before: Any, after: Any, fast: float) -> float:
+    """Return the sum of the squared speeds of those that have reversed, m^2/s^2."""
+    total = 0.0
+    for index in range(len(before)):
+        if turns(before[index], after[index], fast):
+            total += after[index] * after[index]
+    return total

@@ -1,0 +1,158 @@
+"""Rest of an organ that nothing touches: it falls asleep, or recovers from a false rest shape."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.volume_limit import has_stiff_cells
+from tissue_sim.model.data.arrays import copy
+from tissue_sim.model.elasticity.gravity import is_out_of_balance
+from tissue_sim.model.regions.active_region import largest_motion, leave_region
+from tissue_sim.model.stepping.guard import lead_back
+
+QUIET_SPEED = 2e-5  # m/s
+QUIET_DISPLACEMENT = 5e-6  # m
+QUIET_TICKS = 20
+TREMBLING = 1.0  # 1/s, largest speed over displacement of a false rest shape
+CREEPING = 0.02  # of the organ's pace: a sound one returns at half of it
+SLOWEST = 0.2  # 1/s, of paces
+SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ this far from rest is moving
+TURNED_TIME = 0.15  # s that cells may stay inverted without load
+LONGEST_WAY = 30.0  # time constants of the organ's pace after which a sound one is back from anywhere: exp(-15) is left
+
+
+@kernel
+def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Fall asleep after a number of ticks without touch, load, speed and displacement.
+
+    Springs pushed through each other can come to rest in a false shape, finite and still. An organ that nothing touches
+    and that is still away from its rest shape, that is not back long after a sound one would be, as squeezed cells can
+    tremble in place for good, or whose cells stay inverted, recovers to it. An organ with attachments, weight or
+    pressing neighbours may well be away from rest: it recovers only after a fault, or where it is still inverted or
+    squeezed long after; meanwhile it is released by these.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+    status = state.status
+    doubted = status.faulted or not scratch.plan.forced
+    if doubted and status.turned > 0 and status.alone * settings.tick_time > TURNED_TIME:
+        snap(model, state, settings, scratch)
+        return
+    rate = pace(model, settings)
+    lasted = min(1.0, settings.damping_scale) * rate * status.alone * settings.tick_time  # undamped it oscillates on
+    overdue = lasted > LONGEST_WAY
+    if not doubted and not (overdue and (status.turned > 0 or has_stiff_cells(model))):
+        return
+    speed, away = largest_motion(model, state, scratch)
+    # Far from rest, a false shape may tremble for good; slow is what wouldn't get back in ten times a sound one's time.
+    slow = speed <= max(QUIET_SPEED, min(TREMBLING, CREEPING * rate) * away)
+    # Its weight may squeeze an organ for good, which then lies still.
+    lies = not doubted and status.turned == 0 and slow and is_out_of_balance(model, settings)
+    if away > SNAPPED_DISPLACEMENT and overdue and not lies:
+        snap(model, state, settings, scratch)
+        return
+    status.quiet = status.quiet + 1 if slow and doubted else 0
+    if status.quiet < QUIET_TICKS:
+        return
+    if away <= QUIET_DISPLACEMENT:
+        if speed <= QUIET_SPEED:
+            fall_asleep(model, state)
+    elif away > SNAPPED_DISPLACEMENT and rate * status.quiet * settings.tick_time > 1.0:
+        snap(model, state, settings, scratch)
+
+
+@kernel
+def sleep_if_quiet(model: Any, state: Any, scratch: Any) -> None:
+    """Fall asleep where an unloaded organ is nearly at rest, while a hand is on another one.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
+    status = state.status
+    speed, away = largest_motion(model, state, scratch)
+    status.quiet = status.quiet + 1 if speed <= QUIET_SPEED and away <= QUIET_DISPLACEMENT else 0
+    if status.quiet >= QUIET_TICKS:
+        fall_asleep(model, state)
+
+
+@kernel
+def pace(model: Any, settings: Any) -> float:
+    """Return how fast the organ returns after its release: its damping rate, which is twice its lowest frequency.
+
+    This is so after a calibration, and nearly so for organs as built; it is slower where parameters have made it softer
+    or more damped.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    settings : Any
+        Settings of the simulation.
+
+    Returns
+    -------
+    float, 1/s
+        The rate.
+    """
+    softer, tougher = min(1.0, settings.stiffness_scale), max(1.0, settings.damping_scale)
+    return max(SLOWEST, model.damping_rate * softer / tougher)
+
+
+@kernel
+def fall_asleep(model: Any, state: Any) -> None:
+    """Put the organ at rest, to the last bit."""
+    status = state.status
+    status.asleep = True
+    status.backoff = 1
+    status.turned = status.collapsing = status.faulted = False
+    state.is_turned[:] = 0
+    copy(model.rest, state.position)
+    copy(model.rest, state.good_position)
+    state.velocity[:] = 0.0
+
+
+@kernel
+def snap(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Start the recovery from a false rest shape."""
+    leave_region(model, state, settings, scratch)
+    state.status.snapped = True
+    state.status.alone = 0
+    state.count.snaps += 1
+
+
+@kernel
+def find_back(model: Any, state: Any, settings: Any) -> None:
+    """Do a step of the recovery from a false rest shape.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    """
+    displacement = lead_back(model, state, settings)
+    # A fault during the recovery must not restore the false shape.
+    copy(state.position, state.good_position)
+    if displacement <= QUIET_DISPLACEMENT:
+        state.status.snapped = state.status.faulted = False
+        state.status.quiet = 0
+        state.status.backoff = 1

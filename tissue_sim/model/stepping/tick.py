@@ -1,0 +1,458 @@
+"""One tick: the same compiled function in the node's loop, in a test and in a replay.
+
+Its order: inputs are applied; if nothing touches or moves, it ends; a local region or the whole organ is chosen; the
+substeps follow; positions are checked to be finite and bounded; wrenches are reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from tissue_sim.handles import has
+from tissue_sim.jit import chosen, kernel, part
+from tissue_sim.model.contact.constraint import add_contact_impulses, carry_force, resolve_contacts
+from tissue_sim.model.contact.culling import watch_contacts
+from tissue_sim.model.contact.haptic_output import report_wrenches
+from tissue_sim.model.contact.tool_motion import (
+    add_tip_forces,
+    advance_held,
+    couple_bodies,
+    find_walls,
+    follow_untouched,
+    has_tip_force,
+    keep_bodies,
+)
+from tissue_sim.model.contact.volume_limit import has_stiff_cells
+from tissue_sim.model.data.settings import Integrator
+from tissue_sim.model.data.state import Region
+from tissue_sim.model.elasticity.forces import elastic_forces
+from tissue_sim.model.elasticity.gravity import add_weight, is_out_of_balance
+from tissue_sim.model.elasticity.implied_boundary import lead_return_springs
+from tissue_sim.model.regions.active_region import (
+    absorb_load,
+    change_region,
+    choose_region,
+    damping_of,
+    inertia_of,
+    integrated_nodes,
+    prepare_region,
+    region_forces,
+)
+from tissue_sim.model.stepping.guard import check_cells, guard
+from tissue_sim.model.stepping.inputs import unload_nodes
+from tissue_sim.model.stepping.integrators import (
+    explicit_euler,
+    implicit_euler,
+    predict,
+    symplectic_euler,
+    symplectic_euler_whole,
+)
+from tissue_sim.model.stepping.oscillation import begin_look, end_look, is_looked_at
+from tissue_sim.model.stepping.prescribed import count_prescribed, lead_prescribed
+from tissue_sim.model.stepping.rest_recovery import find_back, rest_if_quiet, sleep_if_quiet
+
+CRUMPLED = 0.02  # fraction of inverted cells from which on a tick takes four times its substeps
+
+
+@kernel
+def tick(world: Any) -> None:
+    """Advance the organ by one tick of settings.tick_time seconds.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+    lead_return_springs(world.model, world.state)
+    plan = world.scratch.plan
+    plan.handled = world.state.status.loaded > 0
+    if not plan_tick(world):
+        return
+    begin_tick(world)
+    for substep in range(plan.substeps):
+        take_substep(world, substep)
+    end_tick(world)
+
+
+@part
+def plan_tick(world: Any) -> bool:
+    """Return whether there is anything to advance, and write how into scratch.plan.
+
+    scratch.plan.handled tells whether nodes were loaded before links and other organs did.
+    """
+    model, state, shapes = world.model, world.state, world.shapes
+    settings, scratch = world.settings, world.scratch
+    status, count, plan = state.status, state.count, scratch.plan
+    status.tick += 1
+    advance_held(state, settings, scratch)
+    find_walls(model, state, scratch)
+    plan.handled = plan.handled or has_tip_force(state, settings) or status.prescribed > 0
+    plan.forced = plan.handled or status.loaded > 0 or is_out_of_balance(model, settings)
+    status.touching = 0
+    if status.asleep:
+        if not plan.forced and follow_untouched(state, shapes, settings, scratch):
+            count.asleep_ticks += 1
+            status.active = 0
+            return False
+        status.asleep = False
+        status.quiet = status.alone = 0
+        choose_region(model, state, settings, scratch)
+    if status.snapped:
+        if not plan.handled and follow_untouched(state, shapes, settings, scratch):
+            find_back(model, state, settings)
+            check_cells(model, state, scratch)
+            return False
+        status.snapped = False
+    prepare_region(model, state, settings, scratch)
+    if status.region == Region.WHOLE:
+        status.active = len(model.moving)
+
+    scratch.impulse[:] = 0.0
+    # The first forces tell how stiff the cells are.
+    plan.whole = status.region == Region.WHOLE
+    plan.implicit = steps_implicitly(model, state, settings, scratch)
+    if plan.whole and not plan.implicit:
+        whole_forces(model, state.position, settings, scratch)
+    plan.regional = is_region_of_cells(model, state)
+    if plan.regional:
+        region_forces(model, state, settings, scratch, False)
+    by_itself = settings.integrator == Integrator.IMPLICIT and not plan.implicit
+    wanted = settings.region_substeps if by_itself or not plan.whole else settings.substeps
+    factor = caution(model, state, plan.whole or plan.regional)
+    plan.substeps = wanted * status.backoff * factor
+    plan.looking = plan.whole and is_looked_at(model, state, plan.substeps) and factor == 1
+    return True
+
+
+@part
+def begin_tick(world: Any) -> None:
+    """Prepare the substeps of the plan.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+    state, settings, scratch = world.state, world.settings, world.scratch
+    status, plan = state.status, scratch.plan
+    plan.eased = plan.substeps < status.substeps
+    carry_force(state, status.substeps, plan.substeps)
+    status.substeps = plan.substeps
+    set_mobility(world, settings.tick_time / plan.substeps, plan.implicit)
+    watch_contacts(state, world.shapes, settings, scratch)
+
+
+@kernel
+def take_substep(world: Any, substep: int) -> None:
+    """Advance by one substep of the plan: forces, integration and contact."""
+    model, state, shapes = world.model, world.state, world.shapes
+    settings, scratch, plan = world.settings, world.scratch, world.scratch.plan
+    substeps, implicit, first = plan.substeps, plan.implicit, substep == 0
+    if plan.looking and substep == substeps - 1:
+        begin_look(state, scratch)
+    # The last substep of a region has more to compute, and one that carries momentum over needs the forces at its own
+    # place.
+    known = first and (plan.whole or (plan.regional and substeps > 1)) and not (implicit and plan.eased)
+    eased = plan.eased and first
+    step = settings.tick_time / substeps
+    couple_bodies(state, shapes, settings, scratch, step, 1.0 / (substeps - substep))
+    if not known:
+        if state.status.region != Region.WHOLE:
+            region_forces(model, state, settings, scratch, substep == substeps - 1)
+        elif implicit and not eased:
+            predict(state.position, state.velocity, model.moving, step, scratch.predicted)
+            whole_forces(model, scratch.predicted, settings, scratch)
+        else:
+            whole_forces(model, state.position, settings, scratch)
+    add_loads(model, state, settings, scratch.force)
+    if implicit and eased:
+        carry_momentum(model, state, scratch.force, step)
+    integrate(world, step, implicit)
+    lead_prescribed(state, substep, substeps, step)
+    pushed = has_taken_impulses(state, settings, implicit)
+    state.status.touching = resolve_contacts(model, state, shapes, scratch.mobility, scratch, settings, step, pushed)
+    keep_bodies(state, scratch)
+
+
+@part
+def end_tick(world: Any) -> None:
+    """Check the result of the substeps, report the wrenches, and come to rest where nothing acts.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+    model, state, shapes = world.model, world.state, world.shapes
+    settings, scratch = world.settings, world.scratch
+    status, plan = state.status, scratch.plan
+    if plan.looking:
+        end_look(state, scratch)
+    absorb_load(model, state, settings, scratch)
+    guard(model, state, settings, scratch)
+    check_cells(model, state, scratch)
+    count_prescribed(state)
+    report_wrenches(state, shapes, settings, scratch)
+    change_region(world)
+    unload_nodes(state)
+    status.alone = 0 if plan.handled or status.touching > 0 else status.alone + 1
+    if status.alone > 0:
+        rest_if_quiet(model, state, settings, scratch)
+    elif not plan.forced and status.touching == 0:
+        sleep_if_quiet(model, state, scratch)
+
+
+def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator for a function that is one kernel for implicit models and another for the others."""
+    return chosen(lambda model, *_: kernel if has(model, "factor") else without)
+
+
+@kernel
+def _if_sound(model: Any, state: Any, settings: Any, scratch: Any) -> bool:
+    status = state.status
+    if status.region != Region.WHOLE or status.turned > 0 or status.backoff > 1 or status.shivering > 0:
+        return False
+    predict(state.position, state.velocity, model.moving, settings.tick_time / settings.substeps, scratch.predicted)
+    whole_forces(model, scratch.predicted, settings, scratch)
+    return not has_stiff_cells(model)
+
+
+@kernel
+def _never(model: Any, state: Any, settings: Any, scratch: Any) -> bool:
+    return False
+
+
+@_or(_if_sound, _never)
+def steps_implicitly(model: Any, state: Any, settings: Any, scratch: Any) -> Any:
+    """Return whether this tick is one of the implicit integrator; then scratch.force has its first forces.
+
+    It is none in a local region, after a fault, while nodes oscillate, and where cells are inverted or stiffer than the
+    matrix assumes, where its one step would gain energy.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
+
+
+@kernel
+def _in_a_region(model: Any, state: Any) -> bool:
+    return state.status.region != Region.WHOLE
+
+
+@kernel
+def _in_none(model: Any, state: Any) -> bool:
+    return False
+
+
+@chosen(lambda model, *_: _in_a_region if has(model, "tissue") and has(model, "adjacency") else _in_none)
+def is_region_of_cells(model: Any, state: Any) -> Any:
+    """Return whether this tick moves only the cells around a load."""
+
+
+@kernel
+def caution(model: Any, state: Any, begun: bool) -> int:
+    """Return the factor on the substeps while cells are squeezed or inverted, or nodes oscillate, which stiffens them.
+
+    begun: the forces of this tick's first substep are known.
+    """
+    if state.status.turned == 0:
+        return 2 if (begun and has_stiff_cells(model)) or state.status.shivering > 0 else 1
+    return 4 if state.status.turned > CRUMPLED * len(model.cells) else 2
+
+
+@kernel
+def whole_forces(model: Any, position: Any, settings: Any, scratch: Any) -> None:
+    """Write the elastic forces of the whole organ at position (n, 3) m to scratch.force (n, 3) N."""
+    scratch.force[:] = 0.0
+    elastic_forces(model, position, scratch.force)
+    scale_force(settings, scratch.force)
+
+
+@kernel
+def carry_momentum(model: Any, state: Any, force: Any, step: float) -> None:
+    """Convert velocities to the force that gives them in a step, s: (M + h D + h^2 S) v+ = M v + h f.
+
+    For an implicit step S adds mass. Nodes that moved without it must not keep their speed with it: that would add
+    energy.
+    """
+    for index in range(len(model.moving)):
+        node = model.moving[index]
+        for c in range(3):
+            force[node, c] += state.velocity[node, c] / (model.inverse_mass[node] * step)
+            state.velocity[node, c] = 0.0
+
+
+@kernel
+def _implicitly(world: Any, step: float) -> None:
+    model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
+    add_contact_impulses(state, world.shapes, scratch, 1.0 / step, scratch.force)
+    implicit_euler(
+        state.position,
+        state.velocity,
+        scratch.force,
+        model.factor,
+        settings.factor_slot,
+        model.damping,
+        settings.damping_scale,
+        step,
+        scratch.change,
+    )
+
+
+@kernel
+def _not_at_all(world: Any, step: float) -> None:
+    """Raise nothing and do nothing: it is never called."""
+
+
+@chosen(lambda world, *_: _implicitly if has(world, "model", "factor") else _not_at_all)
+def integrate_implicitly(world: Any, step: float) -> None:
+    """Move the nodes by scratch.force and the last contact impulses for an implicit step, s."""
+
+
+@kernel
+def _implicit_mobility(model: Any, slot: int, node: int) -> float:
+    return model.factor.mobility[slot, node]
+
+
+@kernel
+def _no_mobility(model: Any, slot: int, node: int) -> float:
+    return 0.0
+
+
+@_or(_implicit_mobility, _no_mobility)
+def implicit_mobility(model: Any, slot: int, node: int) -> Any:
+    """Return the velocity that a unit impulse gives a node within an implicit step, 1/kg."""
+
+
+@kernel
+def integrate(world: Any, step: float, implicit: bool) -> None:
+    """Move the nodes by scratch.force for a step, s."""
+    if implicit:
+        integrate_implicitly(world, step)
+        return
+    model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
+    scale, inertia = damping_of(state, settings), inertia_of(state, settings)
+    if has_taken_impulses(state, settings, implicit):
+        add_contact_impulses(state, world.shapes, scratch, 1.0 / step, scratch.force)
+        size = state.position.size
+        x, v, f = state.position.reshape(size), state.velocity.reshape(size), scratch.force.reshape(size)
+        symplectic_euler_whole(x, v, f, scratch.push, scratch.shrink, step)
+        return
+    nodes = integrated_nodes(model, state, scratch)
+    if settings.integrator == Integrator.EXPLICIT:
+        explicit_euler(
+            state.position,
+            state.velocity,
+            scratch.force,
+            nodes,
+            model.inverse_mass,
+            model.damping,
+            scale,
+            step,
+        )
+    else:
+        symplectic_euler(
+            state.position,
+            state.velocity,
+            scratch.force,
+            nodes,
+            model.inverse_mass,
+            model.damping,
+            scale * inertia,
+            step,
+            inertia,
+        )
+
+
+@kernel
+def has_taken_impulses(state: Any, settings: Any, implicit: bool) -> bool:
+    """Return whether the last contact impulses move nodes too: while these persist, nothing is left to resolve."""
+    return implicit or (settings.integrator != Integrator.EXPLICIT and state.status.region == Region.WHOLE)
+
+
+@kernel
+def set_mobility(world: Any, step: float, implicit: bool) -> None:
+    """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the integration's part of its mass.
+
+    Only when settings have changed. The damping is implicit, so it acts on the contact's impulse too: 1 / (m + h d).
+    With 1/m alone a body at rest would press with a force short by h d/m. An implicit step adds the stiffness.
+    """
+    model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
+    slot = float(settings.factor_slot) if implicit else -1.0
+    key, damping, scale = scratch.mobility_key, damping_of(state, settings), settings.stiffness_scale
+    inertia = inertia_of(state, settings)
+    changes = float(state.status.prescriptions)
+    same = key[0] == step and key[1] == damping and key[2] == slot and key[3] == scale
+    if same and key[4] == inertia and key[5] == changes:
+        return
+    key[0], key[1], key[2], key[3], key[4], key[5] = step, damping, slot, scale, inertia, changes
+    mobility, moving, inverse_mass = scratch.mobility, model.moving, model.inverse_mass
+    for index in range(len(moving)):
+        node = moving[index]
+        inverse = inverse_mass[node]
+        if implicit:
+            mobility[node] = implicit_mobility(model, settings.factor_slot, node)
+        elif settings.integrator == Integrator.EXPLICIT:
+            mobility[node] = inverse
+        else:
+            mobility[node] = inverse / inertia / (1.0 + step * inverse * damping * model.damping[node])
+        if state.is_prescribed[node] == 1:
+            mobility[node] = 0.0
+        push = step / inertia * inverse
+        shrink = 1.0 / (1.0 + push * (damping * inertia) * model.damping[node])
+        for axis in range(3):
+            scratch.push[3 * node + axis], scratch.shrink[3 * node + axis] = push, shrink
+
+
+@kernel
+def scale_force(settings: Any, force: Any) -> None:
+    """Scale the elastic forces by the tissue's stiffness."""
+    scale = settings.stiffness_scale
+    if scale != 1.0:
+        for node in range(len(force)):
+            for c in range(3):
+                force[node, c] *= scale
+
+
+@kernel
+def add_loads(model: Any, state: Any, settings: Any, force: Any) -> None:
+    """Add the external forces."""
+    add_weight(model, settings, force)
+    for index in range(state.status.loaded):
+        node = state.loaded_node[index]
+        for c in range(3):
+            force[node, c] += state.nodal_force[node, c]
+    add_tip_forces(state, settings, force)

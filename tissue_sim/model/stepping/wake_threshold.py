@@ -1,0 +1,181 @@
+"""Loads below the wake threshold: ligaments that hardly pull, and breathing that hardly bends an organ.
+
+Either would keep an organ awake whose shape it doesn't change visibly. So each tick bounds their effect on an organ:
+how far they bend it at most, which is the tension of each link times the compliance of its node plus the acceleration
+of the frame times the compliance to it, and with which force they pull. Where that is s times as much as UNFELT and
+UNFELT_FORCE allow, an organ that nothing else loads feels 1 - 1/s^2 of these loads, and none while s is below 1. The
+part that it lacks never exceeds these bounds, shrinks as the loads grow, and never jumps. An organ that a tool, a hand
+or another organ loads is awake anyway, and feels all of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.sparse.linalg import splu
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.tool_motion import has_tip_force
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.elasticity.gravity import is_out_of_balance
+from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
+from tissue_sim.model.stepping.breathing import weigh
+from tissue_sim.model.stepping.ligament_links import Links
+
+UNFELT = 1e-4  # m, too little to see
+UNFELT_FORCE = 1e-3  # N, too little to feel
+UNBOUNDED = 1e30  # m/N or s^2, where no node is fixed, or there are too many to factorise: it feels everything
+MOST_NODES = 8000  # whose factorisation takes a second
+_RIGID = 1e-9  # of the largest pivot; less counts as 0
+_TOGETHER = 48  # columns solved for at once
+
+
+class Unfelt(NamedTuple):
+    """Bounds of the loads of k organs and l links that are not felt, and the results of the last tick."""
+
+    most: Floats  # (2,) m and N that an organ may lack; zeros: all loads are felt
+    bend: Floats  # (k,) s^2, largest displacement of an organ for each m/s^2 of its frame
+    give: Floats  # (l, 2) m/N, largest displacement of its organ for each N at a link's end
+    bent: Floats  # (k,) m, largest displacement of each organ by its loads
+    pulled: Floats  # (k,) N, tension of its links
+    share: Floats  # (k,) fraction of these loads that it feels
+    ticks: Longs  # (k,) that each slept through under loads that it didn't feel
+
+
+def unfelt_by(models: Sequence[Model], links: Links, ways: Floats, most: float) -> Unfelt:
+    """Return the bounds for organs whose frames move along given ways.
+
+    The numbers are rounded up to two digits, so that libraries that round differently on another processor give the
+    same ones, and replays the same bits.
+
+    Parameters
+    ----------
+    simulations : Sequence[Simulation]
+        Simulations of the organs.
+    links : Links
+        Links between them.
+    ways : Floats, shape (k, 3)
+        Directions of the frames, of any length.
+    most : float, m
+        Largest displacement that an organ may lack; 0: everything is felt.
+    """
+    count = len(models)
+    bend, give = np.zeros(count), np.zeros(links.organ.shape)
+    for organ, model in enumerate(models if most > 0.0 else ()):
+        own = links.organ == organ
+        nodes, place = np.unique(links.node[own], return_inverse=True)
+        bend[organ], of_nodes = bounds_of(model, nodes, ways[organ])
+        give[own] = of_nodes[place]
+    return Unfelt(
+        most=np.array([most, UNFELT_FORCE / UNFELT * most]),
+        bend=bend,
+        give=give,
+        bent=np.zeros(count),
+        pulled=np.zeros(count),
+        share=np.ones(count),
+        ticks=np.zeros(count, dtype=np.int64),
+    )
+
+
+def bounds_of(model: Model, nodes: Longs, way: Floats) -> tuple[float, Floats]:
+    """Return how far any node moves at most, about rest: by an acceleration along `way` (3,), s^2; by pulls (k,), m/N.
+
+    nodes (k,) are those that are pulled, in any direction. The bound is UNBOUNDED where it is not known.
+    """
+    speed = float(np.linalg.norm(way))
+    if not len(nodes) and speed == 0.0:
+        return 0.0, np.zeros(0)
+    unknown = UNBOUNDED, np.full(len(nodes), UNBOUNDED)
+    if len(model.moving) > MOST_NODES:
+        return unknown
+    free = free_axes(model)
+    try:
+        stiffness = stiffness_matrix(model)[free][:, free].tocsc()
+        factor = splu(stiffness, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError:  # exactly singular
+        return unknown
+    pivots = factor.U.diagonal()
+    if pivots.min() <= _RIGID * pivots.max():
+        return unknown
+    bend = 0.0
+    if speed > 0.0:
+        weight = (way / speed) / model.inverse_mass[model.moving][:, None]
+        bend = float(np.linalg.norm(factor.solve(weight.ravel()).reshape(-1, 3), axis=1).max())
+    axis_of = np.full(3 * len(model.rest), -1)
+    axis_of[free] = np.arange(len(free))
+    give = np.zeros(len(nodes))
+    moving = np.flatnonzero(model.inverse_mass[nodes] > 0.0)
+    for first in range(0, len(moving), _TOGETHER // 3):
+        some = moving[first : first + _TOGETHER // 3]
+        pulls = np.zeros((len(free), 3 * len(some)))
+        pulls[axis_of[3 * nodes[some][:, None] + np.arange(3)].ravel(), np.arange(3 * len(some))] = 1.0
+        moved = factor.solve(pulls).reshape(-1, 3, len(some), 3)
+        square = np.einsum("nakx,naky->nkxy", moved, moved)
+        give[some] = np.sqrt(np.abs(square).sum(axis=3).max(axis=(0, 2)))  # no less than their largest eigenvalues
+    return rounded_up(bend), np.array([rounded_up(one) for one in give])
+
+
+def rounded_up(value: float) -> float:
+    """Return a positive number rounded up to two digits, or 0."""
+    if value <= 0.0:
+        return 0.0
+    digit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return math.ceil(value / digit * (1.0 - 1e-9)) * digit
+
+
+@kernel
+def share_loads(worlds: Any, carried: Any, unfelt: Any, breathes: bool) -> None:
+    """Compute the fraction of its links' and the breath's loads that every organ feels, and set its weight accordingly.
+
+    Called once links have been measured, and hands and other organs have loaded the nodes.
+
+    Parameters
+    ----------
+    worlds : Any
+        Worlds of the organs; updated.
+    carried : Any
+        How organs follow the breath; updated.
+    unfelt : Any
+        The bounds; updated.
+    breathes : bool
+        Whether there is a breath.
+    """
+    for organ in range(len(worlds)):
+        world = worlds[organ]
+        settings = world.settings
+        if breathes:
+            weigh(settings, carried, organ, 0.0)
+            change = carried.change[organ]
+            size = math.sqrt(change[0] ** 2 + change[1] ** 2 + change[2] ** 2)
+            unfelt.bent[organ] += size * unfelt.bend[organ]
+        unfelt.bent[organ] /= settings.stiffness_scale
+        share = share_of(unfelt.bent[organ], unfelt.pulled[organ], unfelt.most)
+        if share < 1.0 and is_loaded_otherwise(world):
+            share = 1.0
+        unfelt.share[organ] = share
+        if breathes:
+            weigh(settings, carried, organ, share)
+        if share == 0.0 and world.state.status.asleep and (unfelt.bent[organ] > 0.0 or unfelt.pulled[organ] > 0.0):
+            unfelt.ticks[organ] += 1
+
+
+@kernel
+def share_of(bent: float, pulled: float, most: Any) -> float:
+    """Return the fraction of loads that is felt; bent m, pulled N, most (2,) that may be lacking."""
+    if most[0] <= 0.0:
+        return 1.0
+    size = max(bent / most[0], pulled / most[1])
+    return 1.0 - 1.0 / (size * size) if size > 1.0 else 0.0
+
+
+@kernel
+def is_loaded_otherwise(world: Any) -> bool:
+    """Return whether a hand, a tool, another organ or its own weight keeps an organ awake."""
+    state, settings = world.state, world.settings
+    status = state.status
+    by_tools = status.touching > 0 or has_tip_force(state, settings)
+    return by_tools or status.loaded > 0 or status.prescribed > 0 or is_out_of_balance(world.model, settings)

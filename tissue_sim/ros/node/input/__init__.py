@@ -1,0 +1,1 @@
+"""What comes in: poses, forces, breathing, transforms."""

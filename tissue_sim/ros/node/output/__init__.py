@@ -1,0 +1,1 @@
+"""What goes out: markers, contacts, diagnostics, transforms."""

@@ -1,0 +1,1 @@
+"""Services: pause, step, simulation_interfaces."""

@@ -1,0 +1,1 @@
+"""Parameters that change while the node runs, and what it gives up under load."""

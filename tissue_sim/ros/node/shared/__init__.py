@@ -1,0 +1,1 @@
+"""What the node's parts share: what it serves, its clock, callbacks that are guarded."""

@@ -1,0 +1,60 @@
+"""A service that may answer later, from a thread of its own.
+
+rclpy's executors wait for a callback's response before they handle anything else, and its EventsExecutor awaits no
+coroutine; so the response is held back where the executor would send it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from tissue_sim.ros.node.shared.guarded_node import GuardedNode, failed
+
+Work = Callable[[], None]  # fills in a response
+
+
+class LateService:
+    """Service whose `begin` is called with a request and its response by the executor.
+
+    What it returns is done in a thread of its own before the response is sent; None: the response is complete.
+
+    Parameters
+    ----------
+    node : GuardedNode
+        The node.
+    kind : Any
+        Type of the service.
+    name : str
+        Its name.
+    begin : Callable[[Any, Any], Work | None]
+        Begins to answer.
+    """
+
+    def __init__(self, node: GuardedNode, kind: Any, name: str, begin: Callable[[Any, Any], Work | None]) -> None:
+        self._node, self._begin = node, begin
+        self._works: dict[int, tuple[Work, Any]] = {}  # with its request, by the identity of the response
+        service = node.create_service(kind, name, self._on_request)
+        self._send, service.send_response = service.send_response, self._on_response
+
+    def _on_request(self, request: Any, response: Any) -> Any:
+        work = self._begin(request, response)
+        if work is not None:
+            self._works[id(response)] = work, request
+        return response
+
+    def _on_response(self, response: Any, header: Any) -> None:
+        found = self._works.pop(id(response), None)
+        if found is None:
+            self._send(response, header)
+        else:
+            threading.Thread(target=self._finish, args=(*found, response, header), daemon=True).start()
+
+    def _finish(self, work: Work, request: Any, response: Any, header: Any) -> None:
+        try:
+            work()
+        except Exception as error:  # of any kind: the caller is told
+            response = failed(type(response)(), request, self._node.mishaps.note(error))
+        with self._node.mishaps.noted():
+            self._send(response, header)

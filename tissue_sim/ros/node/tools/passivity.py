@@ -1,0 +1,164 @@
+"""A time-domain passivity observer and controller [1]_ for the forces that are sent to a device.
+
+It sums the energy that the device has received so far, from the forces sent and the poses received. Where that is more
+than the device has put in, it adds as much damping as removes the rest in the next period.
+
+References
+----------
+.. [1] B. Hannaford and J.-H. Ryu, "Time-domain passivity control of haptic interfaces", IEEE Transactions on Robotics
+   and Automation 18, 2002.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.model.data.settings import Settings
+
+LONGEST = 64  # remembered forces: those on their way
+LATE = 1.5  # periods without a pose, after which it is overdue
+
+
+class Observer:
+    """The energy of one device, and the damping that keeps it from receiving more than it has put in."""
+
+    def __init__(self) -> None:
+        self._sent: deque[Floats] = deque(maxlen=LONGEST)  # (3,) N, the newest first
+        self._energy = 0.0  # J that the device has put in
+        self._place: Floats | None = None
+
+    def forget(self) -> None:
+        """Begin anew: poses have stopped."""
+        self._sent.clear()
+        self._energy, self._place = 0.0, None
+
+    def damped(self, place: Floats, force: Floats, period: float, lag: float, most: float) -> Floats:
+        """Return the force to send instead of a given one in answer to a pose.
+
+        Report the force that is finally sent to `sent`.
+
+        Parameters
+        ----------
+        place : Floats, shape (3,), m
+            Position of the pose.
+        force : Floats, shape (3,), N
+            The given force.
+        period : float, s
+            Time between poses.
+        lag : float, s
+            Time from a pose until the force that answers it acts.
+        most : float, N s/m
+            Largest damping that is added.
+
+        Returns
+        -------
+        Floats
+            shape (3,), N
+        """
+        way = np.zeros(3) if self._place is None else place - self._place
+        self._energy -= float(self._acted(lag / period) @ way)
+        self._place = place.copy()
+        square = float(way @ way)
+        if not force.any():  # nothing is touched: earlier energy doesn't count for the next touch
+            self._energy = 0.0
+        elif self._energy < 0.0 and square > 0.0:
+            damping = min(-self._energy * period / square, most)
+            return force - damping / period * way
+        return force
+
+    def sent(self, force: Floats) -> None:
+        """Note the force (3,) N that was sent.
+
+        Parameters
+        ----------
+        force : Floats, shape (3,), N
+            The force.
+        """
+        self._sent.appendleft(force.copy())
+
+    def _acted(self, periods: float) -> Floats:
+        """Return the mean force (3,) N between the last two poses, if forces act so many periods after their poses."""
+        whole = math.floor(periods)
+        newer, older = self._force(whole), self._force(whole + 1)
+        return newer + (periods - whole) * (older - newer)
+
+    def _force(self, back: int) -> Floats:
+        return self._sent[back] if back < len(self._sent) else np.zeros(3)
+
+
+class Stream(Protocol):
+    """What is measured of a tool's poses."""
+
+    @property
+    def period(self) -> float:
+        """Time between two of them, s."""
+
+    @property
+    def delay(self) -> float:
+        """Time until one has come, s."""
+
+
+class DevicePort:
+    """A tool's force on its way to the device: damped as its observer requires, and still within `force_clamp`.
+
+    Parameters
+    ----------
+    poses : Stream
+        Stream of the tool's poses.
+    scale : float
+        Motion of the tool for the same motion of the device.
+    most : float, N s/m
+        The parameter `passivity_damping`; 0: no observer.
+    settings : Callable[[], Settings]
+        Returns the newest settings.
+    """
+
+    def __init__(self, poses: Stream, scale: float, most: float, settings: Callable[[], Settings]) -> None:
+        self.most = most
+        self._poses, self._scale, self._settings = poses, scale, settings
+        self._observer = Observer()
+        self.damped = 0  # number of damped forces
+
+    @property
+    def patience(self) -> float:
+        """Time, s, that a damped force stands: until the next pose is overdue or the last one stale."""
+        return min(LATE * self._poses.period, self._settings().stale_time) if self.most > 0.0 else 0.0
+
+    def forget(self) -> None:
+        """Begin anew: poses have stopped."""
+        self._observer.forget()
+
+    def felt(self, place: Floats, wrench: Floats) -> Floats:
+        """Return the wrench that answers a pose, all in the organ's axes.
+
+        Parameters
+        ----------
+        place : Floats, shape (3,), m
+            Position of the pose.
+        wrench : Floats, shape (6,), N and N m
+            Wrench of the simulation.
+
+        Returns
+        -------
+        Floats
+            shape (6,), N and N m
+        """
+        most = self.most
+        if most == 0.0 or not np.isfinite(wrench).all():
+            self._observer.forget()
+            return wrench
+        settings, poses = self._settings(), self._poses
+        lag = 2.0 * poses.delay + settings.tick_time
+        force = self._observer.damped(place / self._scale, wrench[:3], poses.period, lag, most)
+        self.damped += int((force != wrench[:3]).any())
+        size = math.sqrt(float(force @ force))
+        if size > settings.force_clamp:
+            force = force * (settings.force_clamp / size)
+        self._observer.sent(force)
+        return np.concatenate([force, wrench[3:]])

@@ -1,0 +1,270 @@
+"""Port of one tool: its input, its output, and how fresh it is."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+from rclpy.node import Node
+
+from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
+from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.node.input.freshness import Freshness
+from tissue_sim.ros.node.input.tool_input import ToolInput
+from tissue_sim.ros.node.shared.backlog import Backlog
+from tissue_sim.ros.node.shared.served_tool import NewestPose, ServedTool
+from tissue_sim.ros.node.shared.sim_clock import SimClock
+from tissue_sim.ros.node.tools.tool_output import ToolOutput
+from tissue_sim.ros.shared.frames import Frames, Placed, Transform, UnknownFrame
+from tissue_sim.ros.shared.organs import Organs
+from tissue_sim.ros.shared.report import Report
+
+SAY_EVERY = 1.0  # s between two lines that a tool is held off
+
+
+class ToolPort:
+    """A tool's input and output, joined: a pose is answered by the wrench of the tick that applies it.
+
+    Where no tick comes, as a clock or the loop stands, it is answered at once.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    tool : ServedTool
+        The tool.
+    organs : Organs
+        The organs.
+    recorder : Recorder
+        The recorder.
+    clock : SimClock
+        The clock that ticks follow.
+    backlog : Backlog
+        How far the executor is behind.
+    woken : threading.Event
+        Set when there is something new to find contacts for.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        tool: ServedTool,
+        organs: Organs,
+        recorder: Recorder,
+        clock: SimClock,
+        backlog: Backlog,
+        woken: threading.Event,
+    ) -> None:
+        self._tool, self._organs, self._woken = tool, organs, woken
+        self._answered = 0  # sequence number of the pose
+        self._log = node.get_logger()
+        self._was_slow = False
+        self.held_off, self._said = 0, -math.inf  # how often; monotonic s of the last line about it
+        self._unsaid: list[str] = []  # organs that it appeared in since that
+        self._saying = threading.Lock()
+        self.pose_freshness, self.force_freshness = Freshness(clock, organs), Freshness(clock, organs)
+        self.output = ToolOutput(node, tool, organs, recorder)
+        freshness = self.pose_freshness, self.force_freshness
+        self.input = ToolInput(node, tool, organs, recorder, freshness, backlog, self._came, woken.set)
+
+    @property
+    def name(self) -> str:
+        """Name of the tool."""
+        return self._tool.name
+
+    @property
+    def bodies(self) -> list[int]:
+        """Which of all rigid bodies are the tool's."""
+        return self._tool.bodies
+
+    @property
+    def newest(self) -> NewestPose:
+        """Newest pose that was applied."""
+        return self.input.newest
+
+    @property
+    def extents(self) -> Floats:
+        """Radii (b,) m of the balls about the origins of its bodies that enclose them."""
+        return np.asarray(self._tool.tools.shapes.extent[self.bodies])
+
+    def place(self, frame_id: str, pose: Sequence[float]) -> None:
+        """Apply a pose in a frame, as if its bridge had sent it, but without motion_scale.
+
+        Parameters
+        ----------
+        frame_id : str
+            The frame.
+        pose : Sequence[float], shape (7,), m and quaternion xyzw
+            The pose.
+
+        Raises
+        ------
+        UserError
+            While a bridge publishes.
+        UnknownFrame
+            When nothing leads from the frame to the organ.
+        Refused
+            When the pose can't be used.
+        """
+        if self.input.bridges:
+            raise UserError(f"tool '{self.name}' is moved by its bridge, which publishes {self.input.topic}")
+        tool = self._tool
+        to_organ = Transform() if frame_id == tool.organ_frame else tool.frames.to_organ(frame_id).scaled(1.0)
+        self.input.place(to_organ.of(pose), frame_id, to_organ)
+
+    def renew_frames(self, frames: Frames) -> None:
+        """Lead poses to the organ as other frames do, from the next one on, and wrenches at once.
+
+        A tool that no bridge moves stays where it is in the frame that its pose came in. To be called by the executor's
+        thread, which takes the poses.
+        """
+        self._tool.frames.become(frames)
+        newest = self.input.newest
+        with suppress(UnknownFrame):  # one that tf no longer has: the next pose is refused
+            to_organ = frames.to_organ(newest.frame_id)
+            if self.input.poses and not self.input.bridges:
+                self._stay(newest, to_organ.scaled(1.0))
+            else:
+                self.input.newest = newest._replace(to_organ=to_organ)
+            self.output.renew(self.input.newest)
+
+    def _stay(self, newest: NewestPose, to_organ: Transform) -> None:
+        """Take a pose up anew in its frame, from which another transform leads to the organ now."""
+        pose = to_organ.of(newest.to_organ.scaled(1.0).inverse().of(newest.pose.tolist()))
+        if self.pose_freshness.is_fresh:
+            self.input.place(pose, newest.frame_id, to_organ)
+        else:  # the ticks have forgotten it
+            self.input.move_newest(np.array(pose), to_organ)
+
+    def moving_frames(self, pose: NewestPose) -> Placed:
+        """Return the frames that a pose of the tool places.
+
+        Parameters
+        ----------
+        pose : NewestPose
+            The pose.
+        """
+        return self._tool.moving_frames(pose)
+
+    def wrench(self, of_bodies: Floats) -> Floats:
+        """Return the tool's wrench about its origin, in the organ's axes.
+
+        Parameters
+        ----------
+        of_bodies : Floats, shape (B, 6), N and N m
+            Wrenches of all bodies.
+
+        Returns
+        -------
+        Floats
+            shape (6,), N and N m
+        """
+        return self._tool.wrench(of_bodies, self.newest)
+
+    def state(self) -> str:
+        """Return disabled, none, fresh, stale, or held_off (until it leaves the organ)."""
+        if not self.input.enabled:
+            return "disabled"
+        if self.input.poses == 0:
+            return "none"
+        if not self.pose_freshness.is_fresh:
+            return "stale"
+        return "held_off" if self._organs.hold_off(self.bodies) else "fresh"
+
+    def was_held_off(self, organ: str) -> None:
+        """Log that the tool appeared inside an organ, and is not resisted until it has been outside.
+
+        Where that happens many times a second, as with poses that come more seldom than `stale_time`, one line covers
+        all of them.
+
+        Parameters
+        ----------
+        organ : str
+            Name of the organ.
+        """
+        with self._saying:
+            self.held_off += 1
+            self._unsaid.append(organ)
+        self._say_held_off()
+
+    def _say_held_off(self) -> None:
+        """Log that the tool was held off since the last such line, at most once in SAY_EVERY."""
+        with self._saying:
+            now, organs = time.monotonic(), self._unsaid
+            if not organs or now - self._said < SAY_EVERY:
+                return
+            self._said, self._unsaid = now, []
+        times = f" ({len(organs)} times since the last such line)" if len(organs) > 1 else ""
+        self._log.warning(
+            f"tool '{self.name}' is inactive (held_off): it appeared inside {organs[-1]} and exerts no force until"
+            " it has been outside; send a pose outside first, and the next one within stale_time"
+            f" ({self._organs.stale_time:g} s){times}"
+        )
+
+    def _too_slow(self) -> str:
+        """Return a line about poses that are stale before the next one comes; log it once when that begins."""
+        gap, was_slow = self.pose_freshness.too_slow, self._was_slow
+        self._was_slow = gap > 0.0
+        if gap == 0.0:
+            return ""
+        line = (
+            f"tool '{self.name}': poses arrive {1.0 / gap:.0f} times a second, but each is stale after stale_time,"
+            f" {self._organs.stale_time:g} s: the force fades in between, and inside the organ the tool becomes"
+            f" inactive (held_off); send poses more often, or set stale_time to {math.ceil(20.0 * gap) / 10.0:g}"
+        )
+        if not was_slow:
+            self._log.warning(line)
+        return line
+
+    def report(self, report: Report) -> None:
+        """Add the state, the force, the poses that came and what was refused.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
+        self._say_held_off()
+        own = report.part(f"tool {self.name}", f"{self.name}.")
+        own.state = self.state()
+        if own.state == "held_off":
+            own.warnings.append(
+                f"tool '{self.name}' is inactive (held_off): it is inside the organ, and exerts no force until it"
+                " has been outside"
+            )
+        if line := self._too_slow():
+            own.warnings.append(line)
+        own.values |= {
+            "state": own.state,
+            "force_n": self.output.force,
+            "poses": self.input.poses,
+            "passed_over": self.input.passed_over,
+            "damped_forces": self.output.device.damped,
+        }
+        refused = self.input.refused | ({"nan_wrench": self.output.not_finite} if self.output.not_finite else {})
+        own.problems["held_off"] = self.held_off
+        own.problems |= {f"refused.{why}": count for why, count in sorted(refused.items())}
+        report.values["force_n"] = report.values.get("force_n", 0.0) + self.output.force  # of all tools
+
+    def answer(self, taken: int) -> None:
+        """Publish the newest wrench, unless it answers no new pose.
+
+        Parameters
+        ----------
+        taken : int
+            Number of the pose that a tick applied.
+        """
+        if taken not in (0, self._answered):
+            self._answered = taken
+            self.output.answer(self.newest)
+
+    def _came(self) -> None:
+        """Handle a new pose; those that ticks apply are answered by `answers.Answers`."""
+        if self._organs.loop.standing or not self._organs.answers:
+            self.output.answer(self.newest)
+            self._woken.set()

@@ -1,0 +1,153 @@
+"""A hand that pokes an organ once a second by the clock, and records the forces that it feels."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+
+from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.probes.tool_driver import DEPTH, Hand
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.priority import with_priority
+
+POKES = 1.0  # Hz
+SHORTEST = 3.0  # s of poking in which the node has reported twice
+
+
+class Told(NamedTuple):
+    """One report of the node."""
+
+    seconds: float  # s, its stamp
+    tick: int  # so far
+    late: int  # ticks late by more than a period, so far
+    dropped: int  # ticks dropped, so far
+    pace: float  # simulated time over that of the clock, since the previous report
+    busy: float  # s, median time of a tick
+    degraded: str  # what is given up
+
+
+class Poked(NamedTuple):
+    """Forces and reports during pokes."""
+
+    peaks: Floats  # N, the highest force of each whole poke
+    gap: float  # s, the longest between two poses: delay of the hand itself
+    told: list[Told]
+
+
+def depth_after(seconds: float) -> float:
+    """Return how deep the tool is, m, after so many s: it goes as far out as in, and begins outside."""
+    return -DEPTH * float(np.cos(2.0 * np.pi * POKES * seconds))
+
+
+class Pokes(Hand):
+    """A hand that pokes; like a haptic bridge it sends the present pose, and none for a moment that it missed.
+
+    Parameters
+    ----------
+    node : Node
+        The rclpy node that sends.
+    target : str
+        Name of the node that is poked.
+    organ : Organ
+        Its organ.
+    rate : float, Hz, optional
+        Poses per second.
+    priority : int, optional
+        Real-time priority of the hand.
+    """
+
+    def __init__(self, node: Node, target: str, organ: Organ, *, rate: float = 1000.0, priority: int = 0) -> None:
+        super().__init__(node, organ, rate)
+        self._target, self._priority = target, priority
+        self._wrenches = client.Inbox(node, WrenchStamped, "left/servo_cf", client.stream_qos())
+        self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
+
+    def poke(self, seconds: float, watch: Callable[[], object] = lambda: None) -> Poked:
+        """Poke for some time, SHORTEST at least.
+
+        Parameters
+        ----------
+        seconds : float, s
+            That time.
+        watch : Callable[[], object], optional
+            Called after each poke.
+
+        Raises
+        ------
+        UserError
+            When the node sends no report meanwhile.
+        """
+        self._wrenches.take()
+        self._reports.take_all()
+        found = with_priority(lambda: self._poke(int(seconds * POKES), watch), self._priority)
+        if len(found.told) < 2:
+            raise UserError(f"the node sent no diagnostics for {seconds:g} s")
+        return found
+
+    def poke_until_whole(self, seconds: float, watch: Callable[[], object] = lambda: None) -> float:
+        """Poke until the node gives nothing up, but not much longer than a limit.
+
+        Parameters
+        ----------
+        seconds : float, s
+            The limit.
+        watch : Callable[[], object], optional
+            Called after each poke.
+
+        Returns
+        -------
+        float
+            how long that took, s
+        """
+        began = time.monotonic()
+        while (took := time.monotonic() - began) < seconds:
+            if self.poke(SHORTEST, watch).told[-1].degraded == "none":
+                break
+        return took
+
+    def _poke(self, pokes: int, watch: Callable[[], object]) -> Poked:
+        peaks, told, gap, watched = np.zeros(pokes + 1), [], 0.0, 0
+        began = sent = time.monotonic()
+        while (elapsed := time.monotonic() - began) < pokes / POKES:
+            gap = max(gap, began + elapsed - sent)
+            sent = began + elapsed
+            self.send(depth_after(elapsed))
+            wrench = self._wrenches.take()
+            if wrench is not None:
+                force = wrench.wrench.force
+                poke = int(elapsed * POKES)
+                peaks[poke] = max(peaks[poke], float(np.hypot(np.hypot(force.x, force.y), force.z)))
+            told += self._told()
+            if int(elapsed * POKES) > watched:
+                watched = int(elapsed * POKES)
+                watch()
+            time.sleep(self._period * (1.0 - (time.monotonic() - began) / self._period % 1.0))
+        return Poked(peaks[:pokes], gap, told)
+
+    def _told(self) -> list[Told]:
+        found = []
+        for report in self._reports.take_all():
+            values = client.physics_status([report], self._target)
+            if values is not None:
+                found.append(_as_told(report.header.stamp, values))
+        return found
+
+
+def _as_told(stamp: Any, values: dict[str, str]) -> Told:
+    return Told(
+        stamp.sec + 1e-9 * stamp.nanosec,
+        int(values["tick"]),
+        int(values["overruns"]),
+        int(values["dropped_ticks"]),
+        float(values["real_time_factor"]),
+        1e-6 * float(values["tick_p50_us"]),
+        values["degraded"],
+    )
