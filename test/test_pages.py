@@ -127,7 +127,8 @@ def topics() -> dict[str, str]:
     for path in (ROOT / "tissue_sim" / "ros" / "node").rglob("*.py"):
         # {below} is the node's name, or in a scene an organ's below it.
         made = re.findall(
-            r'(?:create_(?:publisher|subscription|service)\(\s*|LateService\(node, )(\w+), f?"((?:~|/|\{below\})\S+)"',
+            r"(?:create_(?:publisher|subscription|service)\(\s*|DeferredService\(node, )"
+            r'(\w+), f?"((?:~|/|\{below\})\S+)"',
             path.read_text(),
         )
         found |= {re.sub(r"\{[\w.]+\}", "<tool>", name.replace("{below}", "~")): kind for kind, name in made}

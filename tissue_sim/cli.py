@@ -12,7 +12,7 @@ from difflib import get_close_matches
 import tissue_sim
 from tissue_sim import progress
 from tissue_sim.commands import COMMANDS
-from tissue_sim.errors import UserError, give_up_output, output_is_gone, printable
+from tissue_sim.errors import UserError, output_is_gone, printable, stop_output
 from tissue_sim.unexpected_errors import INTERRUPTED, catch_all, tell
 from tissue_sim.version import __version__
 
@@ -86,14 +86,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not output_is_gone():
             tell(error, "tissue_sim")
             return 1
-        give_up_output()
+        stop_output()
         return 0
     except KeyboardInterrupt:  # before the command listens for it
         return 0 if chosen in UNTIL_ASKED else INTERRUPTED
     except Exception as error:  # what nobody thought of
         tell(error, "tissue_sim")
         if isinstance(error, OSError):  # perhaps a full disk, where the remaining output would fail again
-            give_up_output()
+            stop_output()
         return 1
 
 

@@ -57,6 +57,6 @@ def output_is_gone() -> bool:
     return bool(looked.poll(0))
 
 
-def give_up_output() -> None:
+def stop_output() -> None:
     """Discard the standard output after a BrokenPipeError: what is still printed or flushed would fail."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -12,7 +12,7 @@ PR_SET_PDEATHSIG = 1  # of prctl(2)
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
-def end_with_parent() -> None:
+def exit_with_parent() -> None:
     """End this child process when its parent is gone, however that ended; otherwise it would run on unused.
 
     The signal is SIGTERM, not SIGINT, which would get lost while an interpreter starts again, as it does with the

@@ -125,7 +125,7 @@ def say(line: str) -> None:
         The line.
     """
     print(line, file=sys.stderr, flush=True)
-    _teller.put_off()
+    _teller.postpone()
 
 
 @contextmanager
@@ -304,7 +304,7 @@ class _Teller:
                 elif self._write is not None:
                     self._write(self._line(now))
 
-    def put_off(self) -> None:
+    def postpone(self) -> None:
         """Note that something else was reported now."""
         with self.lock:
             if self.terminal is None and self._due < math.inf:

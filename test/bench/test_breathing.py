@@ -4,7 +4,7 @@ import pytest
 
 from helpers.scenes import ball_of_cells
 from tissue_sim.bench.breathing import WAY, as_json, measure, text
-from tissue_sim.model.stepping.wake_threshold import UNFELT
+from tissue_sim.model.stepping.wake_threshold import WAKE_DISPLACEMENT
 
 
 @pytest.mark.extended
@@ -15,7 +15,9 @@ def test_a_slow_breath_carries_an_organ_as_finite_elements_go():
     assert slow.most_off < 0.01 * WAY
     assert fast.bent > 8.0 * slow.bent, "m: with the square of the rate"
     assert slow.asleep > fast.asleep
-    assert all(one.off < max(0.3 * one.bent, UNFELT) for one in found), "it bends as they do, where that is visible"
+    assert all(one.off < max(0.3 * one.bent, WAKE_DISPLACEMENT) for one in found), (
+        "it bends as they do, where that is visible"
+    )
     told = as_json(found)
     assert [bound["met"] for bound in told["bounds"]] == [True]
     assert "120" in text(organ, told)

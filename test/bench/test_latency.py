@@ -10,11 +10,11 @@ import pytest
 
 from tissue_sim.bench import arguments, latency_busy
 from tissue_sim.bench.bare_loop import bare
-from tissue_sim.bench.latency import RATES, WOKEN, as_json, felt_at, measure, names
+from tissue_sim.bench.latency import RATES, WOKEN, as_json, measure, names, wrench_row_name
 from tissue_sim.bench.latency_busy import AFTER, BUSY, PHASES, QUIET
 from tissue_sim.cli import main
 from tissue_sim.ros.probes.graph import Graph
-from tissue_sim.ros.probes.poke_probe import DEPTH, Poked, Told, depth_after
+from tissue_sim.ros.probes.poke_probe import DEPTH, NodeReport, PokeFigures, depth_after
 from tissue_sim.ros.probes.probe import Trip, first_change, together
 from tissue_sim.ros.shared.priority import is_allowed
 
@@ -106,7 +106,7 @@ def test_a_delay_that_is_planted_in_the_node_shows_at_every_rate(monkeypatch):
     monkeypatch.setattr(Graph, "serve", serve)
     trips = measure(None, 4.0)["round_trips"]
     for rate in RATES:
-        felt = trips[felt_at(rate)]
+        felt = trips[wrench_row_name(rate)]
         assert felt["p50_us"] >= 19_000.0
         assert felt["lost"] < felt["trips"], "those that are lost count as later still"
 
@@ -132,7 +132,7 @@ def test_a_priority_that_is_not_allowed_is_refused_in_one_line(name, monkeypatch
 
 
 def told(seconds, tick, late=0, dropped=0, pace=1.0, degraded="none"):
-    return Told(seconds, tick, late, dropped, pace, 1e-4, degraded)
+    return NodeReport(seconds, tick, late, dropped, pace, 1e-4, degraded)
 
 
 def test_a_hand_comes_from_outside_and_is_deepest_in_the_middle_of_a_poke():
@@ -141,7 +141,7 @@ def test_a_hand_comes_from_outside_and_is_deepest_in_the_middle_of_a_poke():
 
 def test_a_phase_is_what_the_node_did_between_its_first_report_and_its_last():
     reports = [told(10.0, 5000, 7, 2), told(11.0, 5900, 17, 52, 0.95, "markers"), told(13.0, 7700, 26, 52, 0.8)]
-    phase = latency_busy.phase_json(Poked(np.array([0.2, 0.3]), 0.004, reports), 1.5)
+    phase = latency_busy.phase_json(PokeFigures(np.array([0.2, 0.3]), 0.004, reports), 1.5)
     assert phase["ticks_per_second"] == pytest.approx(900.0)
     assert phase["late_percent"] == pytest.approx(100.0 * 19 / 2700)
     assert phase["dropped"] == 50
@@ -153,7 +153,7 @@ def busy_bounds(priority, *, peaks=(0.2, 0.2), rate=1000.0, late=0.0, back=0.0):
     def phase(name):
         hit = name == BUSY
         ticks = [told(0.0, 0), told(10.0, round(10.0 * (rate if hit else 1000.0)), round(late if hit else 0.0))]
-        return latency_busy.phase_json(Poked(np.array(peaks if hit else (0.2, 0.2)), 0.0, ticks), 0.0)
+        return latency_busy.phase_json(PokeFigures(np.array(peaks if hit else (0.2, 0.2)), 0.0, ticks), 0.0)
 
     nodes = [
         {"realtime_priority": priority, "seconds_until_back": back, "phases": {name: phase(name) for name in PHASES}}

@@ -16,8 +16,8 @@ from tissue_sim.bench.presses import (
     as_json,
     at_place,
     forms,
+    locations_on,
     motions,
-    places_on,
     text,
 )
 from tissue_sim.cli import main
@@ -70,7 +70,7 @@ def pressed(name, tried, count=2, friction=None, radii=None):
         form = Shallow(*form, radii)
     presser = Ticks(TOOLS[name], friction)
     found = []
-    for place in places_on(kidney(), count):
+    for place in locations_on(kidney(), count):
         found += at_place(presser, form, place, tried, Task("presses", None))
     return found
 
@@ -164,7 +164,7 @@ def test_each_motion_ends_deep_and_stays_there(motion):
 
 def test_places_are_anywhere_on_the_surface_and_ways_lead_in():
     organ = kidney()
-    for place in places_on(organ, 20):
+    for place in locations_on(organ, 20):
         form = Form("", (), 0.005, 0.005)
         np.testing.assert_allclose(place.pose(form, 0.0)[:3], place.point - 0.005 * place.way)
         within = [place.point + depth * place.way for depth in (-1e-4, 1e-4)]
@@ -191,7 +191,7 @@ class Starved:
 @pytest.mark.parametrize(("in_the_end", "lost"), [((1.0, 0.0, 0.0), 0), ((0.0, 0.0, 0.0), len(FAST))])
 def test_a_press_counts_as_lost_by_ticks_and_not_by_time(in_the_end, lost):
     presser = Starved(np.array(in_the_end))
-    (place,) = places_on(kidney(), 1)
+    (place,) = locations_on(kidney(), 1)
     found = at_place(presser, forms()[2], place, FAST, Task("presses", None))
     assert presser.held == [HELD_TICKS] * len(FAST)
     assert sum(one.is_lost for one in found) == lost

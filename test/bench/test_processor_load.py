@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from tissue_sim.bench.processor_load import processor_seconds, shares_during
+from tissue_sim.bench.processor_load import processor_load_during, processor_seconds
 from tissue_sim.errors import UserError
 
 
@@ -39,7 +39,7 @@ def test_shares_are_those_of_the_wait():
         time.sleep(0.05)
         spent["working"] = 0.025
 
-    shares = shares_during({name: lambda n=name: spent[n] for name in spent}, wait)
+    shares = processor_load_during({name: lambda n=name: spent[n] for name in spent}, wait)
     assert 0.0 < shares["working"] <= 50.0
     assert shares["idle"] == 0.0
 

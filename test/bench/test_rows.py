@@ -46,7 +46,7 @@ def test_where_nothing_was_measured_it_is_an_interrupt(monkeypatch, capsys):
     assert (captured.out, captured.err) == ("", "stopped before anything was measured\n")
 
 
-FALLEN = fall.Fallen(0.2, "bump", 0.1, 1e-3, 0.001, True, 0, 0.9, 0)
+FALLEN = fall.SuddenLoad(0.2, "bump", 0.1, 1e-3, 0.001, True, 0, 0.9, 0)
 
 
 def stopped_early(*_):

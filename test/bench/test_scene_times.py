@@ -11,7 +11,7 @@ from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
 from tissue_sim.contact.attachments import Attachment
 from tissue_sim.contact.scene_file import SceneFile
-from tissue_sim.model.stepping.wake_threshold import UNFELT, UNFELT_FORCE
+from tissue_sim.model.stepping.wake_threshold import WAKE_DISPLACEMENT, WAKE_FORCE
 from tissue_sim.organ.placement import placed
 
 COPIES = {bench.ALONE: 100.0, bench.BESIDE: 104.0, bench.ASLEEP: 2.0, bench.AWAKE: 420.0}
@@ -19,7 +19,7 @@ OF_SCENE = {bench.one_poked("one"): 110.0, bench.one_poked("two"): 220.0, bench.
 GOOD = COPIES | OF_SCENE
 
 
-LITTLE = bench.Lacking(6e-5, 2e-4, 1.4, 2.0)
+LITTLE = bench.WakeThresholdError(6e-5, 2e-4, 1.4, 2.0)
 
 
 def measured(lacking=LITTLE, **changed):
@@ -43,7 +43,9 @@ def test_each_bound_is_missed_by_a_bad_figure_alone(name, us):
     assert [bound.met for bound in bench.bounds(measured(**changed))].count(False) == len(changed)
 
 
-@pytest.mark.parametrize("bad", [bench.Lacking(1.1e-4, 0.0, 1.0, 2.0), bench.Lacking(0.0, 1.1e-3, 1.0, 2.0)])
+@pytest.mark.parametrize(
+    "bad", [bench.WakeThresholdError(1.1e-4, 0.0, 1.0, 2.0), bench.WakeThresholdError(0.0, 1.1e-3, 1.0, 2.0)]
+)
 def test_a_scene_that_lacks_too_much_is_told(bad):
     assert [bound.met for bound in bench.bounds(measured(bad))].count(False) == 1
 
@@ -113,8 +115,8 @@ def test_a_scene_is_timed_beside_copies_of_an_organ(monkeypatch, tmp_path):
 def test_the_abdomen_that_ships_lacks_nothing_that_is_seen_or_felt():
     """A breath with a tool on the liver: organs sleep for most of it, where without `unfelt` all are awake."""
     found = bench.lacking(SceneFile.read(bench.shipped_scene()))
-    assert found.moved < UNFELT
-    assert found.felt < UNFELT_FORCE
+    assert found.moved < WAKE_DISPLACEMENT
+    assert found.felt < WAKE_FORCE
     assert found.awake < 2.0
     assert found.awake_of_all > 3.0
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball, filled, kidney
-from tissue_sim.bench.sizes import assembled_anew, at_size, divided, interpolation, sized
+from tissue_sim.bench.sizes import at_size, divided, interpolation, reassembled, sized
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 from tissue_sim.organ.topology import node_area, triangle_area
 
 COARSE, FINE = ball(2), ball(3)
-DIVIDED = assembled_anew(COARSE, *divided(COARSE.surface_positions, COARSE.surface_triangles, 700), 0)
+DIVIDED = reassembled(COARSE, *divided(COARSE.surface_positions, COARSE.surface_triangles, 700), 0)
 MATRIX = np.array([[0.02, 0.01, 0.0], [-0.01, 0.03, 0.02], [0.0, 0.01, -0.02]])
 
 
@@ -85,7 +85,7 @@ def test_finer_surface_is_the_same_polyhedron():
 @pytest.mark.parametrize("organ", [COARSE, kidney()], ids=["ball", "kidney"])
 def test_finer_surface_is_held_at_the_same_places(organ):
     surface = divided(organ.surface_positions, organ.surface_triangles, 3 * organ.n_surface)
-    finer = assembled_anew(organ, *surface, 0)
+    finer = reassembled(organ, *surface, 0)
     assert set(organ.fixed) <= set(finer.fixed)
     area = []
     for one in (organ, finer):
@@ -97,11 +97,11 @@ def test_finer_surface_is_held_at_the_same_places(organ):
 
 def test_organ_assembled_anew_keeps_clamp_tissue_and_atoms():
     organ = filled(kidney(), 20)
-    anew = assembled_anew(organ, organ.surface_positions, organ.surface_triangles, 20)
+    anew = reassembled(organ, organ.surface_positions, organ.surface_triangles, 20)
     np.testing.assert_array_equal(anew.fixed, organ.fixed)
     np.testing.assert_array_equal(anew.spring_stiffness, organ.spring_stiffness)
     assert (anew.n_interior, anew.n_atoms, anew.youngs_modulus) == (20, organ.n_atoms, organ.youngs_modulus)
-    other = assembled_anew(COARSE, FINE.surface_positions, FINE.surface_triangles, 0)
+    other = reassembled(COARSE, FINE.surface_positions, FINE.surface_triangles, 0)
     assert other.surface_positions[other.fixed, 2].max() < -0.5 * 0.03
     assert len(other.fixed) / other.n_surface == pytest.approx(len(COARSE.fixed) / COARSE.n_surface, rel=0.5)
 

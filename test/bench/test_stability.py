@@ -11,7 +11,7 @@ from helpers.scenes import ball, kidney
 from tissue_sim.bench import stability
 from tissue_sim.bench.organs import press_node
 from tissue_sim.bench.sweeps.cells import AXES, SMALL_ORGAN, Cell, axes_named, cells_of
-from tissue_sim.bench.sweeps.inversion_check import Witness
+from tissue_sim.bench.sweeps.inversion_check import InversionCheck
 from tissue_sim.bench.sweeps.loads import PATCH_NODES, PROBE, Poke, far_node, patch_around, ten_points
 from tissue_sim.bench.sweeps.trial import critical_step_of, organ_of, run_cell, simulation_of, with_mass_ratio
 from tissue_sim.cli import main
@@ -102,7 +102,7 @@ def test_mass_ratio_keeps_the_mass_and_the_damping_rate():
 # inside and outside ----------------------------------------------------------------------------
 def test_witness_sees_what_is_turned_over():
     organ = ball(2)
-    witness, rest = Witness(organ), organ.rest_positions
+    witness, rest = InversionCheck(organ), organ.rest_positions
     assert witness.look(rest) == (0, 0, 1.0)
     mirrored = witness.look(rest * [1.0, 1.0, -1.0])
     assert mirrored.cells == len(organ.surface_triangles)

@@ -11,7 +11,7 @@ pytest.importorskip("netgen", reason="the body needs the extra calibration")
 
 from tissue_sim.bench.organs import patch_load
 from tissue_sim.bench.peers.tetrahedra import UNGRADED
-from tissue_sim.bench.sizes import assembled_anew, divided, sized
+from tissue_sim.bench.sizes import divided, reassembled, sized
 from tissue_sim.bench.surface_field import answers, sampling
 from tissue_sim.calibration.fe_mesh import fill
 from tissue_sim.calibration.fem import Body
@@ -56,7 +56,7 @@ def test_finer_surface_has_the_bodys_own_answer_at_its_points(body):
     wanted = body.settle_linear(pushes())
     own = answers(body, sized(ORGAN, ORGAN), pushes())
     np.testing.assert_allclose(own, wanted, atol=1e-12 * np.abs(wanted).max())
-    finer = answers(body, sized(assembled_anew(ORGAN, POINTS, TRIANGLES, 0), ORGAN), pushes())
+    finer = answers(body, sized(reassembled(ORGAN, POINTS, TRIANGLES, 0), ORGAN), pushes())
     np.testing.assert_allclose(finer[:, : ORGAN.n_surface], wanted, atol=1e-9 * np.abs(wanted).max())
     assert np.abs(finer[:, ORGAN.n_surface :]).max() < 1.1 * np.abs(wanted).max()
 

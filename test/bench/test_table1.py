@@ -7,7 +7,7 @@ import pytest
 
 from helpers.scenes import ball, kidney
 from tissue_sim.bench import table1
-from tissue_sim.bench.figure6 import JAW, nip_and_release, write_figure
+from tissue_sim.bench.figure6 import JAW, pinch_and_release, write_figure
 from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
 from tissue_sim.contact.local_compliance import OF_BALLS
@@ -98,7 +98,7 @@ def test_command_prints_json(monkeypatch, capsys):
 # Figure 6 --------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
 def pinched():
-    return nip_and_release(kidney())
+    return pinch_and_release(kidney())
 
 
 @pytest.mark.extended

@@ -18,9 +18,9 @@ pytest.importorskip("netgen", reason="the reference needs the extra calibration"
 
 from tissue_sim.bench import tradeoff
 from tissue_sim.bench.peers.rows import CALIBRATED, rows_of
-from tissue_sim.bench.tradeoff import Case, Error, Found, Judged, as_json, error_of, load_of, pareto, text
+from tissue_sim.bench.tradeoff import Case, Error, Evaluated, Found, as_json, error_of, load_of, pareto, text
 from tissue_sim.bench.variants import BALANCED, Variants
-from tissue_sim.calibration.reference import finer_body
+from tissue_sim.calibration.reference import finer_reference_body
 
 ORGAN = ball(2)
 NONE = Variants(ORGAN, "not calibrated", {BALANCED: "not calibrated"})
@@ -57,14 +57,14 @@ def both(percent):
 def found():
     def row(name, ours, points, percent, us, simulated=0.001):
         errors = [error(percent / 100.0), error(2.0 * percent / 100.0, "sharp")]
-        return Judged(name, ours, points, "a remark", errors, Timing(1e-6 * us, 2e-6 * us, 9), simulated)
+        return Evaluated(name, ours, points, "a remark", errors, Timing(1e-6 * us, 2e-6 * us, 9), simulated)
 
     rows = [
         row("fast", True, 250, 20.0, 100.0),
         row("fast", True, 994, 5.0, 400.0),
         row("worse", True, 994, 6.0, 500.0),
         row("in large steps", False, 994, 1.0, 20_000.0, 0.02),
-        Judged("absent", False, 994, "skipped: gone is not installed", [], None, 1.0),
+        Evaluated("absent", False, 994, "skipped: gone is not installed", [], None, 1.0),
     ]
     return Found(rows, [case(), case(kind="sharp")], 12_345, "linear 0.52 % mean", 1.1)
 
@@ -122,7 +122,7 @@ def test_table_tells_the_references_own_error_and_what_was_skipped():
 def test_growth_is_that_of_the_calibrated_organ():
     def sizes(*percent):
         rows = [
-            Judged(
+            Evaluated(
                 CALIBRATED,
                 True,
                 n,
@@ -204,7 +204,7 @@ def test_names_in_the_plot_cover_neither_one_another_nor_marks():
     from tissue_sim.bench.tradeoff_plot import drawn
 
     crowd = [
-        Judged(f"engine number {n}", n < 6, 994, "", both(5.0 + 0.1 * n), Timing(1e-4 + 2e-5 * n, 1e-3, 9), 0.001)
+        Evaluated(f"engine number {n}", n < 6, 994, "", both(5.0 + 0.1 * n), Timing(1e-4 + 2e-5 * n, 1e-3, 9), 0.001)
         for n in range(12)
     ]
     figure = drawn(as_json(kidney(), found()._replace(rows=[*found().rows, *crowd]), 12.0))
@@ -245,7 +245,7 @@ def test_reference_hands_out_loads_for_tuning_apart_from_the_others():
     assert max(deep) < 0.02
     assert body.n_nodes > 200
     assert accuracy.finer_nodes > 2 * body.n_nodes
-    linear = finer_body(body, np.stack([case.force for case in (*cases, *tuning)])).n_nodes
+    linear = finer_reference_body(body, np.stack([case.force for case in (*cases, *tuning)])).n_nodes
     assert linear == accuracy.finer_nodes, "for all loads at once"
 
 

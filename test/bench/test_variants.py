@@ -16,8 +16,8 @@ from tissue_sim.bench.organs import patch_load
 from tissue_sim.bench.sizes import sized
 from tissue_sim.bench.variants import Effort, effort_at, fitted, is_calibrated, variants_of
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.reference import finer_body
-from tissue_sim.calibration.stiffness import INTERIOR_SHARE, Settings, prepared
+from tissue_sim.calibration.reference import finer_reference_body
+from tissue_sim.calibration.stiffness import INTERIOR_FRACTION, Settings, prepared
 
 ORGAN = filled(ball(1), 8)
 FILLED = {"groups": ORGAN} | {aim: prepared(ORGAN, Settings(aim=aim)) for aim in ("balanced", "fast")}
@@ -39,7 +39,7 @@ def test_cells_fit_better_than_groups_and_groups_better_than_none(fits):
     nodes, forces = patch_load(ORGAN, 1e-3)
     force = np.zeros((ORGAN.n_surface, 3))
     force[nodes] = forces
-    wanted = finer_body(Body(ORGAN), force[None]).settle_linear(force[None])[0]
+    wanted = finer_reference_body(Body(ORGAN), force[None]).settle_linear(force[None])[0]
     organs = {"none": ORGAN} | {method: organ_of(method, made) for method, made in fits.items()}
     error = {
         name: np.linalg.norm(Simulation(organ).settle(force, 1e-5)[0] - wanted) / np.linalg.norm(wanted)
@@ -84,7 +84,7 @@ def test_a_clusters_fits_are_kept_as_if_made_here(monkeypatch, tmp_path, cluster
     variants.fit_on_cluster(ORGAN, [ORGAN.n_surface], cluster[0])
     monkeypatch.setattr(variants, "fitted", None)
     found = variants_of(Body(ORGAN), ORGAN.n_surface, fits=True, every_aim=True)
-    assert set(found.cells) == set(INTERIOR_SHARE)
+    assert set(found.cells) == set(INTERIOR_FRACTION)
     assert all(is_fitted(organ) for organ in (*found.cells.values(), found.groups))
 
 
@@ -104,7 +104,7 @@ def test_calibrated_organ_is_taken_as_it_is_at_its_own_size():
 
 
 def test_an_organ_gets_the_interior_atoms_that_calibrate_would_give_it():
-    assert FILLED["balanced"].n_interior == round(INTERIOR_SHARE["balanced"] * ORGAN.n_surface)
+    assert FILLED["balanced"].n_interior == round(INTERIOR_FRACTION["balanced"] * ORGAN.n_surface)
 
 
 @pytest.mark.extended
@@ -116,7 +116,7 @@ def test_finer_organ_learns_from_the_references_body(monkeypatch, tmp_path, fits
     force = np.zeros((ORGAN.n_surface, 3))
     nodes, forces = patch_load(ORGAN, 1e-3)
     force[nodes] = forces
-    wanted = finer_body(body, force[None]).settle_linear(force[None])[0]
+    wanted = finer_reference_body(body, force[None]).settle_linear(force[None])[0]
 
     def error(organ):
         size = sized(organ, ORGAN)
@@ -127,7 +127,7 @@ def test_finer_organ_learns_from_the_references_body(monkeypatch, tmp_path, fits
     assert isinstance(finer.groups, str)
     made = finer.cells["balanced"]
     assert made.n_surface == 2 * ORGAN.n_surface
-    assert made.n_interior == round(INTERIOR_SHARE["balanced"] * made.n_surface)
+    assert made.n_interior == round(INTERIOR_FRACTION["balanced"] * made.n_surface)
     assert error(made) < 0.1
     assert error(made) < 1.2 * error(organ_of("balanced", fits["balanced"]))
 

@@ -8,7 +8,7 @@ from tissue_sim.calibration.cases import AXES, fit_cases, held_out_cases
 from tissue_sim.calibration.evaluation import errors
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.reference import FINER, LEFT, Refined, finer_body, made_good, refined, samples_of
+from tissue_sim.calibration.reference import FINER, LEFT, Refined, finer_reference_body, made_good, refined, samples_of
 
 
 @pytest.mark.extended
@@ -17,7 +17,7 @@ def test_what_is_left_is_a_share_of_the_difference_to_a_finer_mesh():
     loads = np.zeros((2, organ.n_surface, 3))
     loads[[0, 1], np.argmax(organ.surface_positions[:, 2])] = [[0.0, 0.0, -0.01], [0.02, 0.0, 0.0]]
     coarse = Body(organ)
-    finer = finer_body(coarse, loads)
+    finer = finer_reference_body(coarse, loads)
     assert finer.n_nodes == Body(organ, np.flatnonzero(loads.any(axis=(0, 2))), FINER).n_nodes > 2 * coarse.n_nodes
     answers, wanted = coarse.settle_linear(loads), finer.settle_linear(loads)
     found = refined(coarse, finer, answers, wanted)
@@ -73,7 +73,7 @@ def test_on_the_kidney_what_is_left_is_within_a_percent_and_nonlinear_shapes_are
     organ = kidney()
     forces = held_out_cases(organ, 2, 0).force * 0.2
     coarse = Body(organ)
-    finer = finer_body(coarse, forces)
+    finer = finer_reference_body(coarse, forces)
     linear, finer_linear = coarse.settle_linear(forces), finer.settle_linear(forces)
     assert refined(coarse, finer, linear, finer_linear).worst <= 1.0
     before = np.array([found.displacement for found in coarse.settle_many(forces)])

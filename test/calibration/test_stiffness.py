@@ -6,7 +6,7 @@ import pytest
 from helpers.scenes import ball, changed
 from tissue_sim.calibration.stiffness import (
     CELL_START,
-    INTERIOR_SHARE,
+    INTERIOR_FRACTION,
     RETURN_START,
     Settings,
     first_stiffness,
@@ -20,9 +20,9 @@ from tissue_sim.model.elasticity.modes import strains_of
 
 def test_cells_fill_the_organ_and_groups_take_it_as_it_is():
     cells = prepared(ball(2), Settings())
-    for aim, share in INTERIOR_SHARE.items():
+    for aim, share in INTERIOR_FRACTION.items():
         assert prepared(ball(2), Settings(aim=aim)).n_interior == round(share * cells.n_surface)
-    assert cells.n_interior == round(INTERIOR_SHARE["balanced"] * cells.n_surface)
+    assert cells.n_interior == round(INTERIOR_FRACTION["balanced"] * cells.n_surface)
     assert prepared(cells, Settings(interior=30)).n_interior == 30
     mu, lam = cells.lame_moduli
     np.testing.assert_allclose(cells.cell_mu, CELL_START[0] * mu)

@@ -14,8 +14,8 @@ from tissue_sim.contact.local_compliance import (
     OF_BALLS,
     OF_OTHERS,
     STRETCHED,
+    extra_compliance_between_nodes,
     local_compliance,
-    more_between,
     most_give,
 )
 from tissue_sim.contact.scene import Scene
@@ -65,9 +65,9 @@ def test_points_between_nodes_give_way_by_more():
     corner = organ.surface_positions[organ.surface_triangles]
     edges = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)
     edge = edges.mean()
-    assert more_between(OF_BALLS, organ, 3.0 * edge) == OF_BALLS.between
-    assert more_between(OF_BALLS, organ, 0.5 * edge) == pytest.approx(0.5 * OF_BALLS.between)
-    assert more_between(OF_OTHERS, organ, edge) == 0.0, "of shafts and jaws"
+    assert extra_compliance_between_nodes(OF_BALLS, organ, 3.0 * edge) == OF_BALLS.between
+    assert extra_compliance_between_nodes(OF_BALLS, organ, 0.5 * edge) == pytest.approx(0.5 * OF_BALLS.between)
+    assert extra_compliance_between_nodes(OF_OTHERS, organ, edge) == 0.0, "of shafts and jaws"
     scene = Scene(organ, [Tool("finger", radius=2.0 * edge)])
     press(scene, 0.5 * edge, hold=1)
     found = scene.contacts

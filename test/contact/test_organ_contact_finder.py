@@ -5,7 +5,7 @@ import pytest
 
 from helpers.scenes import RADIUS, ball
 from tissue_sim.contact.broad_phase import approach
-from tissue_sim.contact.organ_contact_finder import DEEPEST, MARGIN, PairFinder
+from tissue_sim.contact.organ_contact_finder import DEEPEST, MARGIN, OrganContactFinder
 from tissue_sim.contact.self_contact_finder import SelfFinder
 from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.model.stepping.organ_contact import used_words
@@ -31,11 +31,11 @@ def surfaces(step, closing):
 
 @pytest.mark.parametrize("closing", [0.002, 0.009, 0.02])
 def test_one_that_remembers_finds_what_a_new_one_finds(closing):
-    finder, found = PairFinder(BALLS), 0
+    finder, found = OrganContactFinder(BALLS), 0
     for step in range(200):
         now = surfaces(step, closing)
         words = used_words(finder.find(now)).copy()
-        np.testing.assert_array_equal(words, used_words(PairFinder(BALLS).find(now)))
+        np.testing.assert_array_equal(words, used_words(OrganContactFinder(BALLS).find(now)))
         found += int(words[0])
     counters = finder.counters
     assert (found > 0) == (closing > 0.004)
@@ -46,7 +46,7 @@ def test_one_that_remembers_finds_what_a_new_one_finds(closing):
 
 def test_pairs_are_the_nodes_near_the_other_surface():
     now = surfaces(100, 0.012)
-    found = PairFinder(BALLS).find(now)
+    found = OrganContactFinder(BALLS).find(now)
     count = int(found.found[0])
     for first, second in ((0, 1), (1, 0)):
         surface, triangles = now[second], BALLS[second].surface_triangles

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from helpers.scenes import RADIUS, ball, filled, kidney
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.interior import place_interior_atoms
+from tissue_sim.organ.interior import distribute_interior_atoms
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind
 from tissue_sim.organ.topology import assemble_organ
@@ -26,7 +26,7 @@ def filled_kidney():
 
 def test_each_lies_on_the_spoke_of_a_boundary_point():
     surface, triangles, atoms = parts(kidney())
-    placed = place_interior_atoms(surface, triangles, atoms, 150)
+    placed = distribute_interior_atoms(surface, triangles, atoms, 150)
     assert placed.positions.shape == (150, 3)
     medial, boundary = placed.spoke.T
     np.testing.assert_array_equal(medial, nearest_atoms(surface, atoms, 1)[0][boundary, 0])
@@ -39,7 +39,7 @@ def test_each_lies_on_the_spoke_of_a_boundary_point():
 
 def test_a_layer_lies_a_mean_edge_under_the_boundary_and_the_others_deeper():
     surface, triangles, atoms = parts(kidney())
-    placed = place_interior_atoms(surface, triangles, atoms, 300, layer=0.7)
+    placed = distribute_interior_atoms(surface, triangles, atoms, 300, layer=0.7)
     mesh = trimesh.Trimesh(surface, triangles, process=False)
     samples = trimesh.sample.sample_surface(mesh, 200_000, seed=0)[0]
     depth = cKDTree(samples).query(placed.positions)[0] / mesh.edges_unique_length.mean()
@@ -53,10 +53,10 @@ def test_a_layer_lies_a_mean_edge_under_the_boundary_and_the_others_deeper():
 
 def test_an_organ_too_thin_for_a_core_has_them_all_where_there_is_room():
     organ = ball()
-    placed = place_interior_atoms(*parts(organ), 20, layer=0.7)
+    placed = distribute_interior_atoms(*parts(organ), 20, layer=0.7)
     assert len(placed.positions) == 20
     with pytest.raises(UserError, match="--interior 100000 is too many"):
-        place_interior_atoms(*parts(organ), 100_000, layer=0.7)
+        distribute_interior_atoms(*parts(organ), 100_000, layer=0.7)
 
 
 def test_they_spread_through_the_volume():
@@ -67,7 +67,7 @@ def test_they_spread_through_the_volume():
     probes = probes[inside(probes, surface, triangles)]
     farthest = []
     for count in (0, 50, 150):
-        inner = np.concatenate([atoms, place_interior_atoms(surface, triangles, atoms, count).positions])
+        inner = np.concatenate([atoms, distribute_interior_atoms(surface, triangles, atoms, count).positions])
         farthest.append(cKDTree(np.concatenate([inner, surface])).query(probes)[0].max())
         if count:
             gaps = cKDTree(inner[len(atoms) :]).query(inner[len(atoms) :], k=2)[0][:, 1]
@@ -83,7 +83,7 @@ def test_a_spoke_that_leaves_the_organ_carries_none_beyond():
     surface = np.concatenate([first.vertices, second.vertices])
     triangles = np.concatenate([first.faces, second.faces + len(first.vertices)]).astype(np.int32)
     atoms = np.array([[0.0, -0.005, 0.0], [0.0, 0.005, 0.0]])
-    placed = place_interior_atoms(surface, triangles, atoms, 40)
+    placed = distribute_interior_atoms(surface, triangles, atoms, 40)
     assert np.any(placed.spoke[:, 1] >= len(first.vertices))
     assert np.all(np.linalg.norm(placed.positions, axis=1) < 0.02)
 
@@ -91,9 +91,9 @@ def test_a_spoke_that_leaves_the_organ_carries_none_beyond():
 def test_impossible_counts_are_refused():
     surface, triangles, atoms = parts(ball())
     with pytest.raises(UserError, match="--interior -1 is negative"):
-        place_interior_atoms(surface, triangles, atoms, -1)
+        distribute_interior_atoms(surface, triangles, atoms, -1)
     with pytest.raises(UserError, match=r"--interior 100000 is too many.*room for \d+"):
-        place_interior_atoms(surface, triangles, atoms, 100_000)
+        distribute_interior_atoms(surface, triangles, atoms, 100_000)
 
 
 def test_springs_join_them_with_their_medial_atom_the_surface_and_each_other(filled_kidney):

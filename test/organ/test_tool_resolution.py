@@ -5,7 +5,7 @@ import re
 import pytest
 
 from helpers.scenes import ball
-from tissue_sim.organ.tool_resolution import FAIR, FINE, MOST_POINTS, mean_edge, points_for, too_coarse
+from tissue_sim.organ.tool_resolution import FAIR, FINE, MOST_POINTS, mean_edge, points_for, unresolved_tools_of
 
 
 def test_so_many_points_make_the_edge_as_short_as_is_needed():
@@ -19,8 +19,8 @@ def test_so_many_points_make_the_edge_as_short_as_is_needed():
 def test_an_organ_is_too_coarse_for_what_is_below_half_its_edge():
     organ = ball(2)
     half = 0.5 * mean_edge(organ)
-    assert too_coarse(organ, half) is None
-    why = too_coarse(organ, 0.5 * half)
+    assert unresolved_tools_of(organ, half) is None
+    why = unresolved_tools_of(organ, 0.5 * half)
     assert why is not None
     assert f"{0.5e3 * half:.3g} mm" in why
     assert f"{2e3 * half:.3g} mm" in why
@@ -28,6 +28,6 @@ def test_an_organ_is_too_coarse_for_what_is_below_half_its_edge():
         str(points_for(organ, 0.5 * half)),
         str(points_for(organ, 0.5 * half, FINE)),
     )
-    finest = too_coarse(organ, 0.01 * half)
+    finest = unresolved_tools_of(organ, 0.01 * half)
     assert finest is not None
     assert f"for which --points {MOST_POINTS} is sufficient" in finest

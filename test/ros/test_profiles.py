@@ -95,13 +95,13 @@ def test_a_bridge_feels_the_kidney(served, tmp_path):
         assert stand_in.set_parameter("stale_time", 0.05).successful
         cisst = name != "forcedimension_ros2"
 
-        def is_let_go():
+        def is_released():
             if cisst:
                 stand_in.send(touch + 0.003 * inward, valid=False)
             stand_in.spin(0.02)
             return not stand_in.forces[-1].any()
 
-        assert stand_in.spin_until(is_let_go), "the force fades"
+        assert stand_in.spin_until(is_released), "the force fades"
         if cisst:
             stand_in.send(touch, valid=False)
             assert stand_in.spin_until(lambda: f"{tool}.refused.no_stamp" in stand_in.diagnostics)

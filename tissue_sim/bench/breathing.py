@@ -22,7 +22,7 @@ from tissue_sim.calibration.dynamics import swing
 from tissue_sim.calibration.fem import Body
 from tissue_sim.contact.attachments import Breathing
 from tissue_sim.contact.scene import Scene
-from tissue_sim.model.stepping.breathing import breathed_in
+from tissue_sim.model.stepping.breathing import inhaled_fraction
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
@@ -78,7 +78,7 @@ def _breathed(organ: Organ, body: Body, rate: float, name: str, way: Floats) -> 
     simulation = scene.simulation
 
     def weight(time: float) -> Floats:
-        return body.loads(np.zeros((organ.n_surface, 3)), -WAY * breathed_in(time, period)[2] * way)
+        return body.loads(np.zeros((organ.n_surface, 3)), -WAY * inhaled_fraction(time, period)[2] * way)
 
     rest, damping = np.zeros_like(body.solid.nodes), float(simulation.model.damping_rate)
     ticks = round(period * simulation.rate / LOOKS)
@@ -99,7 +99,7 @@ def _breathed(organ: Organ, body: Body, rate: float, name: str, way: Floats) -> 
     for look in range(STEPS, len(elements.time), STEPS):
         for _ in range(ticks):
             scene.step()
-        carried = WAY * breathed_in(float(elements.time[look]), period)[0] * way
+        carried = WAY * inhaled_fraction(float(elements.time[look]), period)[0] * way
         there = simulation.positions[surface] - organ.surface_positions + scene.offsets[0]
         apart = np.linalg.norm(there - (carried + elements.displacement[look]), axis=1)
         bent = max(bent, float(np.linalg.norm(elements.displacement[look], axis=1).max()))

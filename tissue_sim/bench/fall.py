@@ -31,7 +31,7 @@ SHARP = 3  # every third load is on a node and its neighbours, the others are bu
 MOST_OFF = 1.0  # %
 
 
-class Fallen(NamedTuple):
+class SuddenLoad(NamedTuple):
     """Results of one load, raised and applied suddenly."""
 
     traction: float  # of Young's modulus
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(found, check=args.check)
 
 
-def measure(organ: Organ, count: int, shares: Sequence[float] = TRACTIONS) -> list[Fallen]:
+def measure(organ: Organ, count: int, shares: Sequence[float] = TRACTIONS) -> list[SuddenLoad]:
     """Return `count` loads for each fraction of Young's modulus. Raises UserError without enough free nodes."""
     sharp = count // SHARP
     cases = held_out_cases(organ, count - sharp, sharp)
@@ -79,14 +79,14 @@ def measure(organ: Organ, count: int, shares: Sequence[float] = TRACTIONS) -> li
     return found
 
 
-def fallen(simulation: Simulation, share: float, kind: str, force: Floats) -> Fallen:
+def fallen(simulation: Simulation, share: float, kind: str, force: Floats) -> SuddenLoad:
     """Return the results of one load (n_surface, 3) N."""
     raised, rose = simulation.settle(force, TOLERANCE, LONGEST, RAMP)
     turned = swelling(simulation.model, simulation.positions) <= 0.0
     faults = int(simulation.state.count.faults)
     dropped, fell = simulation.settle(force, TOLERANCE, LONGEST)
     volume = swelling(simulation.model, simulation.positions)
-    return Fallen(
+    return SuddenLoad(
         traction=share,
         kind=kind,
         newton=float(np.linalg.norm(force, axis=1).sum()),
@@ -99,7 +99,7 @@ def fallen(simulation: Simulation, share: float, kind: str, force: Floats) -> Fa
     )
 
 
-def as_json(found: Sequence[Fallen]) -> dict[str, Any]:
+def as_json(found: Sequence[SuddenLoad]) -> dict[str, Any]:
     """Return all figures, and the bounds on loads of at most JUDGED."""
     judged = [one for one in found if one.traction <= JUDGED]
     up_to = f"up to {JUDGED:g} E"

@@ -68,7 +68,7 @@ NO_ARROWS = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
 NO_JAWS = np.zeros((0, 3))
 
 
-def nip_and_release(organ: Organ) -> tuple[Panel, Panel]:
+def pinch_and_release(organ: Organ) -> tuple[Panel, Panel]:
     """Return panels of two jaws that take the organ at its top and pull, and of the organ after the release.
 
     The jaws are balls; they touch the organ as the tools of the node do.

@@ -19,7 +19,7 @@ from tissue_sim import progress
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
-from tissue_sim.bench.processor_load import processor_seconds, shares_during
+from tissue_sim.bench.processor_load import processor_load_during, processor_seconds
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
 
@@ -69,7 +69,7 @@ def measure(organ_file: str, seconds: float) -> dict[str, Any]:
             turns = []
             with progress.still(), rows.until_stopped():
                 for turn in rows.each(range(max(1, round(seconds / TURN))), "turns"):
-                    turns.append(shares_during(spent, partial(viewer.look, TURN)))
+                    turns.append(processor_load_during(spent, partial(viewer.look, TURN)))
                     rows.tell(f"turn {turn + 1}", *(f"{name} {share:.2f} %" for name, share in turns[-1].items()))
     return as_json(turns, seen_after)
 

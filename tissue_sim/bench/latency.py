@@ -94,7 +94,7 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
                     probe.approach()
                     before = probe.report()
                     for rate in RATES:
-                        turn[felt_at(rate)] = probe.changes(seconds / turns, rate)
+                        turn[wrench_row_name(rate)] = probe.changes(seconds / turns, rate)
                         under_way.advance()
                     after = probe.report()
                     busy = after["tick_p50_us"]
@@ -109,15 +109,15 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
                 late += after["overruns"] - before["overruns"]
                 for name, trip in turn.items():
                     trips[name].append(trip)
-                p50 = turn[felt_at(RATES[0])].as_json()["p50_us"]
-                rows.tell(f"turn {number + 1}", f"{felt_at(RATES[0])}: p50 {p50:.0f} us")
+                p50 = turn[wrench_row_name(RATES[0])].as_json()["p50_us"]
+                rows.tell(f"turn {number + 1}", f"{wrench_row_name(RATES[0])}: p50 {p50:.0f} us")
         told = {name: together(parts).as_json() for name, parts in trips.items()}
         found = as_json(seconds, told, (done, late), np.concatenate(bare_late), busy)
         smoothed = [] if rows.stopped() else smoothing.as_json(smoothing.measure(organ))
         return {"realtime_priority": priority, **found, "smoothing": smoothed}
 
 
-def felt_at(rate: float) -> str:
+def wrench_row_name(rate: float) -> str:
     """Return the name of trips to the node at a pose rate, Hz."""
     return f"wrench, poses at {rate:g} Hz"
 
@@ -129,7 +129,7 @@ def echo_at(rate: float) -> str:
 
 def names() -> list[str]:
     """Return the names of all trips."""
-    return [name for rate in RATES for name in (felt_at(rate), echo_at(rate))] + [*WOKEN]
+    return [name for rate in RATES for name in (wrench_row_name(rate), echo_at(rate))] + [*WOKEN]
 
 
 # reporting -------------------------------------------------------------------------------------------
@@ -148,7 +148,7 @@ def as_json(
     ticks_beyond = TICKS_BEYOND * 1e6 * period
     woken, echo_woken = (trips[name] for name in WOKEN)
     felt = [
-        Bound(f"{felt_at(rate)}, {name}", trips[felt_at(rate)][f"{name}_us"], most, "us")
+        Bound(f"{wrench_row_name(rate)}, {name}", trips[wrench_row_name(rate)][f"{name}_us"], most, "us")
         for rate in RATES
         for name, most in zip(("p50", "p99"), MOST[rate], strict=True)
         if most is not None

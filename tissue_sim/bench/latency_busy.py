@@ -27,7 +27,7 @@ from tissue_sim.ros.shared.children import Child
 from tissue_sim.ros.shared.priority import below, is_allowed
 
 if TYPE_CHECKING:
-    from tissue_sim.ros.probes.poke_probe import Poked, Pokes
+    from tissue_sim.ros.probes.poke_probe import PokeFigures, PokeProbe
 
 PRIORITY = 20  # where none is given
 PHASES = QUIET, BUSY, AFTER = "quiet", "busy", "quiet again"
@@ -74,7 +74,7 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
         )
 
     with Graph() as graph:
-        from tissue_sim.ros.probes.poke_probe import Pokes
+        from tissue_sim.ros.probes.poke_probe import PokeProbe
         from tissue_sim.ros.probes.tool_driver import RADIUS
         from tissue_sim.ros.shared.client import client_node
 
@@ -83,7 +83,7 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
         graph.start("probes.listener", NODE)
         ticks(served)
         own = graph.enter_context(client_node("busy_probe", NODE))
-        hand = Pokes(own, NODE, Organ.load(path), rate=RATE, priority=below(below(priority)))
+        hand = PokeProbe(own, NODE, Organ.load(path), rate=RATE, priority=below(below(priority)))
         hand.meet()
         hand.poke(WARMING_UP)
         with progress.still(), progress.task("phases", len(PHASES)) as under_way:
@@ -109,7 +109,7 @@ def spinning() -> Iterator[None]:
             program.stop()
 
 
-def _phase(hand: Pokes, seconds: float, priority: int, watch: Callable[[], object]) -> dict[str, Any]:
+def _phase(hand: PokeProbe, seconds: float, priority: int, watch: Callable[[], object]) -> dict[str, Any]:
     found = hand.poke(seconds, watch)
     turns = max(1, round(BARE_SHARE * seconds / BARE_TURN))
     late = []
@@ -123,7 +123,7 @@ def _phase(hand: Pokes, seconds: float, priority: int, watch: Callable[[], objec
 # telling -------------------------------------------------------------------------------------------
 
 
-def phase_json(found: Poked, bare_percent: float) -> dict[str, Any]:
+def phase_json(found: PokeFigures, bare_percent: float) -> dict[str, Any]:
     """Return the figures of one phase: the node's between its first report and its last, and the forces."""
     first, last = found.told[0], found.told[-1]
     done, wall = last.tick - first.tick, last.seconds - first.seconds

@@ -22,7 +22,7 @@ from tissue_sim.bench import message_rate as arriving
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
-from tissue_sim.bench.processor_load import processor_seconds, shares_during
+from tissue_sim.bench.processor_load import processor_load_during, processor_seconds
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -136,10 +136,10 @@ def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict
 
 def turn(spent: Mapping[str, Callable[[], float]], both: Viewer) -> dict[str, dict[str, float]]:
     """Return what a subscriber adds to node and peer, percent of a core, and the Hz that it gets."""
-    without = shares_during(spent, partial(time.sleep, TURN))
+    without = processor_load_during(spent, partial(time.sleep, TURN))
     with both:
         both.look(SETTLING)
-        watched = shares_during(spent, partial(both.look, TURN))
+        watched = processor_load_during(spent, partial(both.look, TURN))
     rate = {name: both.count[topic] / TURN for name, topic in MARKERS.items()}
     return {name: {"percent": watched[name] - without[name], "hz": rate[name]} for name in spent}
 

@@ -24,7 +24,7 @@ import numpy as np
 from tissue_sim import progress
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
-from tissue_sim.bench.processor_load import processor_seconds, shares_during
+from tissue_sim.bench.processor_load import processor_load_during, processor_seconds
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
 from tissue_sim.organ.shipped import shipped_file
@@ -104,7 +104,7 @@ def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) 
                     under_way.reach(min(round(time.monotonic() - began), seconds))
 
         spent = {name: partial(processor_seconds, child.pid) for name, child in children.items()}
-        shares = shares_during(spent, note)
+        shares = processor_load_during(spent, note)
         watched = json.loads(told(watcher))
     return as_json(scene, watched, sent, shares, seconds)
 
@@ -112,12 +112,12 @@ def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) 
 def served_at(page: Child) -> str:
     """Return the address that a viewer prints. Raises UserError when it ends, or prints none."""
 
-    def told_address() -> str:
+    def printed_address() -> str:
         if page.exit_code is not None:
             raise UserError(f"the page did not start: {page.last_words()}")
         return next((line.partition(" ")[2] for line in page.output if line.startswith("open ")), "")
 
-    return first_within(told_address, START_TIME, "no page was served")
+    return first_within(printed_address, START_TIME, "no page was served")
 
 
 def carried(scene: SceneFile, folder: Path) -> Path:

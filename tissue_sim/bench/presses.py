@@ -85,7 +85,7 @@ class Place(NamedTuple):
         return np.concatenate([self.point + (depth - form.ahead) * self.way, turn.as_quat()])
 
 
-def places_on(organ: Organ, count: int, seed: int = 5) -> list[Place]:
+def locations_on(organ: Organ, count: int, seed: int = 5) -> list[Place]:
     """Draw places evenly from the area of a surface, clear of its clamp."""
     corners, rng = organ.surface_positions[organ.surface_triangles], np.random.default_rng(seed)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -198,7 +198,7 @@ def measure(files: Sequence[str], n_places: int, friction: float | None = None) 
             organ = Organ.load(file)
             settings = (*form.parameters, *([] if friction is None else [f"friction:={friction}"]))
             with pressing(file, organ, settings) as presser, progress.still():
-                for number, place in enumerate(places_on(organ, n_places)):
+                for number, place in enumerate(locations_on(organ, n_places)):
                     pressed = at_place(presser, form, place, motions(), under_way, organ.name)
                     found += pressed
                     if pressed:

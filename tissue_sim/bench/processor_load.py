@@ -49,7 +49,7 @@ def _clock(number: int, kind: int) -> float:
     return time.clock_gettime(~number << 3 | kind)
 
 
-def shares_during(spent: Mapping[str, Callable[[], float]], wait: Callable[[], object]) -> dict[str, float]:
+def processor_load_during(spent: Mapping[str, Callable[[], float]], wait: Callable[[], object]) -> dict[str, float]:
     """Return the percentage of a core that each process takes while `wait` runs.
 
     Parameters

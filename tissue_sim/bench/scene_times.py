@@ -36,9 +36,9 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.stepping.coupled_step import tick_together
+from tissue_sim.model.stepping.coupled_step import tick_coupled
 from tissue_sim.model.stepping.inputs import load_nodes
-from tissue_sim.model.stepping.wake_threshold import UNFELT, UNFELT_FORCE
+from tissue_sim.model.stepping.wake_threshold import WAKE_DISPLACEMENT, WAKE_FORCE
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.placement import placed
@@ -69,7 +69,7 @@ class Row(NamedTuple):
     timing: Timing
 
 
-class Lacking(NamedTuple):
+class WakeThresholdError(NamedTuple):
     """Deviation of a scene whose organs have a wake threshold from one in which they respond to every load.
 
     Measured over a breath, or LEAST_BREATH s, with a ball pressed into the first organ.
@@ -86,7 +86,7 @@ class Figures(NamedTuple):
 
     rows: list[Row]
     noise: float  # p99 over median of a fixed loop
-    lacking: Lacking | None  # of a scene of several organs
+    lacking: WakeThresholdError | None  # of a scene of several organs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -156,7 +156,7 @@ def touched_ticks(scene: SceneFile) -> JoinedTicks:
     return _ticks_of(made, (), press)
 
 
-def lacking(scene: SceneFile) -> Lacking:
+def lacking(scene: SceneFile) -> WakeThresholdError:
     """Compare a scene with itself without a wake threshold."""
     scenes = [_pressed(scene, 1) for _ in range(2)]
     (some, _), (everything, _) = scenes
@@ -173,7 +173,7 @@ def lacking(scene: SceneFile) -> Lacking:
         for one, other in zip(some.simulations, everything.simulations, strict=True):
             moved = max(moved, float(np.linalg.norm(one.positions - other.positions, axis=1).max()))
         felt = max(felt, float(np.linalg.norm(some.wrenches[:, :3] - everything.wrenches[:, :3])))
-    return Lacking(moved, felt, *(awake / ticks))
+    return WakeThresholdError(moved, felt, *(awake / ticks))
 
 
 def _pressed(scene: SceneFile, count: int) -> tuple[Scene, Callable[[], None]]:
@@ -247,7 +247,7 @@ def _time_joined(worlds: Any, joined: Any, loads: Any, phase: Any, clock: Any, t
             if len(nodes) > 0:
                 load_nodes(worlds[organ].state, nodes, share * forces)
         start = now(clock)
-        tick_together(worlds, joined)
+        tick_coupled(worlds, joined)
         times[index] = now(clock) - start
 
 
@@ -277,8 +277,8 @@ def bounds(measured: Figures) -> list[Bound]:
         ]
     if measured.lacking is not None:
         found += [
-            Bound("error of organs with a wake threshold", 1e3 * measured.lacking.moved, 1e3 * UNFELT, "mm"),
-            Bound("error of the haptic output on one", 1e3 * measured.lacking.felt, 1e3 * UNFELT_FORCE, "mN"),
+            Bound("error of organs with a wake threshold", 1e3 * measured.lacking.moved, 1e3 * WAKE_DISPLACEMENT, "mm"),
+            Bound("error of the haptic output on one", 1e3 * measured.lacking.felt, 1e3 * WAKE_FORCE, "mN"),
         ]
     return found
 

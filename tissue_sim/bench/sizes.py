@@ -157,12 +157,12 @@ def at_size(organ: Organ, points: int) -> Organ:
         The organ of that size.
     """
     if points == organ.n_surface:
-        return assembled_anew(organ, organ.surface_positions, organ.surface_triangles, organ.n_interior)
+        return reassembled(organ, organ.surface_positions, organ.surface_triangles, organ.n_interior)
     if points > organ.n_surface:
-        return assembled_anew(organ, *divided(organ.surface_positions, organ.surface_triangles, points), 0)
+        return reassembled(organ, *divided(organ.surface_positions, organ.surface_triangles, points), 0)
     key = hashlib.sha256(f"{_VERSION} {points} {organ.digest()}".encode()).hexdigest()
     made = remembered("size", key, lambda: _resampled(organ, points))
-    return assembled_anew(organ, made["positions"], made["triangles"], 0)
+    return reassembled(organ, made["positions"], made["triangles"], 0)
 
 
 def divided(positions: Floats, triangles: Ints, points: int) -> tuple[Floats, Ints]:
@@ -179,7 +179,7 @@ def divided(positions: Floats, triangles: Ints, points: int) -> tuple[Floats, In
     return positions, triangles
 
 
-def assembled_anew(organ: Organ, positions: Floats, triangles: Ints, interior: int) -> Organ:
+def reassembled(organ: Organ, positions: Floats, triangles: Ints, interior: int) -> Organ:
     """Return an organ of the same atoms, tissue and clamp on a surface (n, 3) m, (t, 3), with new springs."""
     return assemble_like(
         organ,

@@ -49,7 +49,7 @@ def read_bag(path: Path) -> BagFound:
 
     from tissue_sim.ros.bags import recovery
 
-    if recovery.is_broken_off(path):
+    if recovery.is_interrupted(path):
         raise UserError(f"bag {path} was not closed")
     try:
         with Reader(path) as reader:

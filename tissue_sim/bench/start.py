@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 from tissue_sim import progress
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, made_or_skipped
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, built_or_skipped, emit, exit_code, figure
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -114,7 +114,7 @@ def measure(organ: Path, wanted: Sequence[str]) -> dict[str, Any]:
             rows.tell(f"a new process, {kernels}", f"{starts[kernels]['wall']:.2f} s to its first tick")
             for _ in range(1 if kernels == TO_COMPILE else 2):
                 with _cache(kernels) as environment, progress.task("a node"):
-                    nodes[kernels], remark = made_or_skipped(partial(node_start, organ, environment))
+                    nodes[kernels], remark = built_or_skipped(partial(node_start, organ, environment))
     return as_json(starts, nodes, {name: min(found) for name, found in peers.items() if found}, remark)
 
 

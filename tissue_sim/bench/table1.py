@@ -211,11 +211,11 @@ def text(found: dict[str, Any]) -> str:
 
 def panels(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], *, with_nip: bool = True) -> list[Any]:
     """Return the panels of Figure 6: nip and release, global deformation of the hybrid and of the surface model."""
-    from tissue_sim.bench.figure6 import NO_JAWS, Panel, nip_and_release
+    from tissue_sim.bench.figure6 import NO_JAWS, Panel, pinch_and_release
 
     force = FORCES[-1]
     nodes, forces = load(organ, force, unit)
-    found = list(nip_and_release(organ)) if with_nip else []
+    found = list(pinch_and_release(organ)) if with_nip else []
     for letter, name, column in (("C", "global", WHOLE), ("D", "surface_global", "Surface MS")):
         cell = cells[force.name][column]
         ending = "" if cell.settled else ", not converged"

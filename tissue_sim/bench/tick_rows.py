@@ -14,7 +14,7 @@ from tissue_sim.bench.c_loop import NATIVE, PLAIN, CLoop, CLoopError
 from tissue_sim.bench.compliance import Product, surface_compliance
 from tissue_sim.bench.flex import Flex
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
-from tissue_sim.bench.printing import made_or_skipped
+from tissue_sim.bench.printing import built_or_skipped
 from tissue_sim.bench.timing import Burst, Ticks
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
@@ -60,7 +60,7 @@ def make_bursts(makers: Mapping[str, Maker]) -> tuple[dict[str, Burst], dict[str
     bursts: dict[str, Burst] = {}
     remarks: dict[str, str] = {}
     for name, make in progress.steps(makers.items(), "preparing"):
-        burst, remarks[name] = made_or_skipped(make, CLoopError)
+        burst, remarks[name] = built_or_skipped(make, CLoopError)
         if burst is not None:
             bursts[name] = burst
     return bursts, remarks

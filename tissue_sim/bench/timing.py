@@ -32,7 +32,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.guard import check_cells, guard
 from tissue_sim.model.stepping.inputs import load_nodes, take_pose
 from tissue_sim.model.stepping.tick import tick
-from tissue_sim.parent_exit import end_with_parent
+from tissue_sim.parent_exit import exit_with_parent
 
 Burst = Callable[[int], Floats]  # count -> seconds (count,) that each of count calls took
 
@@ -158,7 +158,7 @@ def _begin() -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    end_with_parent()
+    exit_with_parent()
     signal.signal(signal.SIGINT, interrupt)
 
 

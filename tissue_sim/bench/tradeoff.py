@@ -21,7 +21,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.peers.engine import Engine, Load
 from tissue_sim.bench.peers.rows import CALIBRATED, Row, rows_of
-from tissue_sim.bench.printing import emit, figure, made_or_skipped, noise_lines, told, with_remarks
+from tissue_sim.bench.printing import built_or_skipped, emit, figure, noise_lines, told, with_remarks
 from tissue_sim.bench.rows import each, stopped, tell, until_stopped
 from tissue_sim.bench.scaling import exponent
 from tissue_sim.bench.sizes import Sized, sized
@@ -29,7 +29,7 @@ from tissue_sim.bench.timing import Burst, Phase, Timing, in_one_thread, interle
 from tissue_sim.bench.variants import fit_on_cluster, variants_of
 from tissue_sim.calibration.cases import held_out_cases, scale_to_depth
 from tissue_sim.calibration.fem import Body, volume_change
-from tissue_sim.calibration.reference import Refined, finer_body, refined
+from tissue_sim.calibration.reference import Refined, finer_reference_body, refined
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -63,7 +63,7 @@ class Error(NamedTuple):
     seconds: float  # to settle
 
 
-class Judged(NamedTuple):
+class Evaluated(NamedTuple):
     """Row of the table; where it was skipped, errors are empty, update is None and the remark gives the reason."""
 
     name: str
@@ -78,7 +78,7 @@ class Judged(NamedTuple):
 class Found(NamedTuple):
     """Results of the measuring process."""
 
-    rows: list[Judged]
+    rows: list[Evaluated]
     cases: list[Case]
     nodes: int  # of the reference
     accuracy: str  # of the reference itself, one line
@@ -154,21 +154,21 @@ def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
 
 def measure_rows(
     rows: Sequence[tuple[Row, Sized]], cases: Sequence[Case], seconds: float
-) -> tuple[list[Judged], Timing | None]:
+) -> tuple[list[Evaluated], Timing | None]:
     """Settle every row under every load, then time the updates of all in turns, and a fixed loop.
 
     What can't be made is skipped, and the remark gives the reason. When it was stopped before that, no time is known.
     """
     bursts: dict[str, Burst] = {NOISE: noise_burst}
-    measured: list[Judged] = []
+    measured: list[Evaluated] = []
     with until_stopped():
         for number, (asked, size) in enumerate(each(rows, "rows")):
-            engine, remark = made_or_skipped(asked.make)
+            engine, remark = built_or_skipped(asked.make)
             if engine is None:
-                measured.append(Judged(asked.name, asked.ours, asked.points, remark, [], None, 1.0))
+                measured.append(Evaluated(asked.name, asked.ours, asked.points, remark, [], None, 1.0))
                 continue
             errors = [error_of(engine, case, size) for case in progress.steps(cases, asked.name)]
-            measured.append(Judged(asked.name, asked.ours, asked.points, remark, errors, None, engine.update))
+            measured.append(Evaluated(asked.name, asked.ours, asked.points, remark, errors, None, engine.update))
             bursts[str(number)] = engine.burst(load_of(cases[0], size))
             tell(
                 f"{asked.name}, {asked.points} points", f"error {_mean([100.0 * one.relative for one in errors]):.1f} %"
@@ -191,7 +191,7 @@ def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], 
         scaled = scale_to_depth(cases, body.settle_linear(cases.force), organ, seed)
         drawn += zip(scaled.kind, scaled.force, strict=True)
     forces = np.stack([force for _, force in drawn])
-    finer = finer_body(body, forces)
+    finer = finer_reference_body(body, forces)
     linear, finer_linear = body.settle_linear(forces), finer.settle_linear(forces)
     accuracy = refined(body, finer, linear, finer_linear)
     answers = body.settle_many(forces)
@@ -277,7 +277,7 @@ def _growth(sizes: list[dict[str, Any]]) -> dict[str, Any] | None:
     }
 
 
-def _row_as_json(row: Judged) -> dict[str, Any]:
+def _row_as_json(row: Evaluated) -> dict[str, Any]:
     errors = row.errors
     sharp = [100.0 * error.relative for error in errors if error.kind == "sharp"]
     smooth = [100.0 * error.relative for error in errors if error.kind != "sharp"]

@@ -28,9 +28,9 @@ from tissue_sim.calibration.fit import Misfit, fit
 from tissue_sim.calibration.groups import group_of, search
 from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass, frequencies_of
 from tissue_sim.calibration.joint_fit import fit_together, for_one_substep
-from tissue_sim.calibration.reference import finer_body, made_good, samples_of
+from tissue_sim.calibration.reference import finer_reference_body, made_good, samples_of
 from tissue_sim.calibration.stiffness import (
-    INTERIOR_SHARE,
+    INTERIOR_FRACTION,
     ONE_STEP,
     Settings,
     first_stiffness,
@@ -132,7 +132,7 @@ def variants_of(body: Body, points: int, *, fits: bool, every_aim: bool = False)
 def fits_of(organ: Organ, plain: Organ, every_aim: bool) -> list[Fit]:
     """Return the fits that variants of a size need; plain: the organ of that size as the pipeline makes it."""
     own = plain.n_surface == organ.n_surface
-    aims = INTERIOR_SHARE if every_aim else (BALANCED,)
+    aims = INTERIOR_FRACTION if every_aim else (BALANCED,)
     found = [
         Fit(organ, prepared(plain, Settings(aim=aim)), aim)
         for aim in aims
@@ -249,7 +249,7 @@ def _misfit(elastic: Elastic, body: Body, size: Sized, pushes: Floats) -> Misfit
 @lru_cache(maxsize=1)
 def _finer(body: Body) -> Body:
     pushes = fit_cases(body.organ, SAMPLED, SEED)
-    return finer_body(body, pushes[samples_of(len(pushes))])
+    return finer_reference_body(body, pushes[samples_of(len(pushes))])
 
 
 @lru_cache(maxsize=1)

@@ -30,7 +30,7 @@ from tissue_sim.calibration.fit import Misfit, fit
 from tissue_sim.calibration.groups import GROUPS, group_of, search
 from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass, frequencies_of
 from tissue_sim.calibration.joint_fit import TICK, Together, fit_together, for_one_substep
-from tissue_sim.calibration.reference import Refined, answers_made_good, made_good, samples_of
+from tissue_sim.calibration.reference import Refined, corrected_answers, made_good, samples_of
 from tissue_sim.calibration.reference_process import Poke, Reference
 from tissue_sim.calibration.stiffness import ONE_STEP, Settings, first_stiffness, prepared, with_stiffness
 from tissue_sim.errors import UserError
@@ -137,7 +137,7 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
         some = samples_of(len(pushes))
         with progress.stage("finer mesh", 1) as done:
             finer = checkpoint.remember(
-                "finer-mesh", lambda: answers_made_good(body, judged.force, judged_linear, pushes[some])
+                "finer-mesh", lambda: corrected_answers(body, judged.force, judged_linear, pushes[some])
             )
             accuracy = Refined(int(finer["nodes"]), int(finer["finer_nodes"]), finer["difference"])
             done(f"{accuracy.finer_nodes} nodes, remaining error at most {accuracy.worst:.2f} %")

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim.errors import UserError
-from tissue_sim.parent_exit import end_with_parent
+from tissue_sim.parent_exit import exit_with_parent
 
 CONNECT = 10.0  # s that a scheduler may take to answer
 TRIES = 3  # more, of a calculation that failed on the cluster through no fault of its own
@@ -167,7 +167,7 @@ def _told(process: subprocess.Popen[bytes], stopped: threading.Event | None) -> 
 
 def _answer(folder: Path) -> None:
     """Run a calculation in its own process, and write the result."""
-    end_with_parent()
+    exit_with_parent()
     job, item = pickle.loads((folder / _ASKED).read_bytes())
     try:
         found = job(item)

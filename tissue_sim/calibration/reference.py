@@ -50,7 +50,7 @@ class Refined(NamedTuple):
         )
 
 
-def finer_body(body: Body, forces: Floats) -> Body:
+def finer_reference_body(body: Body, forces: Floats) -> Body:
     """Return the body on the finer mesh.
 
     Parameters
@@ -95,7 +95,7 @@ def refined(body: Body, finer: Body, answers: Floats, finer_answers: Floats) -> 
     return Refined(body.n_nodes, finer.n_nodes, 100.0 * errors(answers, finer_answers))
 
 
-def answers_made_good(body: Body, forces: Floats, answers: Floats, samples: Floats) -> Arrays:
+def corrected_answers(body: Body, forces: Floats, answers: Floats, samples: Floats) -> Arrays:
     """Return the answers of the finer mesh to loads, and to samples of other loads.
 
     Parameters
@@ -119,7 +119,7 @@ def answers_made_good(body: Body, forces: Floats, answers: Floats, samples: Floa
     UserError
         As Body does.
     """
-    finer = finer_body(body, forces)
+    finer = finer_reference_body(body, forces)
     good = finer.settle_linear(forces)
     accuracy = refined(body, finer, answers, good)
     return {**accuracy._asdict(), "answers": good, "samples": finer.settle_linear(samples)}

@@ -11,7 +11,7 @@ from typing import Any
 
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
-from tissue_sim.parent_exit import end_with_parent
+from tissue_sim.parent_exit import exit_with_parent
 
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # for each BLAS, which reads it when it is loaded
 
@@ -33,7 +33,7 @@ class Remote:
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
         self._manager = _Process(ctx=get_context("spawn"))
         with environment(_ONE_THREAD), _script_hidden():
-            self._manager.start(end_with_parent)
+            self._manager.start(exit_with_parent)
         self._object = self._manager.make(make, *arguments)  # type: ignore[attr-defined]
 
     def call(self, method: str, *arguments: Any) -> Any:

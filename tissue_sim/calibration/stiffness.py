@@ -16,7 +16,7 @@ from tissue_sim.organ.topology import assemble_like
 
 METHODS = ("cells", "groups")
 # Interior atoms per surface node, where cells are fitted: more of them are slower and more accurate.
-INTERIOR_SHARE = {"fast": 0.3, "balanced": 0.75, "accurate": 1.5}
+INTERIOR_FRACTION = {"fast": 0.3, "balanced": 0.75, "accurate": 1.5}
 ONE_STEP = ("fast",)  # aims for which masses are fitted with the stiffness, so that a step of 1 ms is stable
 CELL_LAYER = 0.7  # fraction of them in a layer under the surface
 CELL_START = (1.0, 0.5)  # fractions of the tissue's mu and lambda at which the fit of cells begins
@@ -58,8 +58,8 @@ class Settings:
             raise UserError(f"interior {self.interior} is negative; use 0 or more")
         if self.method not in METHODS:
             raise UserError(f"unknown method '{self.method}'; choose one of {', '.join(METHODS)}")
-        if self.aim not in INTERIOR_SHARE:
-            raise UserError(f"unknown aim '{self.aim}'; choose one of {', '.join(INTERIOR_SHARE)}")
+        if self.aim not in INTERIOR_FRACTION:
+            raise UserError(f"unknown aim '{self.aim}'; choose one of {', '.join(INTERIOR_FRACTION)}")
 
 
 def prepared(organ: Organ, settings: Settings) -> Organ:
@@ -85,7 +85,7 @@ def prepared(organ: Organ, settings: Settings) -> Organ:
     by_cells = settings.method == "cells"
     interior = settings.interior
     if interior is None:
-        interior = round(INTERIOR_SHARE[settings.aim] * organ.n_surface) if by_cells else organ.n_interior
+        interior = round(INTERIOR_FRACTION[settings.aim] * organ.n_surface) if by_cells else organ.n_interior
     if interior != organ.n_interior or by_cells:
         provenance = {key: value for key, value in organ.provenance.items() if key != "calibration"}
         organ = assemble_like(

@@ -12,7 +12,7 @@ from pathlib import Path
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.shipped_kidney import KIDNEY, make_kidney, with_tumour
+from tissue_sim.organ.shipped_kidney import KIDNEY, build_default_kidney, with_tumour
 from tissue_sim.unexpected_errors import catch_all
 
 
@@ -26,7 +26,7 @@ def main(argv: list[str] | None = None) -> int:
     out, progress = args.out, Progress(print)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        organ = with_tumour(Organ.load(args.tumour_in)) if args.tumour_in else make_kidney(progress)
+        organ = with_tumour(Organ.load(args.tumour_in)) if args.tumour_in else build_default_kidney(progress)
         organ.save(out)
         if args.report and not args.tumour_in:
             from tissue_sim.organ.reporting.page import write_report

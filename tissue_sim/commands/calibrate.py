@@ -15,7 +15,7 @@ from tissue_sim import progress
 from tissue_sim.calibration.calibrate import calibrate
 from tissue_sim.calibration.calibration_report import lines, write_pictures
 from tissue_sim.calibration.checkpoint import Checkpoint
-from tissue_sim.calibration.stiffness import INTERIOR_SHARE, METHODS, Settings
+from tissue_sim.calibration.stiffness import INTERIOR_FRACTION, METHODS, Settings
 from tissue_sim.commands.calibrate_many import (
     add_cluster,
     calibrate_many,
@@ -57,10 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--for",
         dest="aim",
-        choices=tuple(INTERIOR_SHARE),
+        choices=tuple(INTERIOR_FRACTION),
         default=_DEFAULT.aim,
         help="purpose of the cells: more interior atoms take more time in every tick, and have a smaller error"
-        f" ({', '.join(f'{aim}: {100 * share:g}' for aim, share in INTERIOR_SHARE.items())} for 100 surface"
+        f" ({', '.join(f'{aim}: {100 * share:g}' for aim, share in INTERIOR_FRACTION.items())} for 100 surface"
         f" points; default: {_DEFAULT.aim})",
     )
     parser.add_argument("--seed", type=int, default=_DEFAULT.seed, help="seed of the loads that are fitted")

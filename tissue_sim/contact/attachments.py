@@ -13,7 +13,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath
-from tissue_sim.model.stepping.ligament_links import POINT, Links, make_links, weigh_ends
+from tissue_sim.model.stepping.ligament_links import POINT, Links, make_links, weight_link_ends
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
 
@@ -124,7 +124,7 @@ def links_of(attachments: Sequence[Attachment], simulations: Sequence[Simulation
         links.damping[rows] = one.damping * area / area.sum()
         links.slack[rows] = np.linalg.norm(ends[1] - ends[0], axis=1) if one.slack is None else one.slack
     if len(links.slack):
-        weigh_ends(links, [simulation.model.inverse_mass for simulation in simulations])
+        weight_link_ends(links, [simulation.model.inverse_mass for simulation in simulations])
     return links
 
 

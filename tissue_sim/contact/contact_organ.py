@@ -11,7 +11,7 @@ from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.simulation import Simulation
 
 
-class TouchedOrgan:
+class ContactOrgan:
     """Simulation whose contact sets are found every `ticks_a_set` ticks.
 
     Parameters

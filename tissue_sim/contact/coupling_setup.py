@@ -8,7 +8,7 @@ from tissue_sim.contact.attachments import Attachment, Breathing, links_of
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath
-from tissue_sim.model.stepping.organ_contact import make_pairs
+from tissue_sim.model.stepping.organ_contact import make_organ_contacts
 
 
 def join(
@@ -44,4 +44,4 @@ def join(
         Where they don't fit together.
     """
     breath = Breath.new() if breathing is None else breathing.breath()
-    return Joined(simulations, links_of(attachments, simulations), make_pairs(friction), breath, breathes)
+    return Joined(simulations, links_of(attachments, simulations), make_organ_contacts(friction), breath, breathes)

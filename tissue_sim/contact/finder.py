@@ -29,14 +29,14 @@ from tissue_sim.contact.broad_phase import (
 from tissue_sim.contact.local_compliance import (
     OF_BALLS,
     OF_OTHERS,
+    extra_compliance_between_nodes,
     local_compliance,
-    more_between,
     most_give,
 )
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.model.contact.shapes import CONVEX, GRID, SPHERE, rotation_matrix
-from tissue_sim.model.contact.tool_motion import way_between
+from tissue_sim.model.contact.tool_motion import distance_along_path
 from tissue_sim.model.data.contact_set import MOST_POINTS, ContactSet, Engaged, contact_set
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
@@ -137,7 +137,10 @@ class ContactFinder:
             compliance.append(whole * local_compliance(organ, size))
         self._compliance = np.reshape(compliance, (len(compliance), self.n_surface, 2))
         self._between = np.array(
-            [more_between(give, organ, size) for give, size in zip(gives, tools.smallest, strict=True)]
+            [
+                extra_compliance_between_nodes(give, organ, size)
+                for give, size in zip(gives, tools.smallest, strict=True)
+            ]
         )
 
     def find(self, position: Floats, sought: Sought) -> ContactSet:
@@ -383,7 +386,7 @@ def ways(poses: Floats, others: Floats, extents: Floats) -> Floats:
     Floats, shape (T,), m
         Bounds.
     """
-    return np.array([way_between(*one) for one in zip(poses, others, extents, strict=True)])
+    return np.array([distance_along_path(*one) for one in zip(poses, others, extents, strict=True)])
 
 
 def divisions_of(wanted: float) -> int:

@@ -6,8 +6,8 @@ finger's pressure consists, are a foundation of springs under the contact points
 length. Across the normal it is softer by (2 - nu) / (2 (1 - nu)) (Mindlin 1949).
 
 A mesh yields less between its nodes than at them, and the force of a ball as large as an edge depends on its place; so
-tissue yields more there (`more_between`). To shafts and jaws it yields less (`Give`), or it would slip from under their
-edges.
+tissue yields more there (`extra_compliance_between_nodes`). To shafts and jaws it yields less (`ComplianceLimits`), or it
+would slip from under their edges.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LAYER = 0.5  # mean edges, by which tissue between nodes yields at most: with le
 MOST_POISSON = 0.5
 
 
-class Give(NamedTuple):
+class ComplianceLimits(NamedTuple):
     """Parameters of how tissue yields to a kind of tool.
 
     Attributes
@@ -52,11 +52,11 @@ class Give(NamedTuple):
 # No place in a triangle is farther from its corners than 1 / sqrt(3) of its longest side, to which a fifth is added.
 # Under a point load the kidney that ships yields by 0.71 of its nodes' displacement in the middle of an edge, 0.64 in
 # that of a triangle; for balls of 0.5 to 3 edges, over nodes and between, 0.5 gives the least error (docs/models.md).
-OF_BALLS = Give(spacing=0.45, most=0.8, covered=0.7, between=0.5)
-OF_OTHERS = Give(spacing=0.75, most=0.5, covered=1.0, between=0.0)
+OF_BALLS = ComplianceLimits(spacing=0.45, most=0.8, covered=0.7, between=0.5)
+OF_OTHERS = ComplianceLimits(spacing=0.75, most=0.5, covered=1.0, between=0.0)
 
 
-def most_give(give: Give, organ: Organ, smallest: float, spacing: Floats) -> Floats:
+def most_give(give: ComplianceLimits, organ: Organ, smallest: float, spacing: Floats) -> Floats:
     """Return how far tissue may give way (t,), m; what sank in farther would slip between points spacing (t,) m apart.
 
     smallest: radius of the finest thing about the tool, m. Waves that nodes don't carry are of a layer under the
@@ -66,7 +66,7 @@ def most_give(give: Give, organ: Organ, smallest: float, spacing: Floats) -> Flo
     return np.clip(slips, 0.0, min(give.most * smallest, LAYER * mean_edge(organ)))
 
 
-def more_between(give: Give, organ: Organ, smallest: float) -> float:
+def extra_compliance_between_nodes(give: ComplianceLimits, organ: Organ, smallest: float) -> float:
     """Return by what fraction tissue yields more between nodes, times 1 less the sum of a point's squared weights.
 
     Within a triangle the yielding between nodes is most of all yielding and is independent of the nodes.

@@ -12,7 +12,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.broad_phase import Near, approach, surface_box, triangles_in_box
 from tissue_sim.contact.self_contact_finder import SelfFinder
 from tissue_sim.contact.triangles import nearest_among
-from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, PairSet, pair_set
+from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, OrganContactSet, organ_contact_set
 from tissue_sim.organ.organ import Organ
 
 MARGIN = 0.003  # m from a surface within which a node is examined
@@ -38,7 +38,7 @@ class _Apart(NamedTuple):
     second: Floats
 
 
-class PairFinder:
+class OrganContactFinder:
     """Finder of contacts between k organs, given where they lie at rest."""
 
     def __init__(self, organs: Sequence[Organ]) -> None:
@@ -50,14 +50,14 @@ class PairFinder:
         self._near = [np.zeros_like(triangles) for triangles in self._triangles]  # room
         self._numbers = [np.zeros(len(triangles), dtype=np.int64) for triangles in self._triangles]  # room
         self._apart: dict[tuple[int, int], _Apart] = {}
-        self._found = pair_set()
+        self._found = organ_contact_set()
 
     def forget(self) -> None:
         """Note that organs have jumped."""
         for one in self._own:
             one.forget()
 
-    def find(self, positions: Sequence[Floats], own: Sequence[bool] = ()) -> PairSet:
+    def find(self, positions: Sequence[Floats], own: Sequence[bool] = ()) -> OrganContactSet:
         """Return the pairs of surfaces; they are overwritten by the next call.
 
         Parameters
@@ -69,7 +69,7 @@ class PairFinder:
 
         Returns
         -------
-        PairSet
+        OrganContactSet
             The pairs.
         """
         found = self._found

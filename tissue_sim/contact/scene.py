@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.arguments import finite, number_of
 from tissue_sim.contact.attachments import Attachment, Breathing
-from tissue_sim.contact.contact_organ import TouchedOrgan
+from tissue_sim.contact.contact_organ import ContactOrgan
 from tissue_sim.contact.coupling_setup import join
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.gripper import about
-from tissue_sim.contact.organ_contact_finder import PairFinder
+from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.contact_set import ContactSet
@@ -80,7 +80,7 @@ class Scene:
             raise UserError("a scene wants at least one organ")
         self.names = [one.name for one in organs]
         self.organs = [
-            TouchedOrgan(
+            ContactOrgan(
                 Simulation(
                     one,
                     model=model,
@@ -105,7 +105,7 @@ class Scene:
             self.joined = join(self.simulations, attachments, breathing, breathes, organ_friction)
         else:
             self.joined = Joined(self.simulations)
-        self._pairs = None if self.joined.alone else PairFinder(organs)
+        self._pairs = None if self.joined.alone else OrganContactFinder(organs)
         self._own = [self_contact] * len(organs)
         self._found_at = self.offsets  # when pairs were last looked for
 

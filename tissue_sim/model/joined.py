@@ -10,15 +10,21 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.handles import handle, row
-from tissue_sim.model.contact.haptic_output import sum_felt
+from tissue_sim.model.contact.haptic_output import sum_haptic_output
 from tissue_sim.model.data.records import words_of
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath
-from tissue_sim.model.stepping.coupled_step import Together, carried_with, let_go, tick_together
+from tissue_sim.model.stepping.coupled_step import Together, let_go, moves_with_frame, tick_coupled
 from tissue_sim.model.stepping.ligament_links import Links, least_substeps, make_links
-from tissue_sim.model.stepping.organ_contact import MOST_ORGANS, Pairs, PairSet, make_pairs, take_pairs
-from tissue_sim.model.stepping.wake_threshold import UNFELT, unfelt_by
+from tissue_sim.model.stepping.organ_contact import (
+    MOST_ORGANS,
+    OrganContacts,
+    OrganContactSet,
+    make_organ_contacts,
+    take_pairs,
+)
+from tissue_sim.model.stepping.wake_threshold import WAKE_DISPLACEMENT, wake_threshold_of
 
 
 class Joined:
@@ -26,7 +32,7 @@ class Joined:
 
     links between them; pairs where they touch, found by others; breath, and how far each goes with it, (k,), or nothing
     where none does. unfelt: m that an organ may lack of what links and the breath do to it, see `unfelt`; 0: nothing.
-    Raises UserError where simulations don't fit together. worlds and handle are what `tick_together` takes.
+    Raises UserError where simulations don't fit together. worlds and handle are what `tick_coupled` takes.
 
     alone: one organ, and nothing to join it. Then handle is None, and kernels are compiled without all of this.
     """
@@ -35,15 +41,15 @@ class Joined:
         self,
         simulations: Sequence[Simulation],
         links: Links | None = None,
-        pairs: Pairs | None = None,
+        pairs: OrganContacts | None = None,
         breath: Breath | None = None,
         moves: Sequence[float] = (),
-        unfelt: float = UNFELT,
+        unfelt: float = WAKE_DISPLACEMENT,
     ) -> None:
         self.simulations = list(simulations)
         self.alone = len(self.simulations) == 1 and links is None and pairs is None and breath is None
         self.links = links = make_links(0) if links is None else links
-        self.pairs = pairs = make_pairs() if pairs is None else pairs
+        self.pairs = pairs = make_organ_contacts() if pairs is None else pairs
         breath = Breath.new() if breath is None else breath
         if len(self.simulations) > MOST_ORGANS:
             raise UserError(f"{len(self.simulations)} organs are joined; expected: at most {MOST_ORGANS}")
@@ -59,9 +65,9 @@ class Joined:
                 f"the organs' breathing fractions are {len(moves)} numbers for {len(self.simulations)} organs"
             )
         gravity = np.array([gravity_of(one.settings) for one in self.simulations])
-        self.carried = carried_with(breath, moves, gravity)
+        self.carried = moves_with_frame(breath, moves, gravity)
         ways = np.outer(moves, [breath.x, breath.y, breath.z])
-        self.unfelt = unfelt_by([one.model for one in self.simulations], links, ways, unfelt)
+        self.unfelt = wake_threshold_of([one.model for one in self.simulations], links, ways, unfelt)
         self.worlds = row([one.world for one in self.simulations])
         awake = np.zeros(len(moves), dtype=np.int64)
         self.handle = None if self.alone else handle(Together(self.carried, links, pairs, self.unfelt, awake))
@@ -72,7 +78,7 @@ class Joined:
         if self.alone:
             self.simulations[0].step()
         else:
-            tick_together(self.worlds, self.handle)
+            tick_coupled(self.worlds, self.handle)
 
     @property
     def wrench(self) -> Floats:
@@ -83,7 +89,7 @@ class Joined:
         if self.alone:
             return np.asarray(self.simulations[0].state.wrench)
         wrench = np.zeros_like(self.simulations[0].state.wrench)
-        sum_felt(self.worlds, wrench)
+        sum_haptic_output(self.worlds, wrench)
         return wrench
 
     def set_substeps(self) -> None:
@@ -94,12 +100,12 @@ class Joined:
         for one in self.simulations:
             one.settings.least_substeps = least
 
-    def take_pairs(self, found: PairSet) -> None:
+    def take_pairs(self, found: OrganContactSet) -> None:
         """Apply where organs touch each other.
 
         Parameters
         ----------
-        found : PairSet
+        found : OrganContactSet
             The pairs.
         """
         take_pairs(self.pairs, found)
@@ -122,7 +128,7 @@ class Joined:
         for one, gravity in zip(self.simulations, self.carried.gravity, strict=True):
             gravity[:] = gravity_of(one.settings)
 
-    def tell_breath(self, share: float) -> None:
+    def set_breathing(self, share: float) -> None:
         """Set where a breath that follows a signal is to be.
 
         Parameters
@@ -132,14 +138,14 @@ class Joined:
         """
         self.carried.breath.told = share
 
-    def restore(self, breath: Breath, found: PairSet, pressed: Floats, held: Floats) -> None:
+    def restore(self, breath: Breath, found: OrganContactSet, pressed: Floats, held: Floats) -> None:
         """Continue from a breath and from pairs with their forces.
 
         Parameters
         ----------
         breath : Breath
             The breath.
-        found : PairSet
+        found : OrganContactSet
             The pairs.
         pressed : Floats, shape (p,), N
             Normal force of each pair.

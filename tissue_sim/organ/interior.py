@@ -60,7 +60,7 @@ def check_interior(count: int) -> None:
         raise UserError(f"--interior {count} is negative; use 0 or more")
 
 
-def place_interior_atoms(
+def distribute_interior_atoms(
     surface: Floats, triangles: Ints, atoms: Floats, count: int, layer: float = 0.0
 ) -> InteriorAtoms:
     """`count` interior atoms on the spokes of boundary points (n, 3) m and medial atoms (a, 3) m.

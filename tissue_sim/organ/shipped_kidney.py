@@ -26,7 +26,7 @@ TUMOUR, UNDER, STIFFER = 0.005, 0.005, 5.0  # m, its radius, and from it to the 
 _NEAREST = 0.98  # fraction of that depth which the surface must be away at least
 
 
-def make_kidney(progress: Progress | None = None) -> Organ:
+def build_default_kidney(progress: Progress | None = None) -> Organ:
     """Paint the phantom, write it as NIfTI, read it back, segment from one seed, and build; deterministic.
 
     Parameters

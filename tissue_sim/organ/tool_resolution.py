@@ -61,7 +61,7 @@ def points_for(organ: Organ, radius: float, edges: float = FAIR) -> int:
     return math.ceil(organ.n_surface * (edges * mean_edge(organ) / radius) ** 2)
 
 
-def too_coarse(organ: Organ, radius: float) -> str | None:
+def unresolved_tools_of(organ: Organ, radius: float) -> str | None:
     """Return why an organ is too coarse for a tool, and the remedy.
 
     Parameters

@@ -12,7 +12,7 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.cell_mesh import tetrahedra
 from tissue_sim.organ.inclusions import Inclusion, inclusions_of, spring_factors, with_inclusions
-from tissue_sim.organ.interior import place_interior_atoms
+from tissue_sim.organ.interior import distribute_interior_atoms
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind, check_surface, signed_volume
 
@@ -114,7 +114,7 @@ def assemble_organ(
     thickness = SHELL_THICKNESS * float(edge_length.mean())
     share = node_area(surface, triangles)
 
-    interior = place_interior_atoms(surface, triangles, atoms, interior_atoms, interior_layer)
+    interior = distribute_interior_atoms(surface, triangles, atoms, interior_atoms, interior_layer)
     inner = np.concatenate([atoms, interior.positions])
     # A column of tissue is neither free to bulge (E) nor confined (oedometric modulus): between them.
     confined = (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))

@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         print(
             f"node: {args.organ or 'the default kidney'}, records to {folder}; ROS domain"
             f" {os.environ['ROS_DOMAIN_ID']}, real-time priority {priority or 'not allowed here'};"
-            f" {dds.told_reach()}"
+            f" {dds.describe_discovery()}"
         )
         if not args.no_viewer:
             words = _command("view", "--host", args.host, "--port", str(args.port))
@@ -100,7 +100,7 @@ def chosen_graph(environment: MutableMapping[str, str]) -> Iterator[None]:
     environment : MutableMapping[str, str]
         The environment variables; updated.
     """
-    dds.keep_to_this_machine(environment)
+    dds.limit_to_this_machine(environment)
     if "ROS_DOMAIN_ID" in environment:
         yield
         return
@@ -151,8 +151,8 @@ class Watch:
         from rclpy.qos import QoSProfile
 
         with client.client_node("demo", NODE) as node:
-            reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
-            poses: client.Inbox | None = client.Inbox(
+            reports = client.NewestMessage(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+            poses: client.NewestMessage | None = client.NewestMessage(
                 node, PoseStamped, "left/measured_cp", client.stream_qos(), raw=True
             )
             started = next_line = time.monotonic()

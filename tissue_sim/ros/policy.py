@@ -66,9 +66,9 @@ def run(args: argparse.Namespace) -> int:
     UserError
         When it doesn't answer.
     """
-    from tissue_sim.ros.shared.node_parameters import told_by
+    from tissue_sim.ros.shared.node_parameters import parameters_of
 
-    values = told_by(args.node, "policy", WAIT)
+    values = parameters_of(args.node, "policy", WAIT)
     if values is None:
         raise UserError(f"/{args.node} doesn't answer; start it as it will run, without security, and try again")
     print(fitted(args.node, values), end="")

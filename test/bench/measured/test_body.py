@@ -9,7 +9,7 @@ from tissue_sim.model.simulation import Simulation
 pytest.importorskip("skfem")
 
 from helpers.blocks import box
-from tissue_sim.bench.measured.body import settle_led, timed
+from tissue_sim.bench.measured.body import solve_prescribed_surface, timed
 from tissue_sim.errors import UserError
 
 
@@ -27,13 +27,13 @@ def solid():
 def test_a_surface_led_affinely_leads_the_inside_likewise(solid):
     """Any homogeneous deformation is in equilibrium, however large."""
     stretch = np.array([[0.8, 0.1, 0.0], [0.0, 1.1, -0.1], [0.05, 0.0, 1.05]]) - np.eye(3)
-    found = settle_led(solid, solid.nodes @ stretch.T)
+    found = solve_prescribed_surface(solid, solid.nodes @ stretch.T)
     np.testing.assert_allclose(found, solid.nodes @ stretch.T, atol=1e-8)
 
 
 def test_a_surface_led_through_itself_is_refused(solid):
     with pytest.raises(UserError, match="don't converge with its surface prescribed"):
-        settle_led(solid, -1.5 * solid.nodes)
+        solve_prescribed_surface(solid, -1.5 * solid.nodes)
 
 
 def test_ticks_are_timed_and_counted():

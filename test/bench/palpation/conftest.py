@@ -3,7 +3,7 @@
 import pytest
 
 from helpers.scenes import ball_of_cells
-from tissue_sim.bench.palpation.places import flat_places
+from tissue_sim.bench.palpation.places import flat_locations
 
 
 @pytest.fixture(scope="module")
@@ -13,4 +13,4 @@ def organ():
 
 @pytest.fixture(scope="module")
 def places(organ):
-    return flat_places(organ, 1)
+    return flat_locations(organ, 1)

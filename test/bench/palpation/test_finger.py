@@ -8,7 +8,7 @@ import trimesh
 
 from helpers.scenes import RADIUS, ball_of_cells
 from tissue_sim.bench.palpation import finger as bench
-from tissue_sim.bench.palpation.finger import DEPTHS, Felt, Map, as_json, finger, mapped, over, press_at, text
+from tissue_sim.bench.palpation.finger import DEPTHS, Map, PressForces, as_json, finger, mapped, over, press_at, text
 from tissue_sim.bench.palpation.plot import write_plots
 from tissue_sim.bench.palpation.pressing import forces
 from tissue_sim.calibration.cases import surface_of
@@ -62,7 +62,7 @@ def felt_of(organ):
     reference = np.array([0.1, 0.2, 0.3, 0.4])
     press = press_at(surface_of(organ), 3)
     ours = 1.03 * reference
-    return Felt(hard([0.0, 0.0, 0.0]), press, ours, reference, 0.8 * reference), Map(
+    return PressForces(hard([0.0, 0.0, 0.0]), press, ours, reference, 0.8 * reference), Map(
         np.arange(40), np.linspace(50.0, 90.0, 40)
     )
 

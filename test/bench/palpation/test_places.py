@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from helpers.scenes import RADIUS
-from tissue_sim.bench.palpation.places import KINDS, flat_places, thickness
+from tissue_sim.bench.palpation.places import KINDS, flat_locations, thickness
 from tissue_sim.organ.tool_resolution import mean_edge
 
 
 def test_places_are_clear_of_the_clamp_and_of_each_other(organ):
-    places = flat_places(organ, 3)
+    places = flat_locations(organ, 3)
     assert [[spot.kind for spot in spots] for spots in places] == [list(KINDS)] * 3
     points = np.array([[spot.point for spot in spots] for spots in places])
     held, edge = organ.surface_positions[organ.fixed], mean_edge(organ)

@@ -15,8 +15,8 @@ from helpers.patience import wait_for
 from tissue_sim.ros.shared import client
 
 with client.client_node("watcher", "tissue_sim") as node:
-    meshes = client.Inbox(node, Mesh, "/tissue_sim/mesh", client.latched_qos())
-    surfaces = client.Inbox(node, PointCloud2, "/tissue_sim/surface", client.stream_qos())
+    meshes = client.NewestMessage(node, Mesh, "/tissue_sim/mesh", client.latched_qos())
+    surfaces = client.NewestMessage(node, PointCloud2, "/tissue_sim/surface", client.stream_qos())
     print(f"mesh {len(wait_for(meshes.take, 'no mesh').vertices)} points", flush=True)
     newest = np.zeros(0)
     for _ in range(int(sys.argv[1])):

@@ -8,7 +8,7 @@ from helpers.scenes import ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.handles import handle
-from tissue_sim.model.contact.culling import FAST, watch_contacts
+from tissue_sim.model.contact.culling import FAST, cull_contacts
 from tissue_sim.model.contact.tool_motion import FASTEST, set_frame
 
 RADIUS, HALF = 0.004, 0.01  # m, of a capsule
@@ -64,7 +64,7 @@ def test_what_may_touch_is_watched_and_the_rest_forgotten(gap, stiffness, led, w
     set_frame(goal, scratch.origin[0], scratch.rotation[0])
     expected = naive_watch(state, goal, settings.tick_time, led)
     state.contact_held[0] = 1.0
-    watch_contacts(handle(state), handle(simulation.shapes), settings, handle(scratch))
+    cull_contacts(handle(state), handle(simulation.shapes), settings, handle(scratch))
     count = int(scratch.watching[0])
     points = int(state.contacts.header.points)
     assert 0 < count < points

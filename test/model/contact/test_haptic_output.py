@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tissue_sim.model.contact.haptic_output import clamp_share, report_wrenches, slew_share
+from tissue_sim.model.contact.haptic_output import clamp_fraction, compute_haptic_output, slew_fraction
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import BodyStatus, Counts
 
@@ -20,7 +20,7 @@ def settings_of(clamp=10.0, slew=1e3):
 
 
 def twin(felt, impulse, owners, ages, settings):
-    """What report_wrenches does, tool by tool."""
+    """What compute_haptic_output does, tool by tool."""
     felt, wrench = felt.copy(), np.zeros_like(felt)
     for tool in np.unique(owners):
         own = owners == tool
@@ -50,7 +50,7 @@ def test_kernel_is_the_twin(seed):
     bodies.age = ages
     expected = twin(felt, impulse, owners, ages, settings)
     state = SimpleNamespace(felt=felt, wrench=np.zeros((5, 6)), bodies=bodies, count=count)
-    report_wrenches.py_func(state, SimpleNamespace(tool=owners), settings, SimpleNamespace(impulse=impulse))
+    compute_haptic_output.py_func(state, SimpleNamespace(tool=owners), settings, SimpleNamespace(impulse=impulse))
     np.testing.assert_allclose(state.felt, expected[0], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(state.wrench, expected[1], rtol=1e-12, atol=1e-12)
     for tool in range(3):
@@ -62,13 +62,13 @@ def test_compiled_shares_are_the_plain_ones():
     owners = np.array([0, 0, 1])
     felt, impulse = random.normal(0.0, 2.0, (3, 6)), random.normal(0.0, 6e-3, (3, 6))
     settings = settings_of(slew=500.0)
-    assert clamp_share(felt, owners, 0, 1.0) == clamp_share.py_func(felt, owners, 0, 1.0) < 1.0
-    found = slew_share(felt, impulse, -1e3, owners, 1, settings)
-    assert found == slew_share.py_func(felt, impulse, -1e3, owners, 1, settings) < 1.0
+    assert clamp_fraction(felt, owners, 0, 1.0) == clamp_fraction.py_func(felt, owners, 0, 1.0) < 1.0
+    found = slew_fraction(felt, impulse, -1e3, owners, 1, settings)
+    assert found == slew_fraction.py_func(felt, impulse, -1e3, owners, 1, settings) < 1.0
 
 
 def test_nip_of_two_jaws_is_not_cut_when_their_sum_is_small():
     owners = np.zeros(2, dtype=np.int64)
     impulse = np.zeros((2, 6))
     impulse[:, 0] = 20.0 * TICK, -19.0 * TICK
-    assert clamp_share(impulse, owners, 0, 10.0 * TICK) == 1.0
+    assert clamp_fraction(impulse, owners, 0, 10.0 * TICK) == 1.0

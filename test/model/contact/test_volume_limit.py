@@ -13,8 +13,8 @@ from tissue_sim.model.contact.volume_limit import (
     NEARLY,
     RECOVERY_RATE,
     SQUEEZED_PASSES,
-    find_squeezed,
-    hold_squeezed,
+    enforce_volume_limit,
+    find_compressed_cells,
     slopes_of,
     volume_of,
 )
@@ -50,11 +50,11 @@ class Pressed:
         self.x[node] += STEP * self.v[node]
         self.mobility = self.model.inverse_mass.copy()
         self._held = [handle(one) for one in (self.simulation.state, self.scratch)]
-        self.found = find_squeezed(handle(self.model), self._held[0], self.mobility, self._held[1], STEP)
+        self.found = find_compressed_cells(handle(self.model), self._held[0], self.mobility, self._held[1], STEP)
 
     def hold(self):
         """One pass."""
-        return hold_squeezed(self._held[0], self.mobility, self._held[1], self.found, STEP)
+        return enforce_volume_limit(self._held[0], self.mobility, self._held[1], self.found, STEP)
 
 
 def volume_and_slopes(x, nodes, volume):

@@ -8,7 +8,7 @@ from helpers.naive import naive_cells
 from helpers.scenes import ball
 from tissue_sim.model.data.blocks import BLOCK
 from tissue_sim.model.elasticity.assembly import assemble
-from tissue_sim.model.elasticity.cell_groups import CONSTANTS, OWN, OWN_ROWS, cell_forces, fans_of, paths
+from tissue_sim.model.elasticity.cell_groups import CONSTANTS, OWN, OWN_ROWS, cell_forces, cell_groups_of, paths
 from tissue_sim.model.elasticity.cells import cells_of, shapes_of, tissue_of
 from tissue_sim.organ.cell_mesh import with_cells
 
@@ -78,7 +78,7 @@ def test_cells_hold_their_stiffness_by_themselves_not_by_their_place_in_a_fan():
     factor = np.exp(np.random.default_rng(2).normal(size=(2, len(CELLS))))
     uneven = replace(ORGAN, cell_mu=factor[0] * ORGAN.cell_mu, cell_lambda=factor[1] * ORGAN.cell_lambda)
     slope = shapes_of(MODEL.rest, CELLS)[0]
-    fans = fans_of(MODEL.rest, CELLS, slope, uneven.cell_mu, uneven.cell_lambda)
+    fans = cell_groups_of(MODEL.rest, CELLS, slope, uneven.cell_mu, uneven.cell_lambda)
     even = MODEL.tissue.fans
     np.testing.assert_array_equal(fans.nodes, even.nodes)
     model = assemble(uneven, "cells")

@@ -9,9 +9,9 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.stepping.breathing import Breath, breathed_in
-from tissue_sim.model.stepping.ligament_links import make_links, weigh_ends
-from tissue_sim.model.stepping.organ_contact import make_pairs
+from tissue_sim.model.stepping.breathing import Breath, inhaled_fraction
+from tissue_sim.model.stepping.ligament_links import make_links, weight_link_ends
+from tissue_sim.model.stepping.organ_contact import make_organ_contacts
 
 TOP, TOP_OF_FINE = (int(np.argmax(one.surface_positions[:, 2])) for one in (ball(), ball(2)))
 
@@ -31,8 +31,10 @@ class Organs:
                     self.links.point[number, side] = end
             self.links.slack[number] = slack
             self.links.stiffness[number], self.links.damping[number] = stiffness, damping
-        weigh_ends(self.links, [one.model.inverse_mass for one in simulations])
-        self.joined = Joined(simulations, self.links, make_pairs(), breath or Breath.new(), moves or (), unfelt)
+        weight_link_ends(self.links, [one.model.inverse_mass for one in simulations])
+        self.joined = Joined(
+            simulations, self.links, make_organ_contacts(), breath or Breath.new(), moves or (), unfelt
+        )
         self.carried, self.unfelt = self.joined.carried, self.joined.unfelt
         self.least = simulations[0].settings.least_substeps
 
@@ -81,7 +83,7 @@ def test_one_organ_that_nothing_joins_is_alone():
     np.testing.assert_array_equal(poked(simulation, simulation.step), poked(same, alone.step))
     assert alone.wrench is same.state.wrench
     alone.take_settings(0, same.settings)
-    alone.tell_breath(1.0)
+    alone.set_breathing(1.0)
     same.reset()
     alone.reset()
     alone.step()
@@ -90,10 +92,10 @@ def test_one_organ_that_nothing_joins_is_alone():
 
 def test_what_is_joined_is_not_alone():
     assert not Joined([Simulation(ball()), Simulation(ball())]).alone
-    for what in ({"links": make_links(1)}, {"pairs": make_pairs()}, {"breath": a_breath()}):
+    for what in ({"links": make_links(1)}, {"pairs": make_organ_contacts()}, {"breath": a_breath()}):
         assert not Joined([Simulation(ball())], **what).alone
     with pytest.raises(UserError, match="return target rest"):
-        Joined([Simulation(ball(), return_target="implied")], pairs=make_pairs())
+        Joined([Simulation(ball(), return_target="implied")], pairs=make_organ_contacts())
     assert Joined([Simulation(ball(), return_target="implied")]).alone
 
 
@@ -225,10 +227,10 @@ def test_organs_that_links_join_take_as_many_substeps():
 # breath ------------------------------------------------------------------------------------------
 def test_a_breath_is_out_at_first_and_in_after_half_its_period():
     for time, share in ((0.0, 0.0), (1.0, 0.25), (2.0, 1.0), (3.0, 0.25), (4.0, 0.0)):
-        assert breathed_in(time, 4.0)[0] == pytest.approx(share, abs=1e-12)
+        assert inhaled_fraction(time, 4.0)[0] == pytest.approx(share, abs=1e-12)
     step = 1e-5
     for time in (0.3, 1.1, 2.0, 3.7):
-        before, (_, speed, change), after = (breathed_in(time + d, 4.0) for d in (-step, 0.0, step))
+        before, (_, speed, change), after = (inhaled_fraction(time + d, 4.0) for d in (-step, 0.0, step))
         assert speed == pytest.approx((after[0] - before[0]) / (2.0 * step), abs=1e-6)
         assert change == pytest.approx((after[1] - before[1]) / (2.0 * step), abs=1e-6)
 
@@ -249,7 +251,7 @@ def test_an_organ_in_its_moving_frame_is_as_one_whose_clamp_is_led():
     off = most = 0.0
     for tick in range(1, 400):
         framed.step()
-        share, _, _ = breathed_in(1e-3 * tick, 0.5)
+        share, _, _ = inhaled_fraction(1e-3 * tick, 0.5)
         led.prescribe(held, led.model.rest[held] + share * way)
         led.step()
         bent = framed.simulations[0].positions - framed.simulations[0].model.rest
@@ -271,7 +273,7 @@ def test_a_tool_that_stands_still_is_pressed_by_an_organ_that_comes():
         scene.simulation.step = organs.step
         forces = []
         for tick in range(500):
-            share = 0.0 if breathes else breathed_in(1e-3 * tick, 1.0)[0]
+            share = 0.0 if breathes else inhaled_fraction(1e-3 * tick, 1.0)[0]
             scene.move(0, start - [0.0, 0.0, 0.003 * share])
             scene.step()
             forces.append(scene.wrenches[0, :3].copy())

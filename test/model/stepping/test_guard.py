@@ -12,12 +12,12 @@ from tissue_sim.model.stepping.guard import (
     KEEP_EVERY,
     MAX_BACKOFF,
     MOST_TURNED,
+    RETURN_RATE,
     RUNAWAY_RATE,
-    WAY_BACK,
     check,
     check_cells,
     is_bounded,
-    lead_back,
+    move_towards_rest,
 )
 from tissue_sim.model.stepping.tick import caution
 
@@ -164,7 +164,7 @@ def test_good_shape_that_leads_to_nothing_but_faults_is_led_back():
         poke(simulation, 1, [0.0, 1e8, 0.0])
     assert simulation.state.count.faults == 12
     left = np.linalg.norm(away, axis=(1, 2)) / np.linalg.norm(away[1])
-    back = np.exp(-WAY_BACK * 1e-3)
+    back = np.exp(-RETURN_RATE * 1e-3)
     np.testing.assert_allclose(left[1:], [1.0] * 3 + [back] * 4 + [back**2] * 4, rtol=1e-9)
 
 
@@ -280,7 +280,7 @@ def test_way_back_goes_by_the_same_share_each_tick_and_without_speed():
     away[model.moving] = np.random.default_rng(0).uniform(-0.01, 0.01, (len(model.moving), 3))
     state.position[:], state.velocity[:] = model.rest + away, 1.0
     world = by_reference(simulation)
-    left = lead_back(world.model, world.state, world.settings)
+    left = move_towards_rest(world.model, world.state, world.settings)
     np.testing.assert_allclose(state.position - model.rest, np.exp(-0.02) * away, atol=1e-16)
     assert left == pytest.approx(np.exp(-0.02) * np.abs(away).max())
     assert np.abs(state.velocity[model.moving]).max() == 0.0

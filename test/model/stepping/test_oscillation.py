@@ -14,9 +14,9 @@ from tissue_sim.model.stepping.oscillation import (
     LONGEST,
     MANY,
     MORE,
-    count_turning,
-    end_look,
-    is_looked_at,
+    count_oscillating,
+    end_oscillation_check,
+    is_oscillation_checked,
 )
 from tissue_sim.organ.cell_mesh import with_cells
 
@@ -57,9 +57,9 @@ def naive_turning(before, after):
 def test_coordinates_that_turn_are_counted():
     rng = np.random.default_rng(1)
     before, after = 5e-3 * rng.standard_normal((2, 999))
-    assert count_turning(before, after, FAST) == naive_turning(before, after) > 50
-    assert count_turning(before, before, FAST) == 0
-    assert count_turning(np.full(9, 0.9 * FAST), np.full(9, -1.0), FAST) == 0
+    assert count_oscillating(before, after, FAST) == naive_turning(before, after) > 50
+    assert count_oscillating(before, before, FAST) == 0
+    assert count_oscillating(np.full(9, 0.9 * FAST), np.full(9, -1.0), FAST) == 0
 
 
 @pytest.mark.parametrize(("share", "usual"), [(1.01, 1), (1.06, 1), (1.03, 2), (1.03, 3)])
@@ -86,7 +86,7 @@ def turn(simulation, turning, speed):
     state, scratch = simulation.state, simulation.scratch
     scratch.velocity_before.ravel()[:turning] = speed
     state.velocity.ravel()[:turning] = -speed
-    end_look(handle(state), handle(scratch))
+    end_oscillation_check(handle(state), handle(scratch))
 
 
 @pytest.mark.parametrize(("turning", "speeds", "halved"), [(MANY - 1, 2.0, 0), (MANY, 2.0, HALVED), (MANY, 1.1, 0)])
@@ -104,7 +104,7 @@ def test_what_is_found_again_soon_is_halved_longer_and_after_a_while_as_at_first
     state, found = simulation.state, []
     for wait in (0, 0, 0, 0, LONGEST):
         for _ in range(wait + int(state.status.shivering)):
-            is_looked_at(handle(simulation.model), handle(state), 1)
+            is_oscillation_checked(handle(simulation.model), handle(state), 1)
         for speed in (0.1, 0.2):
             turn(simulation, MANY, speed)
         found.append(int(state.status.shivering))

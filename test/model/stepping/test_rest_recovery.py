@@ -8,12 +8,12 @@ from helpers.scenes import ball, ball_of_cells, changed, kidney
 from tissue_sim.model.regions.active_region import largest_motion
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.rest_recovery import (
-    LONGEST_WAY,
+    INVERTED_TIME,
+    LONGEST_RETURN,
     QUIET_TICKS,
-    SNAPPED_DISPLACEMENT,
-    TURNED_TIME,
+    RECOVERY_DISPLACEMENT,
     pace,
-    rest_if_quiet,
+    sleep_or_recover,
 )
 
 
@@ -111,7 +111,7 @@ def test_an_organ_that_sags_is_set_up_anew_once_after_a_fault():
     for _ in range(3000):
         simulation.step()
     sagged = simulation.positions.copy()
-    assert np.abs(sagged - simulation.model.rest).max() > SNAPPED_DISPLACEMENT
+    assert np.abs(sagged - simulation.model.rest).max() > RECOVERY_DISPLACEMENT
     assert count.snaps == 0
     state.status.faulted = True
     farthest = 0.0
@@ -139,13 +139,13 @@ def test_an_organ_that_is_pulled_is_led_back_where_it_can_not_be_right_for_long(
     state, model, settings, scratch = simulation.state, simulation.model, simulation.settings, simulation.scratch
     world = by_reference(simulation)
     settings.gravity_z = -weight
-    longest = LONGEST_WAY / (pace_of(simulation) * settings.tick_time)
+    longest = LONGEST_RETURN / (pace_of(simulation) * settings.tick_time)
     state.position[model.moving, 2] += 1e-3
     state.velocity[model.moving, 2] = speed
     state.status.turned, model.tissue.stiff[0], scratch.plan.forced = turned, stiff, True
     for share, snapped in ((0.99, False), (1.01, led_back)):
         state.status.alone = round(share * longest)
-        rest_if_quiet(world.model, world.state, world.settings, world.scratch)
+        sleep_or_recover(world.model, world.state, world.settings, world.scratch)
         assert state.status.snapped == snapped
 
 
@@ -171,7 +171,7 @@ def test_cap_pushed_through_the_organ_is_at_rest_soon(organ, integrator, longest
 
 
 def test_inside_may_be_turned_for_a_moment_before_it_is_led_back():
-    """With nothing to bring it back by itself, the organ is taken after TURNED_TIME, not before."""
+    """With nothing to bring it back by itself, the organ is taken after INVERTED_TIME, not before."""
     simulation = awake(changed(SLACK, damping=0.0))
     state, model = simulation.state, simulation.model
     state.position[model.moving, 2] *= -1.0
@@ -187,7 +187,7 @@ def test_inside_may_be_turned_for_a_moment_before_it_is_led_back():
             begun = tick
     assert state.count.faults == 0
     assert begun is not None
-    assert begun * 1e-3 == pytest.approx(TURNED_TIME, abs=0.003)
+    assert begun * 1e-3 == pytest.approx(INVERTED_TIME, abs=0.003)
     settles(simulation)
 
 
@@ -208,7 +208,7 @@ def test_an_organ_that_trembles_far_from_rest_for_good_is_led_back():
     """Neither still nor on its way: what is not back long after a sound one would be goes to sleep all the same."""
     simulation = awake(changed(SLACK, damping=0.0))
     state, model = simulation.state, simulation.model
-    longest = LONGEST_WAY / (pace_of(simulation) * simulation.settings.tick_time)
+    longest = LONGEST_RETURN / (pace_of(simulation) * simulation.settings.tick_time)
     for tick in range(round(longest) + 5):
         state.position[model.moving] = model.rest[model.moving]
         state.position[model.moving, 2] += 1e-3
@@ -227,7 +227,7 @@ def test_an_undamped_organ_swings_on():
     simulation = awake(changed(SLACK, damping=0.0))
     state, model, settings = simulation.state, simulation.model, simulation.settings
     settings.damping_scale = 0.0
-    for tick in range(round(1.2 * LONGEST_WAY / (pace_of(simulation) * settings.tick_time))):
+    for tick in range(round(1.2 * LONGEST_RETURN / (pace_of(simulation) * settings.tick_time))):
         state.position[model.moving] = model.rest[model.moving]
         state.position[model.moving, 2] += 1e-3
         state.velocity[model.moving] = [0.0, 0.0, 0.1 * (-1.0) ** tick]

@@ -13,7 +13,14 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.model.elasticity.gravity import add_weight
 from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.stepping.wake_threshold import UNBOUNDED, UNFELT, UNFELT_FORCE, bounds_of, rounded_up, share_of
+from tissue_sim.model.stepping.wake_threshold import (
+    UNBOUNDED,
+    WAKE_DISPLACEMENT,
+    WAKE_FORCE,
+    bounds_of,
+    loaded_fraction,
+    rounded_up,
+)
 
 TOP = int(np.argmax(ball().surface_positions[:, 2]))
 UP = (0.0, 0.0, 0.05)  # m, from there to the point that it hangs on
@@ -36,16 +43,16 @@ def feeling_all(joined):
 
 # bounds ------------------------------------------------------------------------------------------
 def test_what_is_lacking_is_bounded_and_shrinks_as_loads_grow():
-    most = np.array([UNFELT, UNFELT_FORCE])
+    most = np.array([WAKE_DISPLACEMENT, WAKE_FORCE])
     sizes = np.geomspace(1e-3, 1e3, 500)
-    for scale, loads in ((UNFELT, lambda size: (size, 0.0)), (UNFELT_FORCE, lambda size: (0.0, size))):
-        felt = np.array([share_of(*loads(scale * size), most) for size in sizes])
+    for scale, loads in ((WAKE_DISPLACEMENT, lambda size: (size, 0.0)), (WAKE_FORCE, lambda size: (0.0, size))):
+        felt = np.array([loaded_fraction(*loads(scale * size), most) for size in sizes])
         lacking = sizes * (1.0 - felt)
         assert lacking.max() <= 1.0
         assert np.all(np.diff(lacking[sizes > 1.0]) < 0.0)
         assert np.all(felt[sizes < 1.0] == 0.0)
         assert np.abs(np.diff(felt)).max() < 0.06, "no jump"
-    assert share_of(1e-9, 0.0, np.zeros(2)) == 1.0
+    assert loaded_fraction(1e-9, 0.0, np.zeros(2)) == 1.0
 
 
 @pytest.mark.parametrize("organ", [ball(), ball_of_cells(2, 60)], ids=["springs", "cells"])
@@ -92,9 +99,9 @@ def test_an_organ_whose_ligament_hardly_pulls_sleeps_and_is_counted():
     for _ in range(2000):
         few.step()
         all_of_it.step()
-        assert few.unfelt.pulled[0] < UNFELT_FORCE
+        assert few.unfelt.pulled[0] < WAKE_FORCE
         off = few.simulations[0].positions - all_of_it.simulations[0].positions
-        assert np.linalg.norm(off, axis=1).max() < UNFELT
+        assert np.linalg.norm(off, axis=1).max() < WAKE_DISPLACEMENT
     ticks = few.unfelt.ticks
     assert ticks[0] > 1900
     assert ticks[1] == 0, "nothing acts on it"
@@ -115,11 +122,11 @@ def test_it_wakes_without_a_kick_when_the_ligament_pulls_more_and_sleeps_again()
         sped = max(sped, np.linalg.norm(organ.velocities - before, axis=1).max())
         off = max(off, np.linalg.norm(organ.positions - other.positions, axis=1).max())
         pulled = max(pulled, few.unfelt.pulled[0])
-    assert off < UNFELT
-    assert pulled > 5.0 * UNFELT_FORCE
+    assert off < WAKE_DISPLACEMENT
+    assert pulled > 5.0 * WAKE_FORCE
     assert 200 < np.count_nonzero(asleep) < 3500
     assert np.count_nonzero(np.diff(np.array(asleep, dtype=int)) == 1) == 2, "after each of two breaths"
-    kick = UNFELT_FORCE * 1e-3 / organ.organ.mass[TOP]  # m/s, of all that isn't felt at once
+    kick = WAKE_FORCE * 1e-3 / organ.organ.mass[TOP]  # m/s, of all that isn't felt at once
     assert sped < 0.2 * kick
     assert organ.state.count.faults == 0
 
@@ -132,7 +139,7 @@ def test_a_breath_that_hardly_bends_it_lets_an_organ_sleep_and_a_fast_one_does_n
         for _ in range(1000):
             joined.step()
             bent = max(bent, joined.unfelt.bent[0])
-        assert (bent < UNFELT) == sleeps
+        assert (bent < WAKE_DISPLACEMENT) == sleeps
         assert (joined.simulations[0].state.count.asleep_ticks == 1000) == sleeps
 
 
@@ -142,7 +149,7 @@ def test_an_organ_that_is_handled_feels_all_of_it():
     for _ in range(1000):
         organ.apply_force([TOP - 1], [[1e-5, 0.0, 0.0]])
         joined.step()
-    assert 0.0 < joined.unfelt.pulled[0] < UNFELT_FORCE
+    assert 0.0 < joined.unfelt.pulled[0] < WAKE_FORCE
     assert joined.unfelt.share[0] == 1.0
     assert not organ.asleep
     assert joined.unfelt.ticks[0] == 0
@@ -170,8 +177,8 @@ def test_an_organ_made_softer_or_given_weight_wakes():
         joined.step()
     assert organ.asleep
     bent = joined.unfelt.bent[0]
-    assert 0.0 < bent < UNFELT
-    organ.settings.stiffness_scale = bent / UNFELT / 4.0
+    assert 0.0 < bent < WAKE_DISPLACEMENT
+    organ.settings.stiffness_scale = bent / WAKE_DISPLACEMENT / 4.0
     joined.set_substeps()
     joined.step()
     assert not organ.asleep

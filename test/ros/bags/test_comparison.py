@@ -52,7 +52,7 @@ def test_what_a_damaged_bag_calls_numbers_is_off_without_a_word(bits):
 def test_nothing_to_compare_is_no_success():
     nothing = shown([], np.zeros((0, 3)))
     found = compare(nothing, nothing, 1.0, 1.0)
-    assert found.holds_nothing
+    assert found.is_empty_comparison
     assert not found.passes
     assert found.force.tick == found.first_beyond == -1
 

@@ -9,7 +9,7 @@ from helpers.patience import wait_for
 from helpers.scenes import ball
 from tissue_sim.contact.attachments import Attachment, Breathing
 from tissue_sim.contact.coupling_setup import join
-from tissue_sim.contact.organ_contact_finder import PairFinder
+from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.placement import placed
@@ -34,8 +34,8 @@ def written():
     messages.packed = lambda name, arrays: topics.setdefault(name.rpartition("/")[2], []).append(arrays)
     recorder = JoinedRecorder(messages, "/node", loop)
     loop.start()
-    found = PairFinder([one.organ for one in both]).find([one.organ.rest_positions for one in both])
-    recorder.pairs(loop.post_pairs(found), [0, 0], found)
+    found = OrganContactFinder([one.organ for one in both]).find([one.organ.rest_positions for one in both])
+    recorder.pairs(loop.post_organ_contacts(found), [0, 0], found)
     wait_for(lambda: loop.ticks > 300)
     loop.take_snapshots()
     recorder.state(300)
@@ -61,7 +61,7 @@ def test_it_comes_back_as_it_was(written):
     (rows,) = topics["journal"]
     assert rows["pairs"]["pairs"].tolist() == [1]
     assert rows["joined"]["pairs"].max() == 1
-    assert int(topics["pair_set"][0]["sequence"]) == 1
+    assert int(topics["organ_contact_set"][0]["sequence"]) == 1
 
 
 def test_of_an_organ_alone_there_is_nothing_but_the_journal():

@@ -125,7 +125,7 @@ def test_files_go_on_when_one_is_large(tmp_path):
         writer.flush()
         end(writer)
         if end is BagWriter.abort:
-            assert recovery.is_broken_off(path)
+            assert recovery.is_interrupted(path)
             assert recovery.complete(path).count("\n") == 0
         sizes = [file.stat().st_size for file in sorted(path.glob("*.mcap"))]
         assert len(sizes) == 3

@@ -104,12 +104,12 @@ def test_jaws_that_open_are_felt_and_a_bag_of_it_replays(folder, client, node, g
     assert np.linalg.norm(gripper.settle(0.004, 0.5)) < 0.04 + 1e-6
     assert client.set_parameter("stale_time", 0.3).successful
 
-    def is_let_go():
+    def is_released():
         """An angle alone doesn't keep a tool in touch whose poses have stopped."""
         gripper.joint.publish(JointState(position=[0.1]))
         client.spin(0.01)
         return client.hand_force() == 0.0
 
-    assert client.spin_until(is_let_go)
+    assert client.spin_until(is_released)
     assert node.stop() == 0
     assert main(["replay", str(next(folder.glob("tissue_sim-*")))]) == 0

@@ -34,7 +34,7 @@ def test_the_range_is_narrowed_only_where_the_user_says_nothing(set_by_user, pro
     dds.prepare(environment)
     chosen = {REACH: "LOCALHOST"} if not any(set_by_user.values()) else set_by_user
     assert environment == chosen | dict.fromkeys(PROFILE_VARIABLES, str(ROOT / profile))
-    assert f"discoverable {told}" in dds.told_reach(environment)
+    assert f"discoverable {told}" in dds.describe_discovery(environment)
 
 
 def test_a_profile_or_transports_of_the_users_are_kept():

@@ -8,11 +8,11 @@ from helpers.patience import wait_for
 from helpers.scenes import ball
 from helpers.states import assert_same
 from tissue_sim.contact.attachments import Attachment, Breathing
-from tissue_sim.contact.organ_contact_finder import PairFinder
+from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.data.records import copy_of
-from tissue_sim.model.stepping.organ_contact import pair_set
+from tissue_sim.model.stepping.organ_contact import organ_contact_set
 from tissue_sim.organ.placement import placed
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
@@ -79,7 +79,7 @@ def by_hand(ticks, journals, poses, settings, pair_sets, pair_rows):
 
 def test_ticks_of_joined_organs_repeat_by_hand_bit_for_bit():
     scene = make_scene()
-    finder = PairFinder(organs())
+    finder = OrganContactFinder(organs())
     loop = Loop(scene.joined)
     both = [Physics(loop, organ) for organ in range(2)]
     poses, pair_sets, settings = {}, {}, [{}, {}]
@@ -90,7 +90,7 @@ def test_ticks_of_joined_organs_repeat_by_hand_bit_for_bit():
             _, carried = one.positions(out)
             np.add(out, carried, out=out)
         found = finder.find(positions)
-        pair_sets[loop.post_pairs(found)] = pair_set(found.words.copy())
+        pair_sets[loop.post_organ_contacts(found)] = organ_contact_set(found.words.copy())
 
     def post_pose(height):
         pose = np.array([0.0, 0.0, 0.03 + height, 0.0, 0.0, 0.0, 1.0])

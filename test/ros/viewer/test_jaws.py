@@ -8,7 +8,7 @@ from sensor_msgs.msg import JointState
 from helpers.ros.participant import Participant
 from helpers.ros.processes import UNHURRIED, start_node
 from tissue_sim.ros.shared.tool_link import ToolLink
-from tissue_sim.ros.viewer.poked_jaws import HeldJaws
+from tissue_sim.ros.viewer.poked_jaws import PokedJaws
 from tissue_sim.ros.viewer.poked_tool import LONGEST_STEP, TOP_SPEED
 
 pytest.importorskip("viser")
@@ -25,7 +25,7 @@ def test_jaws_turn_without_a_blow_and_then_are_silent(graph):
         JointState, "left/gripper/measured_js", lambda m: heard.append(m.position[0]), EVERY
     )
     length = 0.06
-    jaws = HeldJaws(graph, ToolLink.told(values(left__shape="gripper", left__length=length), "left", "tissue_sim"))
+    jaws = PokedJaws(graph, ToolLink.told(values(left__shape="gripper", left__length=length), "left", "tissue_sim"))
     try:
         listener.spin(0.3)
         assert not heard, "nobody touched it"

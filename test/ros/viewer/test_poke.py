@@ -14,7 +14,7 @@ from helpers.ros.clients import Client
 from helpers.ros.participant import Participant
 from helpers.ros.processes import UNHURRIED, Process, shipped, start_node
 from tissue_sim.ros.probes.graph import free_port
-from tissue_sim.ros.viewer.poked_tool import ACCELERATION, TOP_SPEED, HeldTool, follow
+from tissue_sim.ros.viewer.poked_tool import ACCELERATION, TOP_SPEED, PokedTool, follow
 
 pytest.importorskip("viser")
 from helpers.ros import browser as browsers
@@ -65,7 +65,7 @@ def test_a_held_tool_publishes_until_it_is_released(graph):
     listener = Participant("listener")
     heard = []
     listener.node.create_subscription(PoseStamped, "left/measured_cp", heard.append, EVERY)
-    tool = HeldTool(graph, "left")
+    tool = PokedTool(graph, "left")
     assert not tool.held
     tool.take(np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.6, 0.0, 0.8]), "theatre")
     assert listener.spin_until(lambda: len(heard) > 0)
@@ -158,7 +158,7 @@ def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
             if not page.run(f"{BOXES}[0].checked"):
                 page.click(page.run(CENTRES)[0])
 
-        def is_let_go():
+        def is_released():
             poses.clear()
             client.spin(0.5)
             return not poses and force() == 0.0
@@ -178,7 +178,7 @@ def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
             page.mouse("Released", pixel(arrow))
             page.call("Page.reload")  # what is dragged without arrows is the camera
             page.wait_for(f"{BOXES}.length == 1 && !{BOXES}[0].disabled")
-            client.spin_until(is_let_go, 10.0)
+            client.spin_until(is_released, 10.0)
             return False
 
         browsers.wait_for(is_pressed, page.text)
@@ -187,6 +187,6 @@ def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
         browsers.wait_for(lambda: (page.run(plotted) or 0.0) > 0.1, "no curve")
 
         page.open("about:blank")  # the hand leaves without letting go: the browser keeps the connection open
-        assert client.spin_until(is_let_go)
+        assert client.spin_until(is_released)
     finally:
         client.close()

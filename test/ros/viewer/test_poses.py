@@ -15,7 +15,7 @@ from tissue_sim.ros.shared.frames import Transform
 from tissue_sim.ros.shared.node_parameters import NodeParameters
 from tissue_sim.ros.shared.tool_link import PoseWriter, ToolLink
 from tissue_sim.ros.shared.tool_messages import N_POSE, POSE_TYPES
-from tissue_sim.ros.viewer.poked_tool import HeldTool
+from tissue_sim.ros.viewer.poked_tool import PokedTool
 
 pytest.importorskip("viser")
 from helpers.ros.told import values
@@ -106,7 +106,7 @@ def test_an_organ_that_is_registered_anew_is_poked_where_it_is_now(node, open_pa
 
 
 def test_another_frame_has_the_tool_let_go(graph):
-    tool = HeldTool(graph, "left")
+    tool = PokedTool(graph, "left")
     link = ToolLink.told(values(), "left", "tissue_sim")
     tool.use(link)
     tool.take(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), "organ")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tissue_sim.bench.fuzz.cases import KINDS, Case, Outcome
 from tissue_sim.bench.fuzz.trial import Trial, remains_of
-from tissue_sim.parent_exit import end_with_parent
+from tissue_sim.parent_exit import exit_with_parent
 
 PREPARING = 600.0  # s that a case may take until its input is ready: imports, and kernels the first time
 _LOOK_EVERY = 0.5  # s
@@ -23,7 +23,7 @@ _CONTEXT = multiprocessing.get_context("spawn")  # a fork would start with this 
 
 def _serve(pipe: Connection, folder: str) -> None:
     """Run cases as a worker: a case comes in; None goes out when its input is ready, and then its outcome."""
-    end_with_parent()
+    exit_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the command, which ends the workers
     trial = Trial(Path(folder))
     while True:
@@ -70,12 +70,12 @@ class _Worker:
                     self.case = None
                 return found
             except (EOFError, ConnectionError):
-                return self._anew(case, "")
+                return self._restarted(case, "")
         if time.monotonic() - self._started > self._patience:
-            return self._anew(case, f"hung: not finished after {self._patience:.0f} s")
+            return self._restarted(case, f"hung: not finished after {self._patience:.0f} s")
         return None
 
-    def _anew(self, case: Case, reason: str) -> Outcome:
+    def _restarted(self, case: Case, reason: str) -> Outcome:
         seconds = time.monotonic() - self._started
         if reason:
             os.kill(self._process.pid or 0, signal.SIGABRT)  # the fault handler reports where it is

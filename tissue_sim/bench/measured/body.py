@@ -94,7 +94,7 @@ def calibrated(organ: Organ, folder: Path, progress: Progress) -> Organ:
     return made
 
 
-def settle_led(solid: Solid, led: Floats) -> Floats:
+def solve_prescribed_surface(solid: Solid, led: Floats) -> Floats:
     """Return the equilibrium of a neo-Hookean solid whose held axes are prescribed, from the linear one.
 
     Newton's method, each step factored and shortened until the energy falls.

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from tissue_sim.array_types import Floats
-from tissue_sim.bench.measured.body import Material, Rate, built, calibrated, settle_led, timed
+from tissue_sim.bench.measured.body import Material, Rate, built, calibrated, solve_prescribed_surface, timed
 from tissue_sim.bench.measured.lattice import places, shell
 from tissue_sim.bench.rows import tell, until_stopped
 from tissue_sim.calibration.calibrate import Progress
@@ -118,7 +118,9 @@ def measure(data: Path, folder: Path, progress: Progress) -> list[Compressed]:
     with until_stopped(), progress.stage("truth cube", len(STRAINS)) as done:
         for number, strain in enumerate(STRAINS):
             began = time.perf_counter()
-            moved = settle_led(body.solid, on_facets(body.filling, surface[triangles], led[triangles, number]))
+            moved = solve_prescribed_surface(
+                body.solid, on_facets(body.filling, surface[triangles], led[triangles, number])
+            )
             seconds = time.perf_counter() - began
             simulation.prescribe(np.arange(organ.n_surface), surface + led[:, number], LED)
             rate = timed(simulation, LED + STILL)

@@ -13,10 +13,10 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
-from tissue_sim.bench.palpation.places import KINDS, flat_places
+from tissue_sim.bench.palpation.places import KINDS, flat_locations
 from tissue_sim.bench.palpation.presses import DEPTHS, Pressed, presses
 from tissue_sim.bench.palpation.slab import slab
-from tissue_sim.bench.palpation.slides import SLID_DEPTH, WAY, Slid, slides
+from tissue_sim.bench.palpation.slides import SLID_DEPTH, WAY, SlidingPress, slides
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
@@ -50,9 +50,9 @@ def run(args: argparse.Namespace) -> int:
         raise UserError("--out draws the palpation of a tumour; leave it out with --places")
     organ = slab() if args.slab else Organ.load(args.organ or shipped_organ())
     edge = mean_edge(organ)
-    places = flat_places(organ, args.places)
+    places = flat_locations(organ, args.places)
     pressed: list[Pressed] = []
-    slid: list[Slid] = []
+    slid: list[SlidingPress] = []
     with rows.until_stopped():
         for press in presses(organ, radii, places):
             pressed.append(press)
@@ -80,7 +80,7 @@ def parse_radii(given: str | None) -> tuple[float, ...]:
     return radii
 
 
-def as_json(pressed: Sequence[Pressed], slid: Sequence[Slid]) -> dict[str, Any]:
+def as_json(pressed: Sequence[Pressed], slid: Sequence[SlidingPress]) -> dict[str, Any]:
     """Return all figures: of each radius, each press and each slide, and the bounds."""
     radii = list(dict.fromkeys(one.radius for one in pressed))
     table = [

@@ -29,7 +29,7 @@ STEPS = 2  # of the finite elements for each depth
 MOST_OFF = 5.0  # %
 
 
-class Felt(NamedTuple):
+class PressForces(NamedTuple):
     """Force against depth over an inclusion."""
 
     inclusion: Inclusion
@@ -44,7 +44,7 @@ class Felt(NamedTuple):
         return np.asarray(100.0 * np.abs(self.ours / self.reference - 1.0))
 
     @property
-    def told_apart(self) -> Floats:
+    def inclusion_effect(self) -> Floats:
         """Relative increase of the finite elements' force by the inclusion at each depth, %."""
         return np.asarray(100.0 * (self.reference / self.plain - 1.0))
 
@@ -56,7 +56,7 @@ class Map(NamedTuple):
     stiffness: Floats  # (k,) N/m
 
 
-def measure(organ: Organ) -> list[Felt]:
+def measure(organ: Organ) -> list[PressForces]:
     """Return a curve for each inclusion. Raises UserError for an organ without any, and as Body does."""
     inclusions = inclusions_of(organ)
     if not inclusions:
@@ -67,12 +67,12 @@ def measure(organ: Organ) -> list[Felt]:
             press = over(organ, inclusion)
             scene = finger(organ)
             reference, plain = (by_elements(one, press) for one in (organ, with_inclusions(organ, [])))
-            found.append(Felt(inclusion, press, forces(scene, press, DEPTHS), reference, plain))
+            found.append(PressForces(inclusion, press, forces(scene, press, DEPTHS), reference, plain))
             rows.tell(f"node {press.node}", f"error at most {found[-1].off.max():.2f} %")
     return found
 
 
-def measure_maps(organ: Organ, felt: Sequence[Felt]) -> list[Map]:
+def measure_maps(organ: Organ, felt: Sequence[PressForces]) -> list[Map]:
     """Return a map around each place; an empty one for those that Ctrl-C left out."""
     found: list[Map] = []
     with rows.until_stopped():
@@ -130,13 +130,13 @@ def mapped(organ: Organ, press: Press) -> Map:
     return Map(nodes, np.array(felt))
 
 
-def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
+def as_json(felt: Sequence[PressForces], maps: Sequence[Map]) -> dict[str, Any]:
     """Return all figures and bounds: of each curve the error, and how clearly the inclusion is discernible."""
     table, bounds = [], []
     for number, (one, around) in enumerate(zip(felt, maps, strict=True)):
         settled = bool(np.isfinite(one.reference).all() and np.isfinite(one.plain).all())
         off = float(one.off.max()) if settled else None
-        apart = float(one.told_apart[-1]) if settled else None
+        apart = float(one.inclusion_effect[-1]) if settled else None
         name = f"inclusion {number}: " if len(felt) > 1 else ""
         bounds += [
             Bound(f"{name}force against finite elements, worst depth", off, MOST_OFF, "%"),
@@ -153,7 +153,7 @@ def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
                 "reference_n": one.reference.tolist(),
                 "plain_reference_n": one.plain.tolist(),
                 "off_percent": one.off.tolist(),
-                "told_apart_percent": one.told_apart.tolist(),
+                "told_apart_percent": one.inclusion_effect.tolist(),
                 "map": {
                     "nodes": around.nodes.tolist(),
                     "stiffness_n_per_m": around.stiffness.tolist(),

@@ -20,7 +20,7 @@ FLATTEST = 0.25  # of the places that are clear of the clamp
 ALIKE = 0.05  # by which the least cosine between a place's normal and those around may be below the flattest one's
 
 
-class Spot(NamedTuple):
+class PressPoint(NamedTuple):
     """Spot where a ball is pressed in: number and kind of the place, (3,) m on the surface, inward direction (3,)."""
 
     place: int
@@ -29,7 +29,7 @@ class Spot(NamedTuple):
     way: Floats
 
 
-def flat_places(organ: Organ, count: int) -> list[list[Spot]]:
+def flat_locations(organ: Organ, count: int) -> list[list[PressPoint]]:
     """Return spots at a node, on an edge and in a triangle of so many triangles where the organ is flat.
 
     Clear of the clamp, among the flattest, and far from each other; the flattest comes first. Raises UserError where
@@ -57,12 +57,12 @@ def flat_places(organ: Organ, count: int) -> list[list[Spot]]:
         apart = cKDTree(middle[picked]).query(middle[candidates])[0]
         picked.append(int(candidates[apart.argmax()]))
     return [
-        [Spot(number, kind, np.array(weights) @ corner[one], way[one]) for kind, weights in KINDS.items()]
+        [PressPoint(number, kind, np.array(weights) @ corner[one], way[one]) for kind, weights in KINDS.items()]
         for number, one in enumerate(picked)
     ]
 
 
-def thickness(organ: Organ, spot: Spot) -> float:
+def thickness(organ: Organ, spot: PressPoint) -> float:
     """Return how far the organ's other side is from a spot, along its way, m; inf where there is none."""
     corner = organ.surface_positions[organ.surface_triangles] - spot.point
     first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.bench.palpation.finger import DEPTHS, MAP_DEPTH, Felt, Map
+from tissue_sim.bench.palpation.finger import DEPTHS, MAP_DEPTH, Map, PressForces
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 
 
-def write_plots(organ: Organ, felt: Sequence[Felt], maps: Sequence[Map], folder: str) -> list[Path]:
+def write_plots(organ: Organ, felt: Sequence[PressForces], maps: Sequence[Map], folder: str) -> list[Path]:
     """Write a picture for each inclusion into the folder.
 
     Parameters
@@ -48,7 +48,7 @@ def write_plots(organ: Organ, felt: Sequence[Felt], maps: Sequence[Map], folder:
     return paths
 
 
-def drawn(organ: Organ, felt: Felt, around: Map) -> Any:
+def drawn(organ: Organ, felt: PressForces, around: Map) -> Any:
     """Return curves on the left, and the map with the inclusion's outline, seen along the finger's direction."""
     from matplotlib.figure import Figure
     from scipy.spatial import ConvexHull

@@ -10,7 +10,7 @@ import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.bench.palpation.places import Spot, thickness
+from tissue_sim.bench.palpation.places import PressPoint, thickness
 from tissue_sim.bench.palpation.pressing import FRICTION, Press, ball, forces
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
@@ -41,11 +41,11 @@ class Pressed(NamedTuple):
         return np.asarray(100.0 * (self.ours / self.reference - 1.0))
 
 
-Reference = Callable[[Organ, Sequence[Spot], float, Floats], Floats]
+Reference = Callable[[Organ, Sequence[PressPoint], float, Floats], Floats]
 
 
 def presses(
-    organ: Organ, radii: Sequence[float], places: Sequence[Sequence[Spot]], reference: Reference | None = None
+    organ: Organ, radii: Sequence[float], places: Sequence[Sequence[PressPoint]], reference: Reference | None = None
 ) -> Iterable[Pressed]:
     """Yield the forces of balls that are pressed in at all spots, beside the reference: finite elements if None.
 
@@ -66,7 +66,7 @@ def presses(
                     under_way.advance()
 
 
-def by_elements(organ: Organ, spots: Sequence[Spot], radius: float, depths: Floats) -> Floats:
+def by_elements(organ: Organ, spots: Sequence[PressPoint], radius: float, depths: Floats) -> Floats:
     """Return the force (k, d) N of finite elements on a ball at spots (k,) of one place; nan where none settles.
 
     radius m; depths (d,) m, of which each is reached in steps. They are touched at all of their own nodes under it.
@@ -91,7 +91,7 @@ def by_elements(organ: Organ, spots: Sequence[Spot], radius: float, depths: Floa
     return found
 
 
-def _beneath(body: Body, nodes: Longs, spot: Spot, radius: float) -> Longs:
+def _beneath(body: Body, nodes: Longs, spot: PressPoint, radius: float) -> Longs:
     """Return the nodes that a ball moving straight in can reach: fewer take less time."""
     away = body.solid.nodes[nodes] - spot.point
     beside = np.linalg.norm(away - np.outer(away @ spot.way, spot.way), axis=1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
-from tissue_sim.bench.palpation.places import AROUND, Spot
+from tissue_sim.bench.palpation.places import AROUND, PressPoint
 from tissue_sim.bench.palpation.pressing import ball
 from tissue_sim.calibration.cases import surface_of
 from tissue_sim.contact.scene import Scene
@@ -25,7 +25,7 @@ OUTSIDE, PAUSE = 0.0005, 0.2  # m before it enters, s before it slides
 KNOTS, ROUNDS = 25, 4  # of a track on an edge; of finding its distance
 
 
-class Slid(NamedTuple):
+class SlidingPress(NamedTuple):
     """Results of a sliding ball: radius in mean edges, mean force along the normal, N, and its ripple, % of that."""
 
     radius: float
@@ -48,7 +48,7 @@ class Track(NamedTuple):
         return np.transpose(found[0]), np.transpose(found[1])
 
 
-def track_over(organ: Organ, spot: Spot, radius: float) -> Track:
+def track_over(organ: Organ, spot: PressPoint, radius: float) -> Track:
     """Return the track over a spot on which a ball, its radius in m, lies SLID_DEPTH deep in the surface at rest.
 
     It follows a quadric through the nodes around, at a constant distance from the triangles: on a smooth track the ball
@@ -75,7 +75,7 @@ def track_over(organ: Organ, spot: Spot, radius: float) -> Track:
     return Track(along, centres, normals)
 
 
-def slides(organ: Organ, radii: Sequence[float], places: Sequence[Sequence[Spot]]) -> Iterable[Slid]:
+def slides(organ: Organ, radii: Sequence[float], places: Sequence[Sequence[PressPoint]]) -> Iterable[SlidingPress]:
     """Yield the forces of balls that slide over the middle of each place, with every friction; radii: mean edges."""
     edge = mean_edge(organ)
     with progress.task("slides", len(radii) * len(FRICTIONS) * len(places)) as under_way:
@@ -84,7 +84,7 @@ def slides(organ: Organ, radii: Sequence[float], places: Sequence[Sequence[Spot]
                 scene = ball(organ, radius * edge, friction)
                 for spots in places:
                     force = slid_force(scene, track_over(organ, spots[-1], radius * edge))
-                    yield Slid(radius, spots[-1].place, friction, float(force.mean()), ripple(force))
+                    yield SlidingPress(radius, spots[-1].place, friction, float(force.mean()), ripple(force))
                     under_way.advance()
 
 

@@ -22,7 +22,7 @@ class Turned(NamedTuple):
     volume: float  # enclosed volume over that at rest; negative: inverted
 
 
-class Witness:
+class InversionCheck:
     """Orientation of an organ's cells at rest."""
 
     def __init__(self, organ: Organ) -> None:

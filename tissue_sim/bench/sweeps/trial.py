@@ -14,7 +14,7 @@ from scipy.sparse import csc_array
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.sweeps.cells import AXES, DEFAULT_RATE, NEWTONS_A_UNIT, SMALL_ORGAN, Cell
-from tissue_sim.bench.sweeps.inversion_check import Turned, Witness
+from tissue_sim.bench.sweeps.inversion_check import InversionCheck, Turned
 from tissue_sim.bench.sweeps.loads import BRIEF, FULL, PROBE, QUICK, load_on
 from tissue_sim.model.data.records import copy_of
 from tissue_sim.model.data.settings import Settings
@@ -37,7 +37,7 @@ MOST_GAIN = 0.05  # fraction of the energy at release
 # shape that it shows is no conserved one: it is compared with that at the release, later and more loosely.
 MOST_MODAL_GAIN, MODAL_TIME = 0.1, 0.01  # s
 # Time constants of the slowest mode in which the organ has to come to rest: more where it oscillates.
-SWINGING, CREEPING = 9.0, 6.0
+SWINGING, SLOWEST_RETURN = 9.0, 6.0
 LEAST_WATCHED, MOST_WATCHED = 3.0, 150.0  # s
 QUICK_WATCHED = 1.5  # s, the most with --quick
 BRIEFLY_WATCHED = 0.03  # s
@@ -135,9 +135,9 @@ def with_mass_ratio(organ: Organ, ratio: float) -> Organ:
 
 
 @lru_cache(maxsize=2)
-def witness_of(organ: str) -> Witness:
+def inversion_check_of(organ: str) -> InversionCheck:
     """Return the witness of an organ, made once in a worker."""
-    return Witness(organ_of(organ))
+    return InversionCheck(organ_of(organ))
 
 
 @lru_cache(maxsize=2)
@@ -228,7 +228,7 @@ def watched(cell: Cell) -> tuple[float, bool]:
     frequency, damping = slowest_of(cell.organ)
     half, square = 0.5 * cell.at("damping", 1.0) * damping, cell.at("stiffness", 1.0) * frequency**2
     if half**2 > square:
-        needed = CREEPING / (half - math.sqrt(half**2 - square))
+        needed = SLOWEST_RETURN / (half - math.sqrt(half**2 - square))
     else:
         needed = SWINGING / half if half > 0.0 else math.inf
     most = BRIEFLY_WATCHED if cell.brief else QUICK_WATCHED if cell.quick else MOST_WATCHED
@@ -239,7 +239,7 @@ def watched(cell: Cell) -> tuple[float, bool]:
 class _Watch:
     """Observations of a simulation, tick by tick."""
 
-    def __init__(self, simulation: Simulation, witness: Witness) -> None:
+    def __init__(self, simulation: Simulation, witness: InversionCheck) -> None:
         self.simulation, self.witness = simulation, witness
         self.finite, self.gained = True, False
         self.peak = 0.0
@@ -357,7 +357,7 @@ def run_cell(cell: Cell) -> Record:
     pace = BRIEF if cell.brief else QUICK if cell.quick else FULL
     load = load_on(organ_of(cell.organ), axis.load, newtons, depth, tick_time, pace)
     seconds, enough = watched(cell)
-    watch = _Watch(simulation, witness_of(cell.organ))
+    watch = _Watch(simulation, inversion_check_of(cell.organ))
     # A load that overflows must not fill the terminal with warnings: the outcome says it.
     with np.errstate(all="ignore"):
         tick = 0

@@ -14,9 +14,14 @@ import math
 from typing import Any
 
 from tissue_sim.jit import kernel
-from tissue_sim.model.contact.culling import FAST, tissue_speed
+from tissue_sim.model.contact.culling import FAST, largest_tissue_speed
 from tissue_sim.model.contact.gap import INNER_SIDE, gap_and_normal, point_in_body
-from tissue_sim.model.contact.volume_limit import SQUEEZED_PASSES, find_squeezed, has_stiff_cells, hold_squeezed
+from tissue_sim.model.contact.volume_limit import (
+    SQUEEZED_PASSES,
+    enforce_volume_limit,
+    find_compressed_cells,
+    has_compressed_cells,
+)
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.state import Region
 
@@ -45,7 +50,7 @@ def gather_contacts(
     """
     if scratch.watching[0] == 0:
         return 0
-    found, tissue = 0, tissue_speed(state)
+    found, tissue = 0, largest_tissue_speed(state)
     for index in range(scratch.watching[0]):
         entry = scratch.watched[index]
         body = state.contacts.body[entry]
@@ -284,7 +289,7 @@ def resolve_contacts(
         True when the integrator has moved the organ by the last impulses already: points are then nearly at their final
         places, and the tool is as flat as it is there.
     """
-    squeezed = find_squeezed(model, state, mobility, scratch, step)
+    squeezed = find_compressed_cells(model, state, mobility, scratch, step)
     scratch.squeezing[0] = squeezed
     found = gather_contacts(state, shapes, mobility, settings, step, scratch, spread)
     if found == 0 and squeezed == 0:
@@ -294,8 +299,8 @@ def resolve_contacts(
             px, py, pz = whole_impulse(scratch, near)
             give_impulse(state, shapes, scratch, near, px, py, pz, 0.0 if spread else step)
     most = min(MOST_PASSES, max(LEAST_PASSES, PASSES_A_TICK // max(1, state.status.substeps)))
-    for turn in range(SQUEEZED_PASSES if squeezed > 0 or has_stiff_cells(model) else most):
-        held = hold_squeezed(state, mobility, scratch, squeezed, step)
+    for turn in range(SQUEEZED_PASSES if squeezed > 0 or has_compressed_cells(model) else most):
+        held = enforce_volume_limit(state, mobility, scratch, squeezed, step)
         change = total = 0.0
         for near in range(found):
             if turn == 0 and not spread:

@@ -15,7 +15,7 @@ FAST = 0.5  # m/s, of tissue towards a tool, at most, within a tick
 
 
 @kernel
-def watch_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+def cull_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """List the contact points that may touch in the coming tick in scratch.watched; forget the last impulses of others.
 
     Left out are those that neither the tool's way, which leads from where it is to where it is held, nor tissue that
@@ -58,7 +58,7 @@ def watch_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None
 
 
 @kernel
-def tissue_speed(state: Any) -> float:
+def largest_tissue_speed(state: Any) -> float:
     """Return a bound on the speed of tissue towards a tool in a substep; contact may still add as much.
 
     It is less than FAST only where velocities are all that moves the organ.

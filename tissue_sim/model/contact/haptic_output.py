@@ -10,7 +10,7 @@ from tissue_sim.model.contact.tool_motion import freshness
 
 
 @kernel
-def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+def compute_haptic_output(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """Set the wrench of every body; clamp and slew limit hold for the sum over a tool's bodies.
 
     Parameters
@@ -26,10 +26,10 @@ def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> Non
     """
     cut = held_back = False
     for tool in range(len(state.wrench)):
-        clamped = clamp_share(scratch.impulse, shapes.tool, tool, settings.force_clamp * settings.tick_time)
+        clamped = clamp_fraction(scratch.impulse, shapes.tool, tool, settings.force_clamp * settings.tick_time)
         cut = cut or clamped < 1.0
         wanted = -clamped / settings.tick_time
-        change = slew_share(state.felt, scratch.impulse, wanted, shapes.tool, tool, settings)
+        change = slew_fraction(state.felt, scratch.impulse, wanted, shapes.tool, tool, settings)
         held_back = held_back or change < 1.0
         for body in range(len(state.wrench)):
             if shapes.tool[body] == tool:
@@ -39,7 +39,7 @@ def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> Non
                         wanted * impulse[c] if change == 1.0 else felt[c] + change * (wanted * impulse[c] - felt[c])
                     )
         # The clamp itself may have been lowered meanwhile.
-        clamped = clamp_share(state.felt, shapes.tool, tool, settings.force_clamp)
+        clamped = clamp_fraction(state.felt, shapes.tool, tool, settings.force_clamp)
         for body in range(len(state.wrench)):
             if shapes.tool[body] == tool:
                 fresh = freshness(state.bodies[body].age, settings)
@@ -53,7 +53,7 @@ def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> Non
 
 
 @kernel
-def sum_felt(worlds: Any, wrench: Any) -> None:
+def sum_haptic_output(worlds: Any, wrench: Any) -> None:
     """Sum the wrenches of every body over all organs; the clamp holds for the sum over a tool's bodies.
 
     Parameters
@@ -71,7 +71,7 @@ def sum_felt(worlds: Any, wrench: Any) -> None:
                 total += worlds[organ].state.wrench[body, axis]
             wrench[body, axis] = total
     for tool in range(len(wrench)):
-        share = clamp_share(wrench, first.shapes.tool, tool, first.settings.force_clamp)
+        share = clamp_fraction(wrench, first.shapes.tool, tool, first.settings.force_clamp)
         for body in range(len(wrench)):
             if first.shapes.tool[body] == tool and share < 1.0:
                 for axis in range(6):
@@ -79,7 +79,7 @@ def sum_felt(worlds: Any, wrench: Any) -> None:
 
 
 @kernel
-def clamp_share(values: Any, tools: Any, tool: int, most: float) -> float:
+def clamp_fraction(values: Any, tools: Any, tool: int, most: float) -> float:
     """Return the factor that limits the sum of a tool's forces, the first three of values (T, 6), to `most`."""
     x = y = z = 0.0
     for body in range(len(values)):
@@ -92,7 +92,7 @@ def clamp_share(values: Any, tools: Any, tool: int, most: float) -> float:
 
 
 @kernel
-def slew_share(felt: Any, impulse: Any, wanted: float, tools: Any, tool: int, settings: Any) -> float:
+def slew_fraction(felt: Any, impulse: Any, wanted: float, tools: Any, tool: int, settings: Any) -> float:
     """Return the fraction of the change from felt (T, 6) to wanted * impulse (T, 6) allowed to a tool in a tick."""
     x = y = z = 0.0
     for body in range(len(felt)):

@@ -133,7 +133,7 @@ def advance_bodies(state: Any, shapes: Any, scratch: Any, step: float) -> None:
                 # Contact takes back what a pressing spring adds to the way: a bound on speed would bound its force.
                 is_pressed = scratch.give[other] > 0.0 and has_contact(state, other)
                 most = math.inf if is_pressed else FASTEST * step
-                fraction = min(fraction, free_way(state, shapes, other, scratch.goal[other], most))
+                fraction = min(fraction, free_distance(state, shapes, other, scratch.goal[other], most))
         scratch.fraction[body] = fraction
     for body in range(len(state.body_pose)):
         if scratch.fraction[body] > 0.0:
@@ -203,7 +203,7 @@ def has_contact(state: Any, body: int) -> bool:
 
 
 @kernel
-def free_way(state: Any, shapes: Any, body: int, goal: Any, most: float) -> float:
+def free_distance(state: Any, shapes: Any, body: int, goal: Any, most: float) -> float:
     """Return the fraction of its way to a goal (7,) that a body may go in a step and meet all tissue on it.
 
     most: m that it may go where tissue is near, at its speed. It goes no farther than the contact set knows the surface
@@ -214,20 +214,20 @@ def free_way(state: Any, shapes: Any, body: int, goal: Any, most: float) -> floa
     if not status.engaged:
         return 0.0 if status.placed else 1.0
     pose, place, fraction = state.body_pose[body], contacts.place[body], 1.0
-    way = way_between(pose, goal, extent)
+    way = distance_along_path(pose, goal, extent)
     if contacts.n_points[body] > 0 and shapes.finest[body] > 0.0:
         most = min(STEP * shapes.finest[body], most)
         if way > most:
             fraction = most / way
     # Distances are convex: a fraction of the way adds at most that fraction of what the whole way adds.
-    now, then = way_between(pose, place, extent), way_between(goal, place, extent)
+    now, then = distance_along_path(pose, place, extent), distance_along_path(goal, place, extent)
     if then > contacts.reach[body] and then > now:
         fraction = min(fraction, max(0.0, contacts.reach[body] - now) / (then - now))
     return fraction
 
 
 @kernel
-def way_between(pose: Any, other: Any, extent: float) -> float:
+def distance_along_path(pose: Any, other: Any, extent: float) -> float:
     """Return a bound on how far the points of a body lie apart in two poses.
 
     Parameters
@@ -293,7 +293,7 @@ def couple_bodies(state: Any, shapes: Any, settings: Any, scratch: Any, step: fl
 
     A body has no mass: B p' = K (h - p) + F, of which a step without contact is done here; the displacement per impulse
     of the contact is scratch.give, m / (N s). The held pose moves evenly through the tick, so that its speed has no
-    jumps. A body is behind where it may not go as far, see `free_way`.
+    jumps. A body is behind where it may not go as far, see `free_distance`.
 
     Parameters
     ----------

@@ -42,7 +42,7 @@ def _has_no_stiff_cells(model: Any) -> bool:
 
 
 @chosen(lambda model: _has_stiff_cells if has(model, "tissue") else _has_no_stiff_cells)
-def has_stiff_cells(model: Any) -> Any:
+def has_compressed_cells(model: Any) -> Any:
     """Return whether the last forces found cells so squeezed that they require shorter substeps.
 
     Parameters
@@ -108,7 +108,7 @@ def _none(model: Any, state: Any, mobility: Any, scratch: Any, step: float) -> i
 
 
 @chosen(lambda model, *_: _find if has(model, "tissue") else _none)
-def find_squeezed(model: Any, state: Any, mobility: Any, scratch: Any, step: float) -> Any:
+def find_compressed_cells(model: Any, state: Any, mobility: Any, scratch: Any, step: float) -> Any:
     """List cells squeezed to LEAST or nearly so in scratch.squeezed; return their number.
 
     Only the whole organ's cells are listed, not those of a local region. A row of scratch.squeezed (S, 6) holds 1 / (6
@@ -156,7 +156,7 @@ def _take(
 
 
 @kernel
-def hold_squeezed(state: Any, mobility: Any, scratch: Any, found: int, step: float) -> bool:
+def enforce_volume_limit(state: Any, mobility: Any, scratch: Any, found: int, step: float) -> bool:
     """Make one pass over the listed cells.
 
     Parameters
@@ -197,7 +197,7 @@ def hold_squeezed(state: Any, mobility: Any, scratch: Any, found: int, step: flo
     return change <= SETTLED * total
 
 
-def add_held(scratch: Any, step: float, force: Any) -> None:
+def add_volume_limit_impulses(scratch: Any, step: float, force: Any) -> None:
     """Add the forces of the volume limit in the last substep.
 
     Parameters

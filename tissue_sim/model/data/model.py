@@ -11,7 +11,7 @@ from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.model.data.blocks import Blocks
 
 
-class Fans(NamedTuple):
+class CellGroups(NamedTuple):
     """Cell groups in blocks; filling, groups and cells in them, has no stiffness."""
 
     nodes: Ints  # (f, BLOCK, 6)
@@ -24,7 +24,7 @@ class Tissue(NamedTuple):
 
     nodes: Ints  # (b, BLOCK, 4)
     constants: Floats  # (b, cells.CONSTANTS BLOCK)
-    fans: Fans  # the same cells as the whole organ takes them
+    fans: CellGroups  # the same cells as the whole organ takes them
     rows: Floats  # (n, ROW) of each node its position, m, and what cells push it with, N
     work: Floats  # (ROOM BLOCK,)
     # (f BLOCK CELLS,) places in the fans' cells of those under SQUEEZED in blocks with one under STIFF, as the last

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.blocks import BLOCK, pack
-from tissue_sim.model.data.model import Fans
+from tissue_sim.model.data.model import CellGroups
 from tissue_sim.model.elasticity.cell_law import SQUEEZED, STIFF, minor, pressure_of
 from tissue_sim.model.elasticity.vectors import WIDTH, fused, gather_fan, put_node, scatter_fan
 from tissue_sim.model.elasticity.volumes import triple_product
@@ -31,7 +31,7 @@ ROOM = 3 * ARMS + CELLS  # rows of the buffer: arms, then volumes over those at 
 CHUNK = 16  # blocks within which groups that share nodes are separated, without leaving the cache
 
 
-def fans_of(rest: Floats, cells: Ints | Longs, slope: Floats, mu: Floats, lam: Floats) -> Fans:
+def cell_groups_of(rest: Floats, cells: Ints | Longs, slope: Floats, mu: Floats, lam: Floats) -> CellGroups:
     """Return the groups of cells.
 
     Parameters
@@ -79,10 +79,10 @@ def fans_of(rest: Floats, cells: Ints | Longs, slope: Floats, mu: Floats, lam: F
     members = np.concatenate([members, np.full((spare, CELLS), -1)])
     apart = _apart(len(members))
     packed = pack(nodes[apart].astype(np.int32), constants[apart], filling)
-    return Fans(packed.nodes, packed.constants, members[apart])
+    return CellGroups(packed.nodes, packed.constants, members[apart])
 
 
-def set_penalty(fans: Fans, penalty: Floats) -> None:
+def set_penalty(fans: CellGroups, penalty: Floats) -> None:
     """Set the penalty of every cell.
 
     Parameters

@@ -14,7 +14,7 @@ from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.blocks import BLOCK, aligned, pack
 from tissue_sim.model.data.model import Model, Tissue
-from tissue_sim.model.elasticity.cell_groups import ROOM, fans_of, set_penalty
+from tissue_sim.model.elasticity.cell_groups import ROOM, cell_groups_of, set_penalty
 from tissue_sim.model.elasticity.cell_law import SQUEEZED, STEEPEST, STIFF, minor, pressure_of
 from tissue_sim.model.elasticity.vectors import ROW, WIDTH, fused, gather_arms, put_node, scatter_arms
 from tissue_sim.model.elasticity.volumes import triple_product
@@ -59,7 +59,7 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
     packed = pack(
         np.concatenate([cells, cells[:1].repeat(spare, axis=0)]), np.concatenate([constants, filling]), constants[0]
     )
-    fans = fans_of(rest, cells, slope, mu, lam)
+    fans = cell_groups_of(rest, cells, slope, mu, lam)
     return Tissue(
         packed.nodes,
         packed.constants,

@@ -212,7 +212,7 @@ def _change(world: Any) -> None:
         return
     load = total_load(state, settings)
     if status.region != Region.WHOLE:
-        if load > settings.region_force or is_bent(model, state, scratch, 1.0):
+        if load > settings.region_force or is_strongly_deformed(model, state, scratch, 1.0):
             leave_region(model, state, settings, scratch)
             status.calm = 0
         return
@@ -222,7 +222,7 @@ def _change(world: Any) -> None:
     status.calm += 1
     if status.calm * settings.tick_time >= CALM_TIME:
         status.calm = 0
-        if is_calm(model, state):
+        if is_nearly_at_rest(model, state):
             enter_region(world)
 
 
@@ -251,14 +251,14 @@ def change_region(world: Any) -> None:
 
 
 @kernel
-def is_bent(model: Any, state: Any, scratch: Any, share: float) -> bool:
+def is_strongly_deformed(model: Any, state: Any, scratch: Any, share: float) -> bool:
     """Return whether the gradient at a modal region's edge exceeds a fraction of its limit."""
     modal = state.status.region == Region.MODAL
     return modal and edge_gradient(model, state, scratch) > share * STEEPEST_EDGE
 
 
 @kernel
-def is_calm(model: Any, state: Any) -> bool:
+def is_nearly_at_rest(model: Any, state: Any) -> bool:
     """Return whether no node moves faster than a new region could follow."""
     for index in range(len(model.moving)):
         velocity = state.velocity[model.moving[index]]
@@ -402,7 +402,7 @@ def integrated_nodes(model: Any, state: Any, scratch: Any) -> Any:
 
 
 @part
-def watched_nodes(model: Any, state: Any, scratch: Any) -> Any:
+def checked_nodes(model: Any, state: Any, scratch: Any) -> Any:
     """Return the nodes that a tick moves or places.
 
     Parameters
@@ -544,7 +544,7 @@ def restore_shape(model: Any, state: Any, scratch: Any) -> None:
         Working memory; updated.
     """
     if state.status.region == Region.MODAL:
-        copy_nodes(state.good_position, state.position, watched_nodes(model, state, scratch))
+        copy_nodes(state.good_position, state.position, checked_nodes(model, state, scratch))
         copy(state.position, state.good_position)
         drop_region(state)
     else:
@@ -571,7 +571,7 @@ def enter_region(world: Any) -> None:
     modal_region.absorb_load(state, settings, scratch, 1.0)
     modal_region.keep_offset(model, state, settings, scratch)
     modal_region.move_edge(model, state, settings, scratch)
-    if is_bent(model, state, scratch, RETURN_SHARE):
+    if is_strongly_deformed(model, state, scratch, RETURN_SHARE):
         drop_region(state)
 
 

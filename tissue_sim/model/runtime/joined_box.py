@@ -8,11 +8,11 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
-from tissue_sim.model.contact.haptic_output import sum_felt
+from tissue_sim.model.contact.haptic_output import sum_haptic_output
 from tissue_sim.model.data.records import Record
 from tissue_sim.model.runtime.mailboxes import JOURNAL_ROWS, Mailbox, fence, mailbox, put, take
 from tissue_sim.model.stepping.breathing import Breath
-from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, PairSet, pair_set, take_pairs
+from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, OrganContactSet, organ_contact_set, take_pairs
 
 
 class JoinedRow(Record):
@@ -27,7 +27,7 @@ class Kept(NamedTuple):
     """State of what joins organs after a tick, as far as it changes."""
 
     breath: Longs  # the words of a Breath
-    pairs: PairSet
+    pairs: OrganContactSet
     pressed: Floats  # (p,) N, as in pairs.Pairs
     held: Floats  # (p, 3) N
 
@@ -35,7 +35,7 @@ class Kept(NamedTuple):
 class JoinedBox(NamedTuple):
     """Mailboxes of all organs. T rigid bodies."""
 
-    pairs: Mailbox  # PairSet.words
+    pairs: Mailbox  # OrganContactSet.words
     respiration: Mailbox  # (1,) a share of the breath's way
     felt: Mailbox  # felt_words
     row: JoinedRow  # as the last tick took it up
@@ -43,7 +43,7 @@ class JoinedBox(NamedTuple):
     journal: Any  # (JOURNAL_ROWS,) of JoinedRow
     kept: Kept  # when asked
     # The loop's own.
-    taken: PairSet
+    taken: OrganContactSet
     taken_share: Floats  # (1,)
     felt_words: Longs  # (1 + 6 T,) the tick, and the wrench
     wrench: Floats  # (T, 6) N, N m, which views them
@@ -62,7 +62,7 @@ def make_joined_box(n_bodies: int) -> JoinedBox:
     JoinedBox
         The mailboxes.
     """
-    taken, words = pair_set(), np.zeros(1 + 6 * n_bodies, dtype=np.int64)
+    taken, words = organ_contact_set(), np.zeros(1 + 6 * n_bodies, dtype=np.int64)
     return JoinedBox(
         pairs=mailbox(len(taken.words)),
         respiration=mailbox(1),
@@ -71,7 +71,10 @@ def make_joined_box(n_bodies: int) -> JoinedBox:
         journal_written=np.zeros(1, dtype=np.int64),
         journal=JoinedRow.rows(np.zeros(JOURNAL_ROWS * JoinedRow.words(), dtype=np.int64)),
         kept=Kept(
-            np.zeros(Breath.words(), dtype=np.int64), pair_set(), np.zeros(MOST_PAIRS), np.zeros((MOST_PAIRS, 3))
+            np.zeros(Breath.words(), dtype=np.int64),
+            organ_contact_set(),
+            np.zeros(MOST_PAIRS),
+            np.zeros((MOST_PAIRS, 3)),
         ),
         taken=taken,
         taken_share=np.zeros(1),
@@ -117,7 +120,7 @@ def note_joined(box: Any, tick: int) -> None:
 
 
 @kernel
-def post_felt(worlds: Any, joined: Any, box: Any) -> None:
+def post_haptic_output(worlds: Any, joined: Any, box: Any) -> None:
     """Hand out what tools feel of all organs; of one that nothing joins as it is, which is clamped already."""
     box.felt_words[0] = worlds[0].state.status.tick
     if joined is None:
@@ -125,7 +128,7 @@ def post_felt(worlds: Any, joined: Any, box: Any) -> None:
             for axis in range(6):
                 box.wrench[body, axis] = worlds[0].state.wrench[body, axis]
     else:
-        sum_felt(worlds, box.wrench)
+        sum_haptic_output(worlds, box.wrench)
     put(box.felt, 0, box.felt_words)
 
 

@@ -16,10 +16,10 @@ from numba import types
 
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.tool_motion import freshness
-from tissue_sim.model.runtime.joined_box import keep_joined, post_felt, take_joined
+from tissue_sim.model.runtime.joined_box import keep_joined, post_haptic_output, take_joined
 from tissue_sim.model.runtime.mailboxes import fence, keep_states, note_tick, post_results, take_inputs
 from tissue_sim.model.stepping.breathing import note_gravity
-from tissue_sim.model.stepping.coupled_step import let_go, tick_together
+from tissue_sim.model.stepping.coupled_step import let_go, tick_coupled
 
 CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
 # ns; further behind than this, ticks are dropped instead of run in a burst. Posted times come in larger steps.
@@ -176,7 +176,7 @@ def post_all(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
     """Post the results of every organ, and the haptic output of all."""
     for organ in range(len(worlds)):
         post_results(worlds[organ], boxes[organ])
-    post_felt(worlds, joined, joined_box)
+    post_haptic_output(worlds, joined, joined_box)
 
 
 @kernel
@@ -219,7 +219,7 @@ def run_loop(worlds: Any, boxes: Any, loop: Any, joined: Any, joined_box: Any) -
             while due + 2 * period <= rested:
                 due += period
                 begin = now(loop.now)
-                tick_together(worlds, joined)
+                tick_coupled(worlds, joined)
                 note_tick(loop, due, period, 0, now(loop.now) - begin)
         if posted:
             start = wait_until(due + period, loop)
@@ -242,7 +242,7 @@ def run_loop(worlds: Any, boxes: Any, loop: Any, joined: Any, joined_box: Any) -
         before, answered = answered, control.asked
         fence()  # inputs posted before the request are applied
         take_all(worlds, boxes, control.resets, joined, joined_box)
-        tick_together(worlds, joined)
+        tick_coupled(worlds, joined)
         post_all(worlds, boxes, joined, joined_box)
         if answered != before:
             _sem_post(loop.answered.ctypes.data)

@@ -351,7 +351,7 @@ def post_results(world: Any, box: Any) -> None:
     """
     state, demand = world.state, box.demand
     put(box.results, 0, state.results)
-    if not state.status.asleep or is_carried_on(state.carried, demand):
+    if not state.status.asleep or continues_motion(state.carried, demand):
         demand.moved = True
     lazy = not is_shown(state)
     demand.on_demand = lazy
@@ -369,7 +369,7 @@ def post_results(world: Any, box: Any) -> None:
 
 
 @kernel
-def is_carried_on(carried: Any, demand: Any) -> bool:
+def continues_motion(carried: Any, demand: Any) -> bool:
     """Return whether the breath has moved an organ by more than CARRIED_ON since its positions were posted."""
     x, y, z = carried[0] - demand.x, carried[1] - demand.y, carried[2] - demand.z
     return x * x + y * y + z * z > CARRIED_ON * CARRIED_ON

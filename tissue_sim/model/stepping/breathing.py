@@ -34,7 +34,7 @@ class Breath(Record):
 
 
 @kernel
-def breathed_in(time: float, period: float) -> tuple[float, float, float]:
+def inhaled_fraction(time: float, period: float) -> tuple[float, float, float]:
     """Return how far a periodic breath is at a time: sin^4(pi t / T) and its derivatives.
 
     Parameters
@@ -71,7 +71,7 @@ def follow(breath: Any, step: float) -> tuple[float, float, float]:
 
 @kernel
 def breathe(worlds: Any, carried: Any, step: float) -> None:
-    """Move organs with the breath for one tick; `share_loads` sets the load that they feel from it.
+    """Move organs with the breath for one tick; `apply_wake_threshold` sets the load that they feel from it.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def breathe(worlds: Any, carried: Any, step: float) -> None:
     if breath.follows:
         share, speed, change = follow(breath, step)
     else:
-        share, speed, change = breathed_in(breath.time, breath.period)
+        share, speed, change = inhaled_fraction(breath.time, breath.period)
     carried.share[0], carried.share[1] = share, speed
     for organ in range(len(worlds)):
         state, moves = worlds[organ].state, carried.moves[organ]

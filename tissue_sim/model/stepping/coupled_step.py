@@ -13,13 +13,13 @@ from tissue_sim.model.data.records import words_of
 from tissue_sim.model.stepping.breathing import Breath, breathe, weigh
 from tissue_sim.model.stepping.ligament_links import Links, load_links, measure_links, pull_links
 from tissue_sim.model.stepping.organ_contact import (
-    Pairs,
-    press_pairs,
-    resolve_pairs,
-    wake_touched,
+    OrganContacts,
+    apply_organ_contacts,
+    resolve_organ_contacts,
+    wake_touched_organs,
 )
 from tissue_sim.model.stepping.tick import begin_tick, end_tick, plan_tick, take_substep, tick
-from tissue_sim.model.stepping.wake_threshold import Unfelt, share_loads
+from tissue_sim.model.stepping.wake_threshold import WakeThreshold, apply_wake_threshold
 
 
 class Carried(NamedTuple):
@@ -39,12 +39,12 @@ class Together(NamedTuple):
 
     carried: Carried
     links: Links
-    pairs: Pairs
-    unfelt: Unfelt
+    pairs: OrganContacts
+    unfelt: WakeThreshold
     awake: Longs  # (k,) 1 for organs that this tick advances; before planning, for those that it may
 
 
-def carried_with(breath: Breath, moves: Sequence[float], gravity: Floats) -> Carried:
+def moves_with_frame(breath: Breath, moves: Sequence[float], gravity: Floats) -> Carried:
     """Return organs that follow a breath by the fractions `moves` (k,), breathed out; see Carried."""
     count = len(moves)
 
@@ -77,7 +77,7 @@ def let_go(worlds: Any, joined: Any) -> None:
 
 
 @kernel
-def tick_together(worlds: Any, joined: Any) -> None:
+def tick_coupled(worlds: Any, joined: Any) -> None:
     """Advance organs, a row of worlds, by one tick of the first one's settings; joined: None for an organ alone."""
     if joined is None:
         tick(worlds[0])
@@ -93,23 +93,23 @@ def tick_together(worlds: Any, joined: Any) -> None:
         # Links and other organs release an organ that recovers from a false rest shape: they would hold it there.
         awake[organ] = 0 if status.snapped else 1
     measure_links(worlds, carried, links, unfelt, awake, step)
-    wake_touched(worlds, pairs, awake)
+    wake_touched_organs(worlds, pairs, awake)
     if linked or breathes:
-        share_loads(worlds, carried, unfelt, breathes)
+        apply_wake_threshold(worlds, carried, unfelt, breathes)
         load_links(worlds, links, unfelt)
     touching = pairs.found[0] > 0
-    substeps = plan_together(worlds, awake, linked or touching)
+    substeps = plan_coupled(worlds, awake, linked or touching)
     for substep in range(substeps):
         if linked:
             pull_links(worlds, carried, links, unfelt, awake, step / substeps)
         if touching:
-            press_pairs(worlds, pairs, awake)
+            apply_organ_contacts(worlds, pairs, awake)
         for organ in range(len(worlds)):
             world = worlds[organ]
             if awake[organ] == 1 and substep < world.scratch.plan.substeps:
                 take_substep(world, substep)
         if touching:
-            resolve_pairs(worlds, carried, pairs, awake, step / substeps)
+            resolve_organ_contacts(worlds, carried, pairs, awake, step / substeps)
     handled = are_handled(worlds)
     for organ in range(len(worlds)):
         world = worlds[organ]
@@ -129,7 +129,7 @@ def are_handled(worlds: Any) -> bool:
 
 
 @kernel
-def plan_together(worlds: Any, awake: Any, joined: bool) -> int:
+def plan_coupled(worlds: Any, awake: Any, joined: bool) -> int:
     """Plan the tick of every organ; return the most substeps of any, or those that links require.
 
     Joined organs take the same number each.

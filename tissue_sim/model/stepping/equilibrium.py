@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
-from tissue_sim.model.contact.volume_limit import add_held
+from tissue_sim.model.contact.volume_limit import add_volume_limit_impulses
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import Region, State
@@ -132,7 +132,9 @@ def residuals(simulation: Steppable, forces: Floats | float = 0.0) -> Floats:
     force *= simulation.settings.stiffness_scale
     weigh_world(simulation.world, force)
     force[: simulation.model.n_surface] += forces
-    add_held(simulation.scratch, float(simulation.settings.tick_time) / max(1, simulation.state.status.substeps), force)
+    add_volume_limit_impulses(
+        simulation.scratch, float(simulation.settings.tick_time) / max(1, simulation.state.status.substeps), force
+    )
     return force
 
 

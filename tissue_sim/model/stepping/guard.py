@@ -9,11 +9,11 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.contact.tool_motion import restore_bodies
 from tissue_sim.model.data.arrays import copy, copy_nodes
 from tissue_sim.model.data.state import Fault, Region
-from tissue_sim.model.regions.active_region import are_placed, modes_are_finite, restore_shape, watched_nodes
+from tissue_sim.model.regions.active_region import are_placed, checked_nodes, modes_are_finite, restore_shape
 from tissue_sim.model.stepping.inputs import MAX_BACKOFF
 
 RUNAWAY_RATE = 100.0  # 1/s, largest speed over the organ's size of all nodes together
-WAY_BACK = 20.0  # 1/s, rate of the recovery to rest
+RETURN_RATE = 20.0  # 1/s, rate of the recovery to rest
 CELLS_A_TICK = 32  # a rolling check: all 1984 of the kidney's every 62 ticks
 PER_AXIS = 1.0 / math.sqrt(3.0)  # a vector with smaller coordinates is shorter than 1
 KEEP_EVERY = 4  # ticks between two shapes that are kept
@@ -52,7 +52,7 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         if not is_bounded(x, v, x0, span * PER_AXIS, min(speed, RUNAWAY_RATE * span) * PER_AXIS):
             fault = check(model, state, model.moving, span * span, speed * speed, energy)
     else:
-        fault = check(model, state, watched_nodes(model, state, scratch), span * span, speed * speed, energy)
+        fault = check(model, state, checked_nodes(model, state, scratch), span * span, speed * speed, energy)
         if not modes_are_finite(state):
             fault = Fault.NOT_FINITE.value
     collapsing = status.turned > MOST_TURNED * len(model.cells)
@@ -63,7 +63,7 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     status.collapsing = collapsing
     if fault == 0:
         if collapsing:
-            lead_back(model, state, settings)
+            move_towards_rest(model, state, settings)
         keep(model, state, scratch)
         return
     restore_shape(model, state, scratch)
@@ -82,12 +82,12 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     # What stays too much for the shortest substeps is not their fault but the load's, or that of the shape itself.
     status.backoff = 1
     if again:
-        lead_back(model, state, settings)
+        move_towards_rest(model, state, settings)
         copy(state.position, state.good_position)
 
 
 @kernel
-def lead_back(model: Any, state: Any, settings: Any) -> float:
+def move_towards_rest(model: Any, state: Any, settings: Any) -> float:
     """Move every node nearer to rest, without speed.
 
     This is the recovery from a shape that the springs hold, so it is done without their forces.
@@ -106,7 +106,7 @@ def lead_back(model: Any, state: Any, settings: Any) -> float:
     float, m
         Largest remaining displacement.
     """
-    displacement, left = 0.0, math.exp(-WAY_BACK * settings.tick_time)
+    displacement, left = 0.0, math.exp(-RETURN_RATE * settings.tick_time)
     for index in range(len(model.moving)):
         node = model.moving[index]
         for c in range(3):
@@ -163,7 +163,7 @@ def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy:
 def keep(model: Any, state: Any, scratch: Any) -> None:
     """Keep this shape as the last good one; that of the whole organ only every few ticks, as copying it takes time."""
     if state.status.region != Region.WHOLE:
-        copy_nodes(state.position, state.good_position, watched_nodes(model, state, scratch))
+        copy_nodes(state.position, state.good_position, checked_nodes(model, state, scratch))
         state.status.good_age = KEEP_EVERY
         return
     state.status.good_age += 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tissue_sim.jit import kernel
-from tissue_sim.model.contact.tool_motion import distance, quaternion_distance, way_between
+from tissue_sim.model.contact.tool_motion import distance, distance_along_path, quaternion_distance
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import Engaged, used_words
 from tissue_sim.model.regions.active_region import drop_region
@@ -50,7 +50,7 @@ def take_pose(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> No
         status.placed = not status.held_off
         status.released = False
     else:
-        lead_to(world, body, pose, stamp)
+        move_tool_towards(world, body, pose, stamp)
     copy(pose, state.body_goal[body])
     status.age = 0
     status.stamp = stamp
@@ -58,7 +58,7 @@ def take_pose(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> No
 
 
 @kernel
-def lead_to(world: Any, body: int, pose: Any, stamp: int) -> None:
+def move_tool_towards(world: Any, body: int, pose: Any, stamp: int) -> None:
     """Set how fast a tool moves to a pose (7,): at most as fast as its poses, by their stamps or arrival times.
 
     Where poses were skipped or came late, the tool still has a part of their way before it. It catches up softly, and
@@ -73,8 +73,8 @@ def lead_to(world: Any, body: int, pose: Any, stamp: int) -> None:
     status.speed = max(moved / told, status.speed if before else 0.0)
     status.turning = max(turned / told, status.turning if before else 0.0)
     seconds = max(
-        way_time(distance(held, pose), moved, told, status.speed, CREEP[0]),
-        way_time(quaternion_distance(held, pose), turned, told, status.turning, CREEP[1]),
+        motion_time(distance(held, pose), moved, told, status.speed, CREEP[0]),
+        motion_time(quaternion_distance(held, pose), turned, told, status.turning, CREEP[1]),
     )
     seconds = min(seconds, settings.stale_time)
     smoothed = max(world.shapes.smoothing[body] * seconds, settings.tick_time)
@@ -82,7 +82,7 @@ def lead_to(world: Any, body: int, pose: Any, stamp: int) -> None:
 
 
 @kernel
-def way_time(way: float, new: float, told: float, most: float, creep: float) -> float:
+def motion_time(way: float, new: float, told: float, most: float, creep: float) -> float:
     """Return the time, s, for a way to which the last pose added `new`, in `told` s; most: largest speed."""
     if way == 0.0:
         return 0.0
@@ -155,7 +155,7 @@ def covers(state: Any, shapes: Any, found: Any, body: int) -> bool:
     status = state.bodies[body]
     if found.releases[body] != status.releases:
         return False
-    way = way_between(state.body_pose[body], found.place[body], shapes.extent[body])
+    way = distance_along_path(state.body_pose[body], found.place[body], shapes.extent[body])
     is_reached = found.engaged[body] == Engaged.YES and way <= found.reach[body]
     return is_reached or (found.engaged[body] == Engaged.SLIPPED and (status.engaged or status.resisted))
 

@@ -67,7 +67,7 @@ def make_links(count: int) -> Links:
     )
 
 
-def weigh_ends(links: Links, lightness: Sequence[Floats]) -> None:
+def weight_link_ends(links: Links, lightness: Sequence[Floats]) -> None:
     """Compute what links require of the step, from what they join.
 
     The square of the largest frequency of organs and links together is at most the sum of both (Weyl); the part of the

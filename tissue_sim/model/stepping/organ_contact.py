@@ -24,7 +24,7 @@ MOST_ORGANS = 16
 CAUGHT = 1e-3  # m inside, far beyond contact, at which organs count as caught in each other
 
 
-class PairSet(NamedTuple):
+class OrganContactSet(NamedTuple):
     """Room for MOST_PAIRS pairs, a node of organ[0] and a triangle of organ[1], in the order of organs and nodes."""
 
     words: Longs  # memory of the others
@@ -37,7 +37,7 @@ class PairSet(NamedTuple):
 _PAIR = np.dtype([("organ", "i8", 2), ("node", "i8", 4), ("weight", "f8", 3)])
 
 
-def pair_set(words: Longs | None = None) -> PairSet:
+def organ_contact_set(words: Longs | None = None) -> OrganContactSet:
     """Return an empty set of pairs, or a view of another set's words.
 
     Parameters
@@ -47,21 +47,21 @@ def pair_set(words: Longs | None = None) -> PairSet:
 
     Returns
     -------
-    PairSet
+    OrganContactSet
         The set.
     """
     if words is None:
         words = np.zeros(1 + MOST_PAIRS * _PAIR.itemsize // 8, dtype=np.int64)
     rows = words[1:].view(_PAIR)
-    return PairSet(words, words[:1], rows["organ"], rows["node"], rows["weight"])
+    return OrganContactSet(words, words[:1], rows["organ"], rows["node"], rows["weight"])
 
 
-def used_words(found: PairSet) -> Longs:
+def used_words(found: OrganContactSet) -> Longs:
     """Return the words of a set that are in use.
 
     Parameters
     ----------
-    found : PairSet
+    found : OrganContactSet
         The set.
 
     Returns
@@ -72,8 +72,8 @@ def used_words(found: PairSet) -> Longs:
     return found.words[: 1 + int(found.found[0]) * _PAIR.itemsize // 8]
 
 
-class Pairs(NamedTuple):
-    """Pairs of a PairSet, with their forces."""
+class OrganContacts(NamedTuple):
+    """Pairs of a OrganContactSet, with their forces."""
 
     found: Longs  # (1,)
     organ: Longs  # (p, 2)
@@ -90,7 +90,7 @@ class Pairs(NamedTuple):
     caught: Longs  # (MOST_ORGANS,) buffer: 1 for an organ released in this tick
 
 
-def make_pairs(friction: float = 0.0) -> Pairs:
+def make_organ_contacts(friction: float = 0.0) -> OrganContacts:
     """Return an empty set of pairs with forces.
 
     Parameters
@@ -103,7 +103,7 @@ def make_pairs(friction: float = 0.0) -> Pairs:
     Pairs
         The pairs.
     """
-    return Pairs(
+    return OrganContacts(
         found=np.zeros(1, dtype=np.int64),
         organ=np.zeros((MOST_PAIRS, 2), dtype=np.int64),
         node=np.zeros((MOST_PAIRS, 4), dtype=np.int64),
@@ -122,7 +122,7 @@ def make_pairs(friction: float = 0.0) -> Pairs:
 
 @kernel
 def take_pairs(pairs: Any, found: Any) -> None:
-    """Apply a PairSet; pairs that existed before keep their forces.
+    """Apply a OrganContactSet; pairs that existed before keep their forces.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def comes_before(first: Any, pair: int, second: Any, other: int) -> bool:
 
 
 @kernel
-def wake_touched(worlds: Any, pairs: Any, awake: Any) -> None:
+def wake_touched_organs(worlds: Any, pairs: Any, awake: Any) -> None:
     """Load the forces of pairs, so that the coming tick advances organs that others touch, if they may be awake.
 
     Parameters
@@ -176,7 +176,7 @@ def wake_touched(worlds: Any, pairs: Any, awake: Any) -> None:
     awake : Any, shape (k,)
         1 for organs that may be awake.
     """
-    note_caught(worlds, pairs)
+    note_interlocked(worlds, pairs)
     for pair in range(pairs.found[0]):
         pairs.loaded[pair, 0] = pairs.loaded[pair, 1] = pairs.loaded[pair, 2] = 0.0
         if not is_resolved(pairs, pair, awake):
@@ -184,7 +184,7 @@ def wake_touched(worlds: Any, pairs: Any, awake: Any) -> None:
             pairs.held[pair, 0] = pairs.held[pair, 1] = pairs.held[pair, 2] = 0.0
             continue
         first, second = worlds[pairs.organ[pair, 0]], worlds[pairs.organ[pair, 1]]
-        if first.state.status.asleep and second.state.status.asleep and are_carried_alike(first.state, second.state):
+        if first.state.status.asleep and second.state.status.asleep and move_alike(first.state, second.state):
             continue
         measure(worlds, pairs, pair)
         if pairs.pressed[pair] > 0.0 or pairs.plane[3] <= 0.0:
@@ -192,14 +192,14 @@ def wake_touched(worlds: Any, pairs: Any, awake: Any) -> None:
 
 
 @kernel
-def are_carried_alike(state: Any, other: Any) -> bool:
+def move_alike(state: Any, other: Any) -> bool:
     """Return whether the breath has not moved two organs relative to each other."""
     a, b = state.carried, other.carried
     return a[0] == b[0] and a[1] == b[1] and a[2] == b[2]
 
 
 @kernel
-def note_caught(worlds: Any, pairs: Any) -> None:
+def note_interlocked(worlds: Any, pairs: Any) -> None:
     """Find organs that lie deep in each other after a fault, and have not been at rest since.
 
     They were driven through each other, and no force leads out of that: without any, each returns to its own shape.
@@ -214,13 +214,13 @@ def note_caught(worlds: Any, pairs: Any) -> None:
 
 
 @kernel
-def is_let_go(pairs: Any, pair: int) -> bool:
+def is_released(pairs: Any, pair: int) -> bool:
     """Return whether one of a pair's organs is caught: it presses on none until it is out."""
     return pairs.caught[pairs.organ[pair, 0]] == 1 or pairs.caught[pairs.organ[pair, 1]] == 1
 
 
 @kernel
-def press_pairs(worlds: Any, pairs: Any, awake: Any) -> None:
+def apply_organ_contacts(worlds: Any, pairs: Any, awake: Any) -> None:
     """Let every pair press as it did at the end of the last substep.
 
     Parameters
@@ -257,7 +257,7 @@ def bear(worlds: Any, pairs: Any, pair: int) -> None:
 
 
 @kernel
-def resolve_pairs(worlds: Any, carried: Any, pairs: Any, awake: Any, step: float) -> None:
+def resolve_organ_contacts(worlds: Any, carried: Any, pairs: Any, awake: Any, step: float) -> None:
     """Keep every node outside its triangle at the end of a substep.
 
     Parameters
@@ -277,7 +277,7 @@ def resolve_pairs(worlds: Any, carried: Any, pairs: Any, awake: Any, step: float
         changed = total = 0.0
         for pair in range(pairs.found[0]):
             if is_resolved(pairs, pair, awake):
-                changed += resolve_pair(worlds, carried, pairs, pair, step)
+                changed += resolve_organ_contact(worlds, carried, pairs, pair, step)
                 total += pairs.pressed[pair]
         if changed <= TOLERANCE * total:
             return
@@ -287,7 +287,7 @@ def resolve_pairs(worlds: Any, carried: Any, pairs: Any, awake: Any, step: float
 def is_resolved(pairs: Any, pair: int, awake: Any) -> bool:
     """Return whether this tick advances both organs of a pair, and neither is released."""
     both = awake[pairs.organ[pair, 0]] == 1 and awake[pairs.organ[pair, 1]] == 1
-    return both and not is_let_go(pairs, pair)
+    return both and not is_released(pairs, pair)
 
 
 @kernel
@@ -311,7 +311,7 @@ def measure(worlds: Any, pairs: Any, pair: int) -> None:
 
 
 @kernel
-def resolve_pair(worlds: Any, carried: Any, pairs: Any, pair: int, step: float) -> float:
+def resolve_organ_contact(worlds: Any, carried: Any, pairs: Any, pair: int, step: float) -> float:
     """Resolve one pair; return the change of its force, N."""
     first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
     node, weight, held, plane = pairs.node[pair], pairs.weight[pair], pairs.held[pair], pairs.plane

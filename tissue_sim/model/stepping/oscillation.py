@@ -36,12 +36,12 @@ def _at_one(model: Any) -> bool:
 
 
 @chosen(lambda model: _at_any if has(model, "tissue") else _at_one)
-def looks_at_any(model: Any) -> Any:
+def checks_oscillation(model: Any) -> Any:
     """Return whether ticks of more than one substep are checked, too."""
 
 
 @kernel
-def is_looked_at(model: Any, state: Any, substeps: int) -> bool:
+def is_oscillation_checked(model: Any, state: Any, substeps: int) -> bool:
     """Return whether this tick is to be checked; a step stays halved one tick less.
 
     Parameters
@@ -63,13 +63,13 @@ def is_looked_at(model: Any, state: Any, substeps: int) -> bool:
         status.shivering -= 1
     else:
         status.halving = max(HALVED, status.halving - 1)
-    if substeps > 1 and not looks_at_any(model):
+    if substeps > 1 and not checks_oscillation(model):
         return False
     return substeps * status.tick % LOOK_EVERY < substeps
 
 
 @kernel
-def begin_look(state: Any, scratch: Any) -> None:
+def begin_oscillation_check(state: Any, scratch: Any) -> None:
     """Keep the velocities before the tick's last substep.
 
     Parameters
@@ -83,7 +83,7 @@ def begin_look(state: Any, scratch: Any) -> None:
 
 
 @kernel
-def end_look(state: Any, scratch: Any) -> None:
+def end_oscillation_check(state: Any, scratch: Any) -> None:
     """Have the step halved when nodes have reversed in this substep, faster than at the last check.
 
     After an impact, a mode that the step just allows reverses as often, but decays.
@@ -99,9 +99,9 @@ def end_look(state: Any, scratch: Any) -> None:
     before, after = scratch.velocity_before.reshape(size), state.velocity.reshape(size)
     last, status.turning = status.turning, 0.0
     fast = FAST_AGAIN if status.halving > HALVED else FAST
-    if count_turning(before, after, fast) < MANY:
+    if count_oscillating(before, after, fast) < MANY:
         return
-    status.turning = energy_of_turning(before, after, fast)
+    status.turning = energy_of_oscillation(before, after, fast)
     if 0.0 < GREW * last < status.turning and status.turning > MOST * energy_of(after):
         status.turning = 0.0
         status.shivering = max(HALVED, status.halving)
@@ -116,7 +116,7 @@ def turns(before: float, after: float, fast: float) -> bool:
 
 
 @kernel
-def count_turning(before: Any, after: Any, fast: float) -> int:
+def count_oscillating(before: Any, after: Any, fast: float) -> int:
     """Return how many coordinates faster than `fast`, m/s, have about reversed; flat arrays."""
     turning = 0
     for index in range(len(before)):
@@ -134,7 +134,7 @@ def energy_of(velocity: Any) -> float:
 
 
 @kernel
-def energy_of_turning(before: Any, after: Any, fast: float) -> float:
+def energy_of_oscillation(before: Any, after: Any, fast: float) -> float:
     """Return the sum of the squared speeds of those that have reversed, m^2/s^2."""
     total = 0.0
     for index in range(len(before)):

@@ -74,7 +74,7 @@ def forget_prescribed(state: Any) -> None:
 
 
 @kernel
-def lead_prescribed(state: Any, substep: int, substeps: int, step: float) -> None:
+def move_prescribed(state: Any, substep: int, substeps: int, step: float) -> None:
     """Put prescribed nodes where they belong at the end of a substep, with the corresponding speed.
 
     Parameters

@@ -5,25 +5,27 @@ from __future__ import annotations
 from typing import Any
 
 from tissue_sim.jit import kernel
-from tissue_sim.model.contact.volume_limit import has_stiff_cells
+from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.elasticity.gravity import is_out_of_balance
 from tissue_sim.model.regions.active_region import largest_motion, leave_region
-from tissue_sim.model.stepping.guard import lead_back
+from tissue_sim.model.stepping.guard import move_towards_rest
 
 QUIET_SPEED = 2e-5  # m/s
 QUIET_DISPLACEMENT = 5e-6  # m
 QUIET_TICKS = 20
 TREMBLING = 1.0  # 1/s, largest speed over displacement of a false rest shape
-CREEPING = 0.02  # of the organ's pace: a sound one returns at half of it
+SLOWEST_RETURN = 0.02  # of the organ's pace: a sound one returns at half of it
 SLOWEST = 0.2  # 1/s, of paces
-SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ this far from rest is moving
-TURNED_TIME = 0.15  # s that cells may stay inverted without load
-LONGEST_WAY = 30.0  # time constants of the organ's pace after which a sound one is back from anywhere: exp(-15) is left
+RECOVERY_DISPLACEMENT = 2e-4  # m; a sound organ this far from rest is moving
+INVERTED_TIME = 0.15  # s that cells may stay inverted without load
+LONGEST_RETURN = (
+    30.0  # time constants of the organ's pace after which a sound one is back from anywhere: exp(-15) is left
+)
 
 
 @kernel
-def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def sleep_or_recover(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Fall asleep after a number of ticks without touch, load, speed and displacement.
 
     Springs pushed through each other can come to rest in a false shape, finite and still. An organ that nothing touches
@@ -45,20 +47,20 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """
     status = state.status
     doubted = status.faulted or not scratch.plan.forced
-    if doubted and status.turned > 0 and status.alone * settings.tick_time > TURNED_TIME:
+    if doubted and status.turned > 0 and status.alone * settings.tick_time > INVERTED_TIME:
         snap(model, state, settings, scratch)
         return
     rate = pace(model, settings)
     lasted = min(1.0, settings.damping_scale) * rate * status.alone * settings.tick_time  # undamped it oscillates on
-    overdue = lasted > LONGEST_WAY
-    if not doubted and not (overdue and (status.turned > 0 or has_stiff_cells(model))):
+    overdue = lasted > LONGEST_RETURN
+    if not doubted and not (overdue and (status.turned > 0 or has_compressed_cells(model))):
         return
     speed, away = largest_motion(model, state, scratch)
     # Far from rest, a false shape may tremble for good; slow is what wouldn't get back in ten times a sound one's time.
-    slow = speed <= max(QUIET_SPEED, min(TREMBLING, CREEPING * rate) * away)
+    slow = speed <= max(QUIET_SPEED, min(TREMBLING, SLOWEST_RETURN * rate) * away)
     # Its weight may squeeze an organ for good, which then lies still.
     lies = not doubted and status.turned == 0 and slow and is_out_of_balance(model, settings)
-    if away > SNAPPED_DISPLACEMENT and overdue and not lies:
+    if away > RECOVERY_DISPLACEMENT and overdue and not lies:
         snap(model, state, settings, scratch)
         return
     status.quiet = status.quiet + 1 if slow and doubted else 0
@@ -67,12 +69,12 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     if away <= QUIET_DISPLACEMENT:
         if speed <= QUIET_SPEED:
             fall_asleep(model, state)
-    elif away > SNAPPED_DISPLACEMENT and rate * status.quiet * settings.tick_time > 1.0:
+    elif away > RECOVERY_DISPLACEMENT and rate * status.quiet * settings.tick_time > 1.0:
         snap(model, state, settings, scratch)
 
 
 @kernel
-def sleep_if_quiet(model: Any, state: Any, scratch: Any) -> None:
+def sleep_if_at_rest(model: Any, state: Any, scratch: Any) -> None:
     """Fall asleep where an unloaded organ is nearly at rest, while a hand is on another one.
 
     Parameters
@@ -137,7 +139,7 @@ def snap(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def find_back(model: Any, state: Any, settings: Any) -> None:
+def step_recovery(model: Any, state: Any, settings: Any) -> None:
     """Do a step of the recovery from a false rest shape.
 
     Parameters
@@ -149,7 +151,7 @@ def find_back(model: Any, state: Any, settings: Any) -> None:
     settings : Any
         Settings of the simulation.
     """
-    displacement = lead_back(model, state, settings)
+    displacement = move_towards_rest(model, state, settings)
     # A fault during the recovery must not restore the false shape.
     copy(state.position, state.good_position)
     if displacement <= QUIET_DISPLACEMENT:

@@ -61,7 +61,7 @@ class Scratch(NamedTuple):
     near_weight: Any  # (N, 3) weights, and
     near_move: Any  # (N, 3) 1/kg, the velocity that an impulse on the point gives them
     work: Any  # (9 BLOCK,)
-    squeezed: Any  # (S, 6) cells resolved in this substep; see squeezed.find_squeezed
+    squeezed: Any  # (S, 6) cells resolved in this substep; see squeezed.find_compressed_cells
     squeezed_node: Any  # (S, 4)
     squeezed_slope: Any  # (S, 4, 3) 1/m, of their volume by each node
     squeezing: Any  # (1,) how many

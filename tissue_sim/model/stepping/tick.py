@@ -12,8 +12,8 @@ from typing import Any
 from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel, part
 from tissue_sim.model.contact.constraint import add_contact_impulses, carry_force, resolve_contacts
-from tissue_sim.model.contact.culling import watch_contacts
-from tissue_sim.model.contact.haptic_output import report_wrenches
+from tissue_sim.model.contact.culling import cull_contacts
+from tissue_sim.model.contact.haptic_output import compute_haptic_output
 from tissue_sim.model.contact.tool_motion import (
     add_tip_forces,
     advance_held,
@@ -23,7 +23,7 @@ from tissue_sim.model.contact.tool_motion import (
     has_tip_force,
     keep_bodies,
 )
-from tissue_sim.model.contact.volume_limit import has_stiff_cells
+from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.data.settings import Integrator
 from tissue_sim.model.data.state import Region
 from tissue_sim.model.elasticity.forces import elastic_forces
@@ -48,9 +48,9 @@ from tissue_sim.model.stepping.integrators import (
     symplectic_euler,
     symplectic_euler_whole,
 )
-from tissue_sim.model.stepping.oscillation import begin_look, end_look, is_looked_at
-from tissue_sim.model.stepping.prescribed import count_prescribed, lead_prescribed
-from tissue_sim.model.stepping.rest_recovery import find_back, rest_if_quiet, sleep_if_quiet
+from tissue_sim.model.stepping.oscillation import begin_oscillation_check, end_oscillation_check, is_oscillation_checked
+from tissue_sim.model.stepping.prescribed import count_prescribed, move_prescribed
+from tissue_sim.model.stepping.rest_recovery import sleep_if_at_rest, sleep_or_recover, step_recovery
 
 CRUMPLED = 0.02  # fraction of inverted cells from which on a tick takes four times its substeps
 
@@ -108,7 +108,7 @@ def plan_tick(world: Any) -> bool:
         choose_region(model, state, settings, scratch)
     if status.snapped:
         if not plan.handled and follow_untouched(state, shapes, settings, scratch):
-            find_back(model, state, settings)
+            step_recovery(model, state, settings)
             check_cells(model, state, scratch)
             return False
         status.snapped = False
@@ -129,7 +129,7 @@ def plan_tick(world: Any) -> bool:
     wanted = settings.region_substeps if by_itself or not plan.whole else settings.substeps
     factor = caution(model, state, plan.whole or plan.regional)
     plan.substeps = wanted * status.backoff * factor
-    plan.looking = plan.whole and is_looked_at(model, state, plan.substeps) and factor == 1
+    plan.looking = plan.whole and is_oscillation_checked(model, state, plan.substeps) and factor == 1
     return True
 
 
@@ -156,7 +156,7 @@ def begin_tick(world: Any) -> None:
     carry_force(state, status.substeps, plan.substeps)
     status.substeps = plan.substeps
     set_mobility(world, settings.tick_time / plan.substeps, plan.implicit)
-    watch_contacts(state, world.shapes, settings, scratch)
+    cull_contacts(state, world.shapes, settings, scratch)
 
 
 @kernel
@@ -166,7 +166,7 @@ def take_substep(world: Any, substep: int) -> None:
     settings, scratch, plan = world.settings, world.scratch, world.scratch.plan
     substeps, implicit, first = plan.substeps, plan.implicit, substep == 0
     if plan.looking and substep == substeps - 1:
-        begin_look(state, scratch)
+        begin_oscillation_check(state, scratch)
     # The last substep of a region has more to compute, and one that carries momentum over needs the forces at its own
     # place.
     known = first and (plan.whole or (plan.regional and substeps > 1)) and not (implicit and plan.eased)
@@ -185,7 +185,7 @@ def take_substep(world: Any, substep: int) -> None:
     if implicit and eased:
         carry_momentum(model, state, scratch.force, step)
     integrate(world, step, implicit)
-    lead_prescribed(state, substep, substeps, step)
+    move_prescribed(state, substep, substeps, step)
     pushed = has_taken_impulses(state, settings, implicit)
     state.status.touching = resolve_contacts(model, state, shapes, scratch.mobility, scratch, settings, step, pushed)
     keep_bodies(state, scratch)
@@ -212,19 +212,19 @@ def end_tick(world: Any) -> None:
     settings, scratch = world.settings, world.scratch
     status, plan = state.status, scratch.plan
     if plan.looking:
-        end_look(state, scratch)
+        end_oscillation_check(state, scratch)
     absorb_load(model, state, settings, scratch)
     guard(model, state, settings, scratch)
     check_cells(model, state, scratch)
     count_prescribed(state)
-    report_wrenches(state, shapes, settings, scratch)
+    compute_haptic_output(state, shapes, settings, scratch)
     change_region(world)
     unload_nodes(state)
     status.alone = 0 if plan.handled or status.touching > 0 else status.alone + 1
     if status.alone > 0:
-        rest_if_quiet(model, state, settings, scratch)
+        sleep_or_recover(model, state, settings, scratch)
     elif not plan.forced and status.touching == 0:
-        sleep_if_quiet(model, state, scratch)
+        sleep_if_at_rest(model, state, scratch)
 
 
 def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
@@ -239,7 +239,7 @@ def _if_sound(model: Any, state: Any, settings: Any, scratch: Any) -> bool:
         return False
     predict(state.position, state.velocity, model.moving, settings.tick_time / settings.substeps, scratch.predicted)
     whole_forces(model, scratch.predicted, settings, scratch)
-    return not has_stiff_cells(model)
+    return not has_compressed_cells(model)
 
 
 @kernel
@@ -289,7 +289,7 @@ def caution(model: Any, state: Any, begun: bool) -> int:
     begun: the forces of this tick's first substep are known.
     """
     if state.status.turned == 0:
-        return 2 if (begun and has_stiff_cells(model)) or state.status.shivering > 0 else 1
+        return 2 if (begun and has_compressed_cells(model)) or state.status.shivering > 0 else 1
     return 4 if state.status.turned > CRUMPLED * len(model.cells) else 2
 
 

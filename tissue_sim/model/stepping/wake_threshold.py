@@ -2,8 +2,8 @@
 
 Either would keep an organ awake whose shape it doesn't change visibly. So each tick bounds their effect on an organ:
 how far they bend it at most, which is the tension of each link times the compliance of its node plus the acceleration
-of the frame times the compliance to it, and with which force they pull. Where that is s times as much as UNFELT and
-UNFELT_FORCE allow, an organ that nothing else loads feels 1 - 1/s^2 of these loads, and none while s is below 1. The
+of the frame times the compliance to it, and with which force they pull. Where that is s times as much as
+WAKE_DISPLACEMENT and WAKE_FORCE allow, an organ that nothing else loads feels 1 - 1/s^2 of these loads, and none while s is below 1. The
 part that it lacks never exceeds these bounds, shrinks as the loads grow, and never jumps. An organ that a tool, a hand
 or another organ loads is awake anyway, and feels all of it.
 """
@@ -26,15 +26,15 @@ from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
 from tissue_sim.model.stepping.breathing import weigh
 from tissue_sim.model.stepping.ligament_links import Links
 
-UNFELT = 1e-4  # m, too little to see
-UNFELT_FORCE = 1e-3  # N, too little to feel
+WAKE_DISPLACEMENT = 1e-4  # m, too little to see
+WAKE_FORCE = 1e-3  # N, too little to feel
 UNBOUNDED = 1e30  # m/N or s^2, where no node is fixed, or there are too many to factorise: it feels everything
 MOST_NODES = 8000  # whose factorisation takes a second
 _RIGID = 1e-9  # of the largest pivot; less counts as 0
 _TOGETHER = 48  # columns solved for at once
 
 
-class Unfelt(NamedTuple):
+class WakeThreshold(NamedTuple):
     """Bounds of the loads of k organs and l links that are not felt, and the results of the last tick."""
 
     most: Floats  # (2,) m and N that an organ may lack; zeros: all loads are felt
@@ -46,7 +46,7 @@ class Unfelt(NamedTuple):
     ticks: Longs  # (k,) that each slept through under loads that it didn't feel
 
 
-def unfelt_by(models: Sequence[Model], links: Links, ways: Floats, most: float) -> Unfelt:
+def wake_threshold_of(models: Sequence[Model], links: Links, ways: Floats, most: float) -> WakeThreshold:
     """Return the bounds for organs whose frames move along given ways.
 
     The numbers are rounded up to two digits, so that libraries that round differently on another processor give the
@@ -70,8 +70,8 @@ def unfelt_by(models: Sequence[Model], links: Links, ways: Floats, most: float) 
         nodes, place = np.unique(links.node[own], return_inverse=True)
         bend[organ], of_nodes = bounds_of(model, nodes, ways[organ])
         give[own] = of_nodes[place]
-    return Unfelt(
-        most=np.array([most, UNFELT_FORCE / UNFELT * most]),
+    return WakeThreshold(
+        most=np.array([most, WAKE_FORCE / WAKE_DISPLACEMENT * most]),
         bend=bend,
         give=give,
         bent=np.zeros(count),
@@ -128,7 +128,7 @@ def rounded_up(value: float) -> float:
 
 
 @kernel
-def share_loads(worlds: Any, carried: Any, unfelt: Any, breathes: bool) -> None:
+def apply_wake_threshold(worlds: Any, carried: Any, unfelt: Any, breathes: bool) -> None:
     """Compute the fraction of its links' and the breath's loads that every organ feels, and set its weight accordingly.
 
     Called once links have been measured, and hands and other organs have loaded the nodes.
@@ -153,7 +153,7 @@ def share_loads(worlds: Any, carried: Any, unfelt: Any, breathes: bool) -> None:
             size = math.sqrt(change[0] ** 2 + change[1] ** 2 + change[2] ** 2)
             unfelt.bent[organ] += size * unfelt.bend[organ]
         unfelt.bent[organ] /= settings.stiffness_scale
-        share = share_of(unfelt.bent[organ], unfelt.pulled[organ], unfelt.most)
+        share = loaded_fraction(unfelt.bent[organ], unfelt.pulled[organ], unfelt.most)
         if share < 1.0 and is_loaded_otherwise(world):
             share = 1.0
         unfelt.share[organ] = share
@@ -164,7 +164,7 @@ def share_loads(worlds: Any, carried: Any, unfelt: Any, breathes: bool) -> None:
 
 
 @kernel
-def share_of(bent: float, pulled: float, most: Any) -> float:
+def loaded_fraction(bent: float, pulled: float, most: Any) -> float:
     """Return the fraction of loads that is felt; bent m, pulled N, most (2,) that may be lacking."""
     if most[0] <= 0.0:
         return 1.0

@@ -43,7 +43,7 @@ NODE_TOPICS = {
 }
 SCENE_TOPICS = {
     "joined": OCTETS,  # npz: what joins the organs, at the tick of their states
-    "pair_set": OCTETS,  # npz: pairs found from a surface before the state
+    "organ_contact_set": OCTETS,  # npz: pairs found from a surface before the state
     "journal": OCTETS,  # npz: rows that concern all of them
 }
 

@@ -56,7 +56,7 @@ def align(first: Recording, second: Recording) -> Alignment:
             raise UserError(
                 f"the bags' surfaces have {' and '.join(map(str, sorted(sizes)))} points: they are of different organs"
             )
-    before, after = taken_up(first), taken_up(second)
+    before, after = used_poses(first), used_poses(second)
     both = [key for key in before if key in after]
     if not both:
         raise UserError("the bags have no pose in common: --against needs another recording of the same inputs")
@@ -65,13 +65,13 @@ def align(first: Recording, second: Recording) -> Alignment:
     return Alignment(later, len(both), int(np.abs(apart - later).max()), len(before))
 
 
-def taken_up(recording: Recording) -> dict[tuple[str, bytes], int]:
+def used_poses(recording: Recording) -> dict[tuple[str, bytes], int]:
     """Return the tick that first applied a pose, by the tool's name and the pose's bytes."""
     found: dict[tuple[str, bytes], int] = {}
     body = 0
     for index, tool in enumerate(tools_of(recording.config)):
         poses = recording.poses[index]
-        for tick, number in zip(*recording.taken_up(body, "pose"), strict=True):
+        for tick, number in zip(*recording.used_poses(body, "pose"), strict=True):
             if number in poses:
                 found.setdefault((tool.name, poses[number].tobytes()), tick)
         body += tool.n_bodies

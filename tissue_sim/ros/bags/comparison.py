@@ -132,7 +132,7 @@ class Comparison:
         return self.force, self.torque, self.position
 
     @property
-    def holds_nothing(self) -> bool:
+    def is_empty_comparison(self) -> bool:
         """Whether there was nothing to compare, which is no success."""
         return self.wrenches == 0 and self.surfaces == 0
 
@@ -144,7 +144,7 @@ class Comparison:
     @property
     def passes(self) -> bool:
         """Whether something was compared, and all is within the tolerances."""
-        return not self.holds_nothing and self.first_beyond < 0
+        return not self.is_empty_comparison and self.first_beyond < 0
 
 
 def compare(wanted: Shown, found: Shown, force_tolerance: float, position_tolerance: float) -> Comparison:

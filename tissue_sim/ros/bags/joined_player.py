@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from functools import cached_property
 
 from tissue_sim.array_types import Floats
-from tissue_sim.contact.organ_contact_finder import PairFinder
+from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.errors import UserError
-from tissue_sim.model.stepping.organ_contact import PairSet
+from tissue_sim.model.stepping.organ_contact import OrganContactSet
 from tissue_sim.ros.bags.joined_recording import JoinedRecording
 from tissue_sim.ros.bags.organ_player import OrganPlayer
 
@@ -34,8 +34,8 @@ class JoinedPlayer:
         self._kept: list[dict[int, Floats]] = [{} for _ in organs]
 
     @cached_property
-    def _finder(self) -> PairFinder:
-        return PairFinder([one.simulation.organ for one in self._organs])
+    def _finder(self) -> OrganContactFinder:
+        return OrganContactFinder([one.simulation.organ for one in self._organs])
 
     def step(self, tick: int, was_reset: bool) -> None:
         """Advance by a tick, after every organ has applied its own inputs.
@@ -51,7 +51,7 @@ class JoinedPlayer:
             self.joined.reset()
         row, before = self._taken_at.get(tick, self._newest), self._newest
         if row["respiration"] != before["respiration"]:
-            self.joined.tell_breath(self._share(int(row["respiration"])))
+            self.joined.set_breathing(self._share(int(row["respiration"])))
         if row["pairs"] != before["pairs"]:
             self.joined.take_pairs(self._pair_set(int(row["pairs"])))
         self._newest = row
@@ -65,7 +65,7 @@ class JoinedPlayer:
             raise UserError(f"the bag has no respiration number {sequence}; its recording lost messages")
         return float(self._shares[sequence])
 
-    def _pair_set(self, sequence: int) -> PairSet:
+    def _pair_set(self, sequence: int) -> OrganContactSet:
         whole = self._recording.pair_sets.get(sequence)
         if whole is not None:
             return whole

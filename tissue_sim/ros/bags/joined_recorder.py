@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Longs
 from tissue_sim.model.runtime.mailboxes import JOURNAL_ROWS
 from tissue_sim.model.stepping.breathing import Breath
-from tissue_sim.model.stepping.organ_contact import PairSet, used_words
+from tissue_sim.model.stepping.organ_contact import OrganContactSet, used_words
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bag_messages import BagMessages
 from tissue_sim.ros.shared.loop import Loop
@@ -66,7 +66,7 @@ class JoinedRecorder:
         self._messages.packed(self.names["joined"], fields)
         self._state_tick = tick
 
-    def pairs(self, sequence: int, ticks: Sequence[int], found: PairSet) -> None:
+    def pairs(self, sequence: int, ticks: Sequence[int], found: OrganContactSet) -> None:
         """Record what pairs were found from, or all of them while a surface may not be in the bag.
 
         Call it with `together` held since they were posted.
@@ -77,7 +77,7 @@ class JoinedRecorder:
             Number of the set.
         ticks : Sequence[int], shape (k,)
             Ticks of the surfaces that they were found from.
-        found : PairSet
+        found : OrganContactSet
             The pairs.
         """
         self._newest = sequence, used_words(found).copy()
@@ -121,4 +121,4 @@ class JoinedRecorder:
         }
 
     def _whole_set(self, sequence: int, words: Longs) -> None:
-        self._messages.packed(self.names["pair_set"], {"sequence": np.array(sequence), "words": words})
+        self._messages.packed(self.names["organ_contact_set"], {"sequence": np.array(sequence), "words": words})

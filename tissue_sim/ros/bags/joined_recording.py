@@ -14,7 +14,7 @@ from tissue_sim.model.runtime.joined_box import JoinedRow
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath
 from tissue_sim.model.stepping.ligament_links import POINT, Links, make_links
-from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, PairSet, make_pairs, pair_set
+from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, OrganContactSet, make_organ_contacts, organ_contact_set
 from tissue_sim.model.stepping.state_check import MOST
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.shared.cdr import parse_octets
@@ -36,7 +36,7 @@ class JoinedRecording:
     """
 
     fields: dict[str, np.ndarray]
-    pair_sets: dict[int, PairSet]
+    pair_sets: dict[int, OrganContactSet]
     journal: dict[str, np.ndarray]
 
     @classmethod
@@ -69,7 +69,7 @@ class JoinedRecording:
         }
         _check_journal(journal, len(sizes))
         fields = unpacked["joined"][0]
-        sets = {int(found["sequence"]): _pairs_of(found["words"], sizes) for found in unpacked["pair_set"]}
+        sets = {int(found["sequence"]): _pairs_of(found["words"], sizes) for found in unpacked["organ_contact_set"]}
         _check_fields(fields, sizes)
         return cls(fields, sets, journal)
 
@@ -98,20 +98,22 @@ class JoinedRecording:
             return Joined(simulations)
         links = Links(**{name: fields[f"links.{name}"].copy() for name in Links._fields})
         breath = Breath.at(fields["breath"].view(np.int64).reshape(-1).copy())
-        joined = Joined(simulations, links, make_pairs(float(fields["friction"][0])), breath, fields["moves"].tolist())
+        joined = Joined(
+            simulations, links, make_organ_contacts(float(fields["friction"][0])), breath, fields["moves"].tolist()
+        )
         joined.restore(copy_of(breath), _in_words(fields["pairs"]), fields["pressed"], fields["held"])
         return joined
 
 
-def _in_words(words: Longs) -> PairSet:
-    made = pair_set()
+def _in_words(words: Longs) -> OrganContactSet:
+    made = organ_contact_set()
     made.words[: len(words)] = words
     return made
 
 
-def _pairs_of(words: np.ndarray, sizes: Sequence[int]) -> PairSet:
+def _pairs_of(words: np.ndarray, sizes: Sequence[int]) -> OrganContactSet:
     """Return pairs from the words of a set; raise ValueError for one that names what isn't there."""
-    made = pair_set()
+    made = organ_contact_set()
     if words.ndim != 1 or words.dtype != np.int64 or not 1 <= len(words) <= len(made.words):
         raise ValueError("its organ contacts are not whole words")
     count = int(words[0])

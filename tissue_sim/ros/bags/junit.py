@@ -32,7 +32,7 @@ def write_junit(path: Path, outcomes: Sequence[Outcome]) -> None:
         suite = ElementTree.SubElement(root, "testsuite", name=outcome.name, errors="0", skipped="0")
         suite.set("time", f"{outcome.seconds:.3f}")
         cases = outcome.comparison.quantities
-        failed = [case for case in cases if outcome.comparison.holds_nothing or case.first_beyond >= 0]
+        failed = [case for case in cases if outcome.comparison.is_empty_comparison or case.first_beyond >= 0]
         for case in cases:
             _add(suite, outcome, case, case in failed)
         if outcome.notes:
@@ -52,7 +52,7 @@ def write_junit(path: Path, outcomes: Sequence[Outcome]) -> None:
 def _add(suite: ElementTree.Element, outcome: Outcome, case: Deviation, failed: bool) -> None:
     shown = ElementTree.SubElement(suite, "testcase", classname=outcome.name, name=case.what, time="0")
     text = f"largest deviation: {case}"
-    if outcome.comparison.holds_nothing:
+    if outcome.comparison.is_empty_comparison:
         text = NOTHING
     elif failed:
         text = f"deviation above {case.tolerance:g} {case.unit} from tick {case.first_beyond} on; {text}"

@@ -68,14 +68,14 @@ class _Live:
         self._period = round(1e9 / recording.config["parameters"]["rate"])  # ns
         self._origin = time.time_ns()  # time of the first tick on /clock
         self._clock = node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
-        self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
-        self._meshes = client.Inbox(node, Mesh, f"/{target}/mesh", client.latched_qos())
-        self._surfaces = client.Inbox(node, PointCloud2, f"/{target}/surface", client.stream_qos())
+        self._reports = client.NewestMessage(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+        self._meshes = client.NewestMessage(node, Mesh, f"/{target}/mesh", client.latched_qos())
+        self._surfaces = client.NewestMessage(node, PointCloud2, f"/{target}/surface", client.stream_qos())
         self._node = node
         self._shapes: dict[int, np.ndarray] = {}
         self._tools: list[ScriptedTool] = []
         self._frames: list[str] = []  # of each tool's poses and forces
-        self._wrenches: list[client.Inbox] = []
+        self._wrenches: list[client.NewestMessage] = []
         self._felt: list[dict[int, np.ndarray]] = []
         self._forces: list[Publisher | None] = []
         self._shift: dict[int, int] = {}  # ns from the recording's stamps to those sent, by tool
@@ -116,7 +116,7 @@ class _Live:
             self._tools.append(ScriptedTool(self._node, link, tool.shape == "gripper"))
             self._frames.append(link.topics.frame_id)
             name = link.topics.names
-            self._wrenches.append(client.Inbox(self._node, WrenchStamped, name["servo_cf"], KEEP, raw=True))
+            self._wrenches.append(client.NewestMessage(self._node, WrenchStamped, name["servo_cf"], KEEP, raw=True))
             self._felt.append({})
             self._forces.append(self._force_publisher(tool.name, name["external_cf"]))
         self._wait(lambda: all(tool.heard for tool in self._tools) or None, "the node does not receive the poses")

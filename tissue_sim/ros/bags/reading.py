@@ -143,7 +143,7 @@ def _all_of(
 
 def _taken(recording: Recording, body: int, kind: str, given: Mapping[int, Floats], size: int) -> tuple[Longs, Floats]:
     """Return the ticks (k,) that took up an input of a body, and what it was, (k, size)."""
-    ticks, sequences = recording.taken_up(body, kind)
+    ticks, sequences = recording.used_poses(body, kind)
     pairs = [(tick, given[number]) for tick, number in zip(ticks, sequences, strict=True) if number in given]
     values = np.array([value for _, value in pairs]).reshape(len(pairs), size)
     return np.array([tick for tick, _ in pairs], dtype=np.int64), values

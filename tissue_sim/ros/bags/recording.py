@@ -129,7 +129,7 @@ class Recording:
         """True where organs have names."""
         return "organs" in self.config
 
-    def taken_up(self, body: int, kind: str) -> tuple[list[int], list[int]]:
+    def used_poses(self, body: int, kind: str) -> tuple[list[int], list[int]]:
         """Return the ticks that took up a new input of a body, and its sequence numbers; kind: pose or force."""
         journal = self.organs[0].journal
         sequences = journal["body_inputs"][kind][:, body]
@@ -222,8 +222,8 @@ def _finite(value: float) -> float:
 
 def _read_messages(path: Path) -> dict[str, list[bytes]]:
     messages: dict[str, list[bytes]] = defaultdict(list)
-    with recovery.rubbish_told(path):
-        if recovery.is_broken_off(path):
+    with recovery.report_incomplete_records(path):
+        if recovery.is_interrupted(path):
             for connection, _, raw in recovery.messages(path):
                 messages[connection.topic].append(bytes(raw))
             return messages

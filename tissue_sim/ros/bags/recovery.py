@@ -34,7 +34,7 @@ _UNPACKERS = {"zstd": zstd.ZstdDecompressor, "lz4": LZ4FrameDecompressor}
 ANEW = ".recovered"  # folder in a bag where a file is rewritten
 
 
-def is_broken_off(folder: Path) -> bool:
+def is_interrupted(folder: Path) -> bool:
     """Return whether a folder holds a bag without its end.
 
     Parameters
@@ -46,7 +46,7 @@ def is_broken_off(folder: Path) -> bool:
 
 
 @contextmanager
-def rubbish_told(folder: Path) -> Iterator[None]:
+def report_incomplete_records(folder: Path) -> Iterator[None]:
     """Raise UserError naming a bag where reading it raises anything.
 
     Parameters
@@ -122,7 +122,7 @@ def complete(folder: Path) -> str:
     UserError
         When it is empty, still being recorded, or damaged.
     """
-    with ExitStack() as stack, rubbish_told(folder):
+    with ExitStack() as stack, report_incomplete_records(folder):
         for path in folder.glob("*.mcap"):
             if not lock(stack.enter_context(path.open("rb")).fileno()):
                 raise UserError(f"bag {folder} is still being recorded; stop that first")
@@ -138,7 +138,7 @@ def _complete(folder: Path) -> int:
     with _opened(folder) as readers:
         for broken in readers:
             if isinstance(broken, _BrokenOff):
-                _write_anew(folder, broken)
+                _rewrite(folder, broken)
     store, files = get_typestore(Stores.ROS2_JAZZY), []
     with _opened(folder) as readers:
         for reader in readers:
@@ -151,7 +151,7 @@ def _complete(folder: Path) -> int:
     return files[-1].end - files[0].start
 
 
-def _write_anew(folder: Path, reader: McapReader) -> None:
+def _rewrite(folder: Path, reader: McapReader) -> None:
     anew = folder / ANEW
     shutil.rmtree(anew, ignore_errors=True)  # left by a recovery that was broken off, too
     try:

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     if len(paths) > 1 and args.plot and args.plot.lower().endswith(".png"):
         raise UserError("--plot must be a folder for several bags")
     for path in [*paths, *([Path(args.against)] if args.against else [])]:
-        if recovery.is_broken_off(path):
+        if recovery.is_interrupted(path):
             print(recovery.complete(path), flush=True)
     pictures = [picture_path(args.plot, path) for path in paths] if args.plot else []
     organ = Organ.load(args.organ) if args.organ else None
@@ -89,14 +89,14 @@ def told(outcome: Outcome) -> list[str]:
         f"{outcome.name}: {replayed.ticks} ticks, {replayed.inputs} inputs, {replayed.contact_sets} contact sets;"
         f" compared {found.wrenches} wrenches and {found.surfaces} surfaces"
     ]
-    if not found.holds_nothing:
+    if not found.is_empty_comparison:
         lines.append(f"largest deviation: {', '.join(map(str, found.quantities))}")
     return [*lines, verdict(found, outcome.rate)]
 
 
 def verdict(found: Comparison, rate: float) -> str:
     """Return a line that says whether a bag repeats, and if not from when on; rate: ticks a second."""
-    if found.holds_nothing:
+    if found.is_empty_comparison:
         return f"FAILED: {NOTHING}; record for longer than a second, with tools moving"
     if found.passes:
         return "repeats"

@@ -147,7 +147,7 @@ class Surface:
                 return touches
         raise UserError("found no path on the organ's front to stroke; leave 'stroke' out of the script")
 
-    def poke_place(self) -> Touch:
+    def poke_location(self) -> Touch:
         """Return a touch square to the front, a little above the middle."""
         for shift in (0.12, 0.0, 0.24, -0.12):
             seen = self.touch(self.ball.centre + shift * self._length * self._along, FRONT)
@@ -156,7 +156,7 @@ class Surface:
                 return square
         raise UserError("found no point on the organ's front to poke; leave 'poke' out of the script")
 
-    def nip_places(self) -> list[Touch]:
+    def pinch_locations(self) -> list[Touch]:
         """Return two touches that face each other across little tissue, near the upper pole."""
         corners = self._vertices[self._triangles]
         edges = corners[:, 1:] - corners[:, :1]

@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         if values is None:
             return 0 if stop else _not_there(args, f"answer from /{args.node}/get_parameters")
         topic = f"/{args.node}/{_organ_of(values, args)}mesh"
-        meshes = client.Inbox(node, Mesh, topic, client.latched_qos())
+        meshes = client.NewestMessage(node, Mesh, topic, client.latched_qos())
         with progress.task(f"waiting for {topic}"):
             mesh = client.wait_until(meshes.take, args.wait, stop)
         if mesh is None:

@@ -82,7 +82,7 @@ class Player:
         self.skipped = 0
         self._told: set[str] = set()  # tools whose other publishers were reported
 
-    def play(self, path: Path, stop: client.Stop, meshes: client.Inbox, organ: Floats) -> Any:
+    def play(self, path: Path, stop: client.Stop, meshes: client.NewestMessage, organ: Floats) -> Any:
         """Play a path repeatedly until the time is over, a signal asks for it, or the node has another organ.
 
         Then the tools leave the tissue.
@@ -114,13 +114,13 @@ class Player:
             if now > next_look:
                 next_look = now + LOOK_AGAIN
                 found = _other_organ(meshes.take(), organ)
-                self._tell_of_rivals()
+                self._warn_of_other_publishers()
         start, leaving = time.monotonic(), path.retreat(max(tick - 1, 0) % len(poses))
         for step, stance in enumerate(zip(leaving.poses, leaving.angles, strict=True)):
             self._send(*stance, start + step / path.rate)
         return found
 
-    def _tell_of_rivals(self) -> None:
+    def _warn_of_other_publishers(self) -> None:
         for tool in self._tools:
             if tool.name not in self._told and tool.rivals() > 0:
                 self._told.add(tool.name)

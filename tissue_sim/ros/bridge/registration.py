@@ -18,7 +18,7 @@ class Registration:
 
     def __init__(self, node: Node, target: str, parameters: NodeParameters) -> None:
         self._target, self._parameters = target, parameters
-        self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+        self._reports = client.NewestMessage(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
         self._count: str | None = None  # of the newest report, how often the organ was registered
 
     def poll(self) -> Mapping[str, Any] | None:

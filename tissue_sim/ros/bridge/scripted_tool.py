@@ -10,7 +10,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from tissue_sim.array_types import Floats
-from tissue_sim.ros.shared.client import Inbox
+from tissue_sim.ros.shared.client import NewestMessage
 from tissue_sim.ros.shared.tool_link import PoseWriter, ToolLink
 from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, N_WRENCH, WRENCH_TYPES
 
@@ -27,7 +27,7 @@ class ScriptedTool:
         self._jaws = node.create_publisher(JointState, topics.names["measured_js"], link.qos) if has_jaws else None
         self._wrench_type = topics.wrench_type
         kind = WRENCH_TYPES[topics.wrench_type]
-        self._wrenches = Inbox(node, kind, topics.names["servo_cf"], link.qos, raw=True)
+        self._wrenches = NewestMessage(node, kind, topics.names["servo_cf"], link.qos, raw=True)
         self.sent = self.received = 0
         self.peak = 0.0  # N, largest force so far
 

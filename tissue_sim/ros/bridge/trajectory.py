@@ -97,7 +97,7 @@ class _Planner:
 
     def poke(self) -> None:
         """Press the first tool in, square to the front."""
-        touch = self._surface.poke_place()
+        touch = self._surface.poke_location()
         self._enter("poke", {0: touch})
         self._then("press", {0: touch.at(self._scale * POKE_DEPTH)}, PRESS)
         self._then("hold", seconds=POKE_HOLD)
@@ -107,7 +107,7 @@ class _Planner:
     def nip(self) -> None:
         """Nip with two tools that face each other near the upper pole; the first takes the place nearer to it."""
         first = self._path.poses[-1, 0, :3]
-        jaws = sorted(self._surface.nip_places(), key=lambda jaw: float(np.linalg.norm(jaw.place - first)))
+        jaws = sorted(self._surface.pinch_locations(), key=lambda jaw: float(np.linalg.norm(jaw.place - first)))
         # Up and to the side, square to the jaws, to where the tissue between them widens.
         way, sideways = jaws[0].way, np.cross(jaws[0].way, UP)
         widening = sum(self._surface.normal(jaw) for jaw in jaws)

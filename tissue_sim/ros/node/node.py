@@ -22,36 +22,36 @@ from tissue_sim.jit import is_compiled
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
-from tissue_sim.organ.tool_resolution import mean_edge, too_coarse
+from tissue_sim.organ.tool_resolution import mean_edge, unresolved_tools_of
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.folder_bound import Bound
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.writer import Split
-from tissue_sim.ros.node.contact.contact_search import ContactSearch, PairSearch
+from tissue_sim.ros.node.contact.contact_search import ContactSearch, OrganContactSearch
 from tissue_sim.ros.node.contact.contact_worker import ContactWorker
 from tissue_sim.ros.node.input.respiration import RespirationInput
 from tissue_sim.ros.node.input.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.node.output.contact_kernels import compile_beside
 from tissue_sim.ros.node.output.contact_points import ContactPoints, warm_up
 from tissue_sim.ros.node.output.diagnostics import Diagnostics, LoopReport
-from tissue_sim.ros.node.output.organ_publisher import OrganPresenter, ScenePresenter
-from tissue_sim.ros.node.output.publishing_thread import Outlet
+from tissue_sim.ros.node.output.organ_publisher import OrganPublisher, ScenePublisher
+from tissue_sim.ros.node.output.publishing_thread import PublishingThread
 from tissue_sim.ros.node.output.tf_broadcast import TfBroadcast
-from tissue_sim.ros.node.output.tool_publisher import ToolPresenter
+from tissue_sim.ros.node.output.tool_publisher import ToolPublisher
 from tissue_sim.ros.node.services import simulation_services
 from tissue_sim.ros.node.services.entities import Entities
 from tissue_sim.ros.node.services.pausing import NEXT_TICK, Pausing
 from tissue_sim.ros.node.settings.live_settings import LiveSettings
 from tissue_sim.ros.node.shared.backlog import Backlog, executor_of
-from tissue_sim.ros.node.shared.duplicate_nodes import Namesakes
+from tissue_sim.ros.node.shared.duplicate_nodes import DuplicateNodes
 from tissue_sim.ros.node.shared.guarded_node import GuardedNode
 from tissue_sim.ros.node.shared.served_organ import ServedOrgan, ServedScene, told
 from tissue_sim.ros.node.shared.served_tool import ServedTool
 from tissue_sim.ros.node.shared.sim_clock import SimClock
 from tissue_sim.ros.node.tools.passivity import DevicePort
 from tissue_sim.ros.node.tools.tool_port import ToolPort
-from tissue_sim.ros.node.tools.wrench_replies import Answers
-from tissue_sim.ros.shared.dds import told_reach
+from tissue_sim.ros.node.tools.wrench_replies import WrenchReplies
+from tissue_sim.ros.shared.dds import describe_discovery
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.parameters import Parameters, frames_of, placed_frames, tool_of, topics_of
@@ -85,7 +85,7 @@ class TissueNode(GuardedNode):
             any_organ = Path(values["organ_file"] or shipped_organ())
             self._beside = compile_beside(any_organ) if any_organ.is_file() else None
         self.scene = ServedScene.of_parameters(values, tools.shapes)
-        values.tell_organs([name for name in self.scene.names if name])
+        values.report_organs([name for name in self.scene.names if name])
         self.scene.apply(values)
         self.scene.joined.set_substeps()
         self.loop = Loop(self.scene.joined)
@@ -106,9 +106,9 @@ class TissueNode(GuardedNode):
             for one, recorder in zip(self.served, of_organ, strict=True)
         ]
         joined = self.recorder.joined
-        pairs = None if self.scene.joined.alone else PairSearch(self.organs, joined)
+        pairs = None if self.scene.joined.alone else OrganContactSearch(self.organs, joined)
         self.contacts = ContactWorker(searches, pairs, self.ports, self._woken, warn)
-        self.answers = Answers(self.organs, self.ports, self._woken, warn)
+        self.answers = WrenchReplies(self.organs, self.ports, self._woken, warn)
         self._warm_up = [
             partial(one.finder.warm_up, served.organ.rest_positions)
             for one, served in zip(searches, self.served, strict=True)
@@ -119,15 +119,15 @@ class TissueNode(GuardedNode):
         self._broadcast = TfBroadcast(self) if values["broadcast_tf"] and tf_installed() else None
         self._registrations = 0  # how often organ_pose changed
         self._place_frames()
-        self.presenters: list[OrganPresenter | ScenePresenter] = [
-            OrganPresenter(self, one, self.frame_id, self.ports, recorder, values)
+        self.presenters: list[OrganPublisher | ScenePublisher] = [
+            OrganPublisher(self, one, self.frame_id, self.ports, recorder, values)
             for one, recorder in zip(self.served, of_organ, strict=True)
         ]
         if self.scene.is_scene:
             self.presenters.append(
-                ScenePresenter(self, self.served, self.frame_id, self.ports, self.organs, self.scene.joined, values)
+                ScenePublisher(self, self.served, self.frame_id, self.ports, self.organs, self.scene.joined, values)
             )
-        self.tool_presenter = ToolPresenter(self, self.frame_id, self.organs, self.ports, tools, self._broadcast)
+        self.tool_presenter = ToolPublisher(self, self.frame_id, self.organs, self.ports, tools, self._broadcast)
         self.contact_points = ContactPoints(self, self.frame_id, self.organs, tools)
         self._warm_up.append(partial(warm_up, tools.shapes))
         self._ready = self.create_publisher(Bool, "~/ready", LATCHED)
@@ -135,7 +135,7 @@ class TissueNode(GuardedNode):
         self.diagnostics = Diagnostics(self, self.scene.title)
         freshness = [port.pose_freshness for port in self.ports]
         self.live = LiveSettings(self.scene, values, self._post_settings, freshness)
-        self.namesakes = Namesakes(self)
+        self.namesakes = DuplicateNodes(self)
         self.pausing = Pausing(self, self.loop, self.sim_clock, lambda: values["step_ticks"])
         if simulation_services.installed():
             entities = Entities(self, values, self.served, self.ports)
@@ -145,7 +145,7 @@ class TissueNode(GuardedNode):
         self._bags = Bound(values["record_folder"])
         values.checks["record_folder"] = self._bags.inside
         values.changed.append(self._on_parameters)
-        self._outlet: Outlet | None = None
+        self._outlet: PublishingThread | None = None
         self._parts: list[Reports] = []
 
     # life --------------------------------------------------------------------------------------
@@ -160,7 +160,7 @@ class TissueNode(GuardedNode):
         tools = self.tool_presenter
         show = [*(one.present for one in self.presenters), tools.present, tools.broadcast_tips]
         show += [self.contact_points.present, self.recorder.poll]
-        outlet = self._outlet = Outlet(
+        outlet = self._outlet = PublishingThread(
             self.organs, self.ports, show, self.live, self.sim_clock, self.backlog, self._report, self.get_logger()
         )
         self._parts = [
@@ -175,7 +175,7 @@ class TissueNode(GuardedNode):
             self.recorder,
             self.contacts,
             self.answers,
-            *(one for one in self.presenters if isinstance(one, OrganPresenter)),
+            *(one for one in self.presenters if isinstance(one, OrganPublisher)),
             *([self.respiration] if self.respiration is not None else []),
             outlet,
             self.mishaps,
@@ -190,7 +190,7 @@ class TissueNode(GuardedNode):
         substeps = max(int(max(one.settings.substeps, one.settings.least_substeps)) for one in simulations)
         self.get_logger().info(
             f"{told(self.scene.names, self.scene.organs)}; model {simulations[0].variant}, {simulations[0].rate:g} Hz,"
-            f" {substeps} substeps; tools: {', '.join(self.parameters.tools)}; {told_reach()}"
+            f" {substeps} substeps; tools: {', '.join(self.parameters.tools)}; {describe_discovery()}"
         )
 
         self._ready.publish(Bool(data=True))
@@ -199,7 +199,7 @@ class TissueNode(GuardedNode):
         """Warn about tools that are finer than the coarsest organ's surface resolves, and say what helps."""
         coarsest = max(self.scene.organs, key=mean_edge)
         for tool in (tool_of(self.parameters, name) for name in self.parameters.tools):
-            why = too_coarse(coarsest, tool.radius) if tool.is_round else None
+            why = unresolved_tools_of(coarsest, tool.radius) if tool.is_round else None
             if why is not None:
                 self.get_logger().warning(f"tool '{tool.name}': {why}")
 

@@ -7,7 +7,7 @@ import sys
 from contextlib import suppress
 from typing import NoReturn
 
-from tissue_sim.ros.shared.shutdown_handler import Ending, Interrupted
+from tissue_sim.ros.shared.shutdown_handler import Interrupted, ShutdownHandler
 from tissue_sim.unexpected_errors import catch_all, tell
 
 
@@ -16,7 +16,7 @@ def run() -> NoReturn:
     code, ending = 0, None
     catch_all("tissue_node")
     try:
-        ending = Ending()  # from here on, and within, a signal raises Interrupted
+        ending = ShutdownHandler()  # from here on, and within, a signal raises Interrupted
 
         from tissue_sim.ros.node.serve import serve
 

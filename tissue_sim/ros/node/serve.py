@@ -13,12 +13,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from tissue_sim import progress
-from tissue_sim.errors import UserError, give_up_output, shown
+from tissue_sim.errors import UserError, shown, stop_output
 from tissue_sim.ros.node.node import NAME, TissueNode
 from tissue_sim.ros.shared import dds
 from tissue_sim.ros.shared.executors import OLD_RCLPY, make_executor
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, Spec
-from tissue_sim.ros.shared.shutdown_handler import Ending, Interrupted
+from tissue_sim.ros.shared.shutdown_handler import Interrupted, ShutdownHandler
 from tissue_sim.unexpected_errors import tell, told, write_error
 from tissue_sim.version import __version__
 
@@ -34,7 +34,7 @@ class LoopEnded(Exception):
     """Error: the physics loop has ended, without which the node has no purpose."""
 
 
-def serve(arguments: list[str], ending: Ending) -> int:
+def serve(arguments: list[str], ending: ShutdownHandler) -> int:
     """Run the node until SIGINT or SIGTERM; to be called in the main thread.
 
     Parameters
@@ -54,7 +54,7 @@ def serve(arguments: list[str], ending: Ending) -> int:
         try:
             print(answer(), flush=True)
         except BrokenPipeError:  # piped into head: nobody reads the rest
-            give_up_output()
+            stop_output()
         return 0
     sys.setswitchinterval(TURN)
     node = None
@@ -90,7 +90,7 @@ def serve(arguments: list[str], ending: Ending) -> int:
         rclpy.try_shutdown()
 
 
-def _go_on(node: TissueNode, executor: Executor, ending: Ending) -> None:
+def _go_on(node: TissueNode, executor: Executor, ending: ShutdownHandler) -> None:
     """Spin until asked to end, whatever fails; raise LoopEnded when nothing ticks any more."""
     threading.excepthook = lambda given: _noted(node, given.exc_value)
     while not ending.asked.is_set():

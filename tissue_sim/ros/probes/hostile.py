@@ -63,10 +63,15 @@ class Hostile:
         self.forces = {tool: node.create_publisher(WrenchStamped, f"{tool}/external_cf", KEPT) for tool in TOOLS}
         self.angles = node.create_publisher(JointState, "jaws/gripper/measured_js", KEPT)
         self.breath = node.create_publisher(JointState, f"/{target}/respiration", KEPT) if len(organs) > 1 else None
-        self._wrenches = {tool: client.Inbox(node, WrenchStamped, f"{tool}/servo_cf", ALL, raw=True) for tool in TOOLS}
-        self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+        self._wrenches = {
+            tool: client.NewestMessage(node, WrenchStamped, f"{tool}/servo_cf", ALL, raw=True) for tool in TOOLS
+        }
+        self._reports = client.NewestMessage(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
         self._surfaces = [
-            (surface, client.Inbox(node, PointCloud2, "/".join(filter(None, ("", target, name, "surface"))), STREAM))
+            (
+                surface,
+                client.NewestMessage(node, PointCloud2, "/".join(filter(None, ("", target, name, "surface"))), STREAM),
+            )
             for name, surface in rest.items()
         ]
         services = {
@@ -99,7 +104,7 @@ class Hostile:
             30.0,
         ):
             raise Fault("the node was not found over DDS")
-        self.calm_down()
+        self.return_to_default_settings()
 
     # what acts send ------------------------------------------------------------------------------
     def during(self, period: float, act: Callable[[], object]) -> None:
@@ -202,7 +207,7 @@ class Hostile:
         return np.asarray(rng.uniform(self._low - 0.02, self._high + 0.02))
 
     # afterwards ------------------------------------------------------------------------------------
-    def calm_down(self) -> dict[str, str]:
+    def return_to_default_settings(self) -> dict[str, str]:
         """Restore the initial settings; check that no force is left and that it answers; return its report.
 
         Raises

@@ -239,9 +239,9 @@ def _never_read(hostile: Hostile, rng: Rng) -> None:
     """Subscribe to everything, and take nothing."""
     deep = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
     lazy = [
-        client.Inbox(hostile.node, MarkerArray, f"/{hostile.target}/markers", client.latched_qos()),
-        client.Inbox(hostile.node, WrenchStamped, "left/servo_cf", client.stream_qos()),
-        client.Inbox(hostile.node, DiagnosticArray, "/diagnostics", deep),
+        client.NewestMessage(hostile.node, MarkerArray, f"/{hostile.target}/markers", client.latched_qos()),
+        client.NewestMessage(hostile.node, WrenchStamped, "left/servo_cf", client.stream_qos()),
+        client.NewestMessage(hostile.node, DiagnosticArray, "/diagnostics", deep),
     ]
     _race(hostile, rng)
     for inbox in lazy:

@@ -22,7 +22,7 @@ POKES = 1.0  # Hz
 SHORTEST = 3.0  # s of poking in which the node has reported twice
 
 
-class Told(NamedTuple):
+class NodeReport(NamedTuple):
     """One report of the node."""
 
     seconds: float  # s, its stamp
@@ -34,12 +34,12 @@ class Told(NamedTuple):
     degraded: str  # what is given up
 
 
-class Poked(NamedTuple):
+class PokeFigures(NamedTuple):
     """Forces and reports during pokes."""
 
     peaks: Floats  # N, the highest force of each whole poke
     gap: float  # s, the longest between two poses: delay of the hand itself
-    told: list[Told]
+    told: list[NodeReport]
 
 
 def depth_after(seconds: float) -> float:
@@ -47,7 +47,7 @@ def depth_after(seconds: float) -> float:
     return -DEPTH * float(np.cos(2.0 * np.pi * POKES * seconds))
 
 
-class Pokes(Hand):
+class PokeProbe(Hand):
     """A hand that pokes; like a haptic bridge it sends the present pose, and none for a moment that it missed.
 
     Parameters
@@ -67,10 +67,10 @@ class Pokes(Hand):
     def __init__(self, node: Node, target: str, organ: Organ, *, rate: float = 1000.0, priority: int = 0) -> None:
         super().__init__(node, organ, rate)
         self._target, self._priority = target, priority
-        self._wrenches = client.Inbox(node, WrenchStamped, "left/servo_cf", client.stream_qos())
-        self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
+        self._wrenches = client.NewestMessage(node, WrenchStamped, "left/servo_cf", client.stream_qos())
+        self._reports = client.NewestMessage(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
 
-    def poke(self, seconds: float, watch: Callable[[], object] = lambda: None) -> Poked:
+    def poke(self, seconds: float, watch: Callable[[], object] = lambda: None) -> PokeFigures:
         """Poke for some time, SHORTEST at least.
 
         Parameters
@@ -113,7 +113,7 @@ class Pokes(Hand):
                 break
         return took
 
-    def _poke(self, pokes: int, watch: Callable[[], object]) -> Poked:
+    def _poke(self, pokes: int, watch: Callable[[], object]) -> PokeFigures:
         peaks, told, gap, watched = np.zeros(pokes + 1), [], 0.0, 0
         began = sent = time.monotonic()
         while (elapsed := time.monotonic() - began) < pokes / POKES:
@@ -130,9 +130,9 @@ class Pokes(Hand):
                 watched = int(elapsed * POKES)
                 watch()
             time.sleep(self._period * (1.0 - (time.monotonic() - began) / self._period % 1.0))
-        return Poked(peaks[:pokes], gap, told)
+        return PokeFigures(peaks[:pokes], gap, told)
 
-    def _told(self) -> list[Told]:
+    def _told(self) -> list[NodeReport]:
         found = []
         for report in self._reports.take_all():
             values = client.physics_status([report], self._target)
@@ -141,8 +141,8 @@ class Pokes(Hand):
         return found
 
 
-def _as_told(stamp: Any, values: dict[str, str]) -> Told:
-    return Told(
+def _as_told(stamp: Any, values: dict[str, str]) -> NodeReport:
+    return NodeReport(
         stamp.sec + 1e-9 * stamp.nanosec,
         int(values["tick"]),
         int(values["overruns"]),

@@ -27,7 +27,7 @@ PATIENCE = 2.0  # s for a service to answer, until it is asked again
 ANSWERED = 3  # poses outside that the node answers before a press begins: a tool first heard inside is held off
 
 
-class Presser(Hand):
+class PressProbe(Hand):
     """A hand that sends poses at a rate, like a haptic bridge: the present one, and none for a moment missed.
 
     target: the node.
@@ -36,8 +36,8 @@ class Presser(Hand):
     def __init__(self, node: Node, target: str, organ: Organ) -> None:
         super().__init__(node, organ)
         self._angles = node.create_publisher(JointState, "left/gripper/measured_js", client.stream_qos())
-        self._wrenches = client.Inbox(node, WrenchStamped, "left/servo_cf", client.stream_qos())
-        self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
+        self._wrenches = client.NewestMessage(node, WrenchStamped, "left/servo_cf", client.stream_qos())
+        self._reports = client.NewestMessage(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
         self._target, self._felt = target, list[tuple[float, Floats]]()  # s, and the force (3,) N that came then
         self._reset = node.create_client(Trigger, f"{target}/reset")
         self._last, self._rate = np.zeros(7), 1.0  # pose of the end of the last press, and its rate, Hz
@@ -128,7 +128,7 @@ def force_in_the_end(felt: Sequence[tuple[float, Floats]]) -> Floats:
 
 
 @contextmanager
-def pressing(organ_file: str, organ: Organ, parameters: Sequence[str]) -> Iterator[Presser]:
+def pressing(organ_file: str, organ: Organ, parameters: Sequence[str]) -> Iterator[PressProbe]:
     """Start a node with an organ of a file and parameters, and a hand at it.
 
     Parameters
@@ -154,6 +154,6 @@ def pressing(organ_file: str, organ: Organ, parameters: Sequence[str]) -> Iterat
         served = graph.start_node(organ_file, *parameters)
         ticks(served)
         own: Any = graph.enter_context(client.client_node("presser", NODE))
-        presser = Presser(own, NODE, organ)
+        presser = PressProbe(own, NODE, organ)
         presser.meet()
         yield presser

@@ -75,11 +75,11 @@ class Watch:
         from sensor_msgs.msg import PointCloud2
         from std_srvs.srv import SetBool
 
-        from tissue_sim.ros.shared.client import Inbox, stream_qos
+        from tissue_sim.ros.shared.client import NewestMessage, stream_qos
 
         self._node, self._target, self._process = node, target, process
-        self._reports = Inbox(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
-        self._surfaces = Inbox(node, PointCloud2, f"/{target}/surface", stream_qos())
+        self._reports = NewestMessage(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
+        self._surfaces = NewestMessage(node, PointCloud2, f"/{target}/surface", stream_qos())
         self._record = node.create_client(SetBool, f"/{target}/record")
         self._began = time.monotonic()
         self.values: dict[str, str] = {}  # of the newest report

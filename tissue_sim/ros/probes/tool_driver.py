@@ -60,7 +60,7 @@ class Hand:
         UserError
             When none is.
         """
-        answers = client.Inbox(self._node, WrenchStamped, "left/servo_cf", client.stream_qos(), raw=True)
+        answers = client.NewestMessage(self._node, WrenchStamped, "left/servo_cf", client.stream_qos(), raw=True)
 
         def answered() -> bool:
             self.send(FAR)

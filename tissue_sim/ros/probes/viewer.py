@@ -20,7 +20,7 @@ from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros.probes.graph import first_within
-from tissue_sim.ros.shared.client import Inbox, client_node, latched_qos, stream_qos
+from tissue_sim.ros.shared.client import NewestMessage, client_node, latched_qos, stream_qos
 from tissue_sim.unexpected_errors import catch_all
 
 TURN = 0.004  # s between two checks
@@ -38,14 +38,14 @@ class Viewer:
 
     def __init__(self, node: Node, *topics: str) -> None:
         self._node, self._topics = node, topics
-        self._inboxes: dict[str, Inbox] = {}
+        self._inboxes: dict[str, NewestMessage] = {}
         self.newest: dict[str, bytes] = {}
         self.count: dict[str, int] = {}
 
     def __enter__(self) -> Self:
         for topic in self._topics:
             kind, qos = KINDS[topic.rpartition("/")[2]]
-            self._inboxes[topic] = Inbox(self._node, kind, topic, qos(), raw=True)
+            self._inboxes[topic] = NewestMessage(self._node, kind, topic, qos(), raw=True)
         self.newest = {}
         return self
 

@@ -1,7 +1,7 @@
 """A watcher of a page without drawing: counts the pictures that come over its websocket, as for a browser.
 
-The program `python -m tissue_sim.ros.probes.websocket_counter ADDRESS SECONDS` prints a line when it begins to count, and
-at the end, as JSON, when pictures of each organ came, s, and how many bytes.
+The program `python -m tissue_sim.ros.probes.websocket_counter ADDRESS SECONDS` prints a line when it begins to count,
+and at the end, as JSON, when pictures of each organ came, s, and how many bytes.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 
-from tissue_sim.parent_exit import end_with_parent
+from tissue_sim.parent_exit import exit_with_parent
 
 SECONDS_TO_END = 5.0
 SECONDS_TO_TERMINATE = 2.0
@@ -39,7 +39,7 @@ class Child:
             text=True,
             errors="replace",
             start_new_session=True,
-            preexec_fn=end_with_parent,  # noqa: PLW1509 - one system call, and nothing that a thread could hold
+            preexec_fn=exit_with_parent,  # noqa: PLW1509 - one system call, and nothing that a thread could hold
         )
         self.output: deque[str] = deque(maxlen=100)
         self.errors: deque[str] = deque(maxlen=100)

@@ -209,7 +209,7 @@ def latched_qos() -> QoSProfile:
     return LATCHED
 
 
-class Inbox:
+class NewestMessage:
     """The newest message of a topic, fetched on request.
 
     No callback runs for the messages in between: a 1 kHz stream costs as little as its reader's rate.

@@ -36,7 +36,7 @@ def prepare(environment: MutableMapping[str, str] = os.environ) -> None:
         For a domain that can't exist.
     """
     check_domain(environment)
-    keep_to_this_machine(environment)
+    limit_to_this_machine(environment)
     use_shipped_profile(environment)
 
 
@@ -50,7 +50,7 @@ def check_domain(environment: Mapping[str, str] = os.environ) -> None:
         )
 
 
-def keep_to_this_machine(environment: MutableMapping[str, str] = os.environ) -> None:
+def limit_to_this_machine(environment: MutableMapping[str, str] = os.environ) -> None:
     """Set the discovery range to LOCALHOST, unless the user has set one of the variables for it.
 
     Parameters
@@ -83,7 +83,7 @@ def use_shipped_profile(environment: MutableMapping[str, str] = os.environ) -> N
         environment.update(dict.fromkeys(PROFILE_VARIABLES, str(profile)))
 
 
-def told_reach(environment: Mapping[str, str] = os.environ) -> str:
+def describe_discovery(environment: Mapping[str, str] = os.environ) -> str:
     """Return how far a program with this environment is heard, for a log.
 
     Parameters

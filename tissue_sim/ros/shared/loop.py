@@ -17,9 +17,9 @@ from tissue_sim.model.joined import Joined
 from tissue_sim.model.runtime import loop as rt
 from tissue_sim.model.runtime import mailboxes as mb
 from tissue_sim.model.runtime.joined_box import make_joined_box
-from tissue_sim.model.stepping.organ_contact import PairSet, used_words
+from tissue_sim.model.stepping.organ_contact import OrganContactSet, used_words
 from tissue_sim.model.stepping.world import make_world
-from tissue_sim.ros.shared.pause_control import Hold
+from tissue_sim.ros.shared.pause_control import PauseControl
 from tissue_sim.ros.shared.priority import prefer
 
 _libc = ctypes.PyDLL(None)  # keeps the GIL: functions called here never wait
@@ -52,7 +52,7 @@ class Loop:
             _libc.sem_init(semaphore, 0, 0)
         # Separate settings: those of a simulation change between ticks, when a parameter does.
         self._settings = [copy_of(one.settings) for one in self.simulations]
-        self.hold = Hold(self)
+        self.hold = PauseControl(self)
 
     def _run(self) -> None:
         try:
@@ -168,12 +168,12 @@ class Loop:
         """
         return int(mb.put(self._respiration, 0, np.array([share]).view(np.int64)))
 
-    def post_pairs(self, found: PairSet) -> int:
+    def post_organ_contacts(self, found: OrganContactSet) -> int:
         """Post where joined organs touch each other; return its sequence number.
 
         Parameters
         ----------
-        found : PairSet
+        found : OrganContactSet
             The pairs.
         """
         return int(mb.put(self._pairs, 0, used_words(found)))

@@ -78,7 +78,7 @@ class NodeParameters:
             self._pending = None
 
 
-def told_by(target: str, asker: str, longest: float) -> dict[str, Any] | None:
+def parameters_of(target: str, asker: str, longest: float) -> dict[str, Any] | None:
     """Return the parameters of a node; None where it doesn't answer in time.
 
     Parameters

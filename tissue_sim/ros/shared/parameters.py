@@ -370,7 +370,7 @@ class Parameters:
         if _plain(self[name]) == self._specs[name].default:
             self._node.set_parameters([Parameter(name, value=value)])
 
-    def tell_organs(self, names: Sequence[str]) -> None:
+    def report_organs(self, names: Sequence[str]) -> None:
         """Declare the read-only parameter with the names of a scene's organs; none for a single one.
 
         Parameters

@@ -36,7 +36,7 @@ class Holdable(Protocol):
         """Follow times that are posted, or the monotonic clock."""
 
 
-class Hold:
+class PauseControl:
     """Control that holds a running loop that follows the monotonic clock; any thread may call it.
 
     A held loop follows a time of its own, as others follow /clock: that stands, and advances by a tick at a time, so

@@ -81,7 +81,7 @@ class Reports(Protocol):
         """
 
 
-class Mishaps:
+class UnexpectedErrors:
     """Unforeseen errors while the node goes on: logged once for each place, and counted.
 
     Parameters
@@ -140,7 +140,7 @@ class Mishaps:
         return self._counts[place] == 1
 
 
-class Trouble(Mishaps):
+class RepeatedFailure(UnexpectedErrors):
     """Errors in a thread that repeats its work: over when it succeeds, and then logged again."""
 
     def __init__(self, part: str, warn: Callable[[str], object]) -> None:

@@ -21,7 +21,7 @@ class Interrupted(BaseException):
     """A signal during the node's start; not an Exception, so that no handler on the way catches it."""
 
 
-class Ending:
+class ShutdownHandler:
     """Handler of the signals, also while the main thread is inside the compiler, which no Python handler interrupts.
 
     While starting, a signal raises Interrupted in the main thread; where that comes too late, and inside the compiler,

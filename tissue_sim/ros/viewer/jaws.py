@@ -10,7 +10,7 @@ import viser
 from rclpy.node import Node
 
 from tissue_sim.ros.shared.tool_link import ToolLink
-from tissue_sim.ros.viewer.poked_jaws import HeldJaws
+from tissue_sim.ros.viewer.poked_jaws import PokedJaws
 from tissue_sim.ros.viewer.tool_view import ToolView
 
 WIDEST = 90.0  # degrees
@@ -35,7 +35,7 @@ class JawSlider:
 
     def __init__(self, server: viser.ViserServer, node: Node, view: ToolView) -> None:
         self._node, self._view = node, view
-        self._jaws: HeldJaws | None = None
+        self._jaws: PokedJaws | None = None
         self._touched = -math.inf  # monotonic s
         self._slider: Any = server.gui.add_slider(
             f"Jaws of {view.name}, degrees", min=0.0, max=WIDEST, step=STEP, initial_value=0.0, visible=False
@@ -55,7 +55,7 @@ class JawSlider:
             return
         self.close()
         if link.tool.shape == "gripper":
-            self._jaws = HeldJaws(self._node, link)
+            self._jaws = PokedJaws(self._node, link)
             self._slider.hint = f"Opening of the jaws. Moving the slider publishes {self._jaws.topic}"
         self._slider.visible = self._jaws is not None
 

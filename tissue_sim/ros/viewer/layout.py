@@ -59,9 +59,9 @@ def write(kind: str, node: str) -> int:
     node : str
         Name of the node.
     """
-    from tissue_sim.ros.shared.node_parameters import told_by
+    from tissue_sim.ros.shared.node_parameters import parameters_of
 
-    values = told_by(node, "layout", WAIT)
+    values = parameters_of(node, "layout", WAIT)
     namespace = f"/{node}".rpartition("/")[0]
     if values is None:
         sys.stderr.write(f"/{node} doesn't answer: frame {FRAME} and tools {', '.join(TOOLS)} are assumed\n")

@@ -52,18 +52,18 @@ class Viewer:
         self._server, self._target = server, target
         self._node = node
         self.organs = [ViewedOrgan(server, node, target, "")]
-        self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+        self._reports = client.NewestMessage(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
         self._services = Services(node, target)
         self._parameters = NodeParameters(node, target)
         self._panel = Panel(server)
-        self._tool_markers = client.Inbox(node, MarkerArray, f"/{target}/tools", client.stream_qos())
+        self._tool_markers = client.NewestMessage(node, MarkerArray, f"/{target}/tools", client.stream_qos())
         self.tools = ToolsView(server, node, target, tools, patience)
         self._values: dict[str, str] = {}
         self._headline, self._detail = "", ""
         self._heard = -np.inf
         self._rest: Floats | None = None  # of all organs, (n, 3) m
         self._seen_by: set[int] = set()  # pages whose cameras see all of these
-        self._lines: client.Inbox | None = None  # of a scene's ligaments
+        self._lines: client.NewestMessage | None = None  # of a scene's ligaments
         self._ligaments = LigamentView(server)
         self._pace = Pace(server.get_clients)
         server.scene.set_up_direction("+z")
@@ -121,7 +121,9 @@ class Viewer:
             self._ligaments.remove()
         self._lines = None
         if is_scene:
-            self._lines = client.Inbox(self._node, MarkerArray, f"/{self._target}/ligaments", client.latched_qos())
+            self._lines = client.NewestMessage(
+                self._node, MarkerArray, f"/{self._target}/ligaments", client.latched_qos()
+            )
         self._panel.opacity.value = TRANSLUCENT if len(names) == 1 else SOLID
 
     def _points(self) -> tuple[Floats | None, str]:

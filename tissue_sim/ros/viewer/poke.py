@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared.tool_link import ToolLink
 from tissue_sim.ros.viewer.jaws import JawSlider
-from tissue_sim.ros.viewer.poked_tool import HeldTool
+from tissue_sim.ros.viewer.poked_tool import PokedTool
 from tissue_sim.ros.viewer.scene import picture_axes
 from tissue_sim.ros.viewer.tool_view import ToolView
 
@@ -66,7 +66,7 @@ class Poke:
     def __init__(self, server: viser.ViserServer, node: Node, view: ToolView, index: int, patience: float) -> None:
         self._server, self._view, self._index, self._patience = server, view, index, patience
         self.name = view.name
-        self._tool = HeldTool(node, self.name)
+        self._tool = PokedTool(node, self.name)
         self._ready = False  # the link to the tool is known
         self._holder: int | None = None
         self._gizmo: Any = None

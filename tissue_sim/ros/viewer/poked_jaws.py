@@ -19,7 +19,7 @@ PATIENCE = 3.0  # s, at most, for DDS to connect the topic's ends
 SHORTEST = 0.005  # m from hinge to tips, for the speed of the tips
 
 
-class HeldJaws:
+class PokedJaws:
     """Publisher of a gripper's measured_js in a separate thread, from a `turn` until the jaws reach the goal.
 
     Their tips move like a held tool: no faster, and without a jump in speed.

@@ -46,7 +46,7 @@ def limited(vector: Floats, length: float) -> Floats:
     return vector if size <= length else vector * (length / size)
 
 
-class HeldTool:
+class PokedTool:
     """Publisher of a tool's poses in a separate thread, between `take` and `release`.
 
     The thread keeps publishing while the viewer is busy with a picture, so that no pose gets stale.

@@ -22,10 +22,10 @@ class ViewedOrgan:
     def __init__(self, server: viser.ViserServer, node: Node, target: str, name: str) -> None:
         below = path_of(f"/{target}", name)
         self.name, self._server = name, server
-        self._mesh = client.Inbox(node, Mesh, f"{below}/mesh", client.latched_qos())
-        self._surface = client.Inbox(node, PointCloud2, f"{below}/surface", client.stream_qos())
-        self._atoms = client.Inbox(node, PointCloud2, f"{below}/skeleton", client.stream_qos())
-        self._within = client.Inbox(node, Mesh, f"{below}/inclusions", client.latched_qos())
+        self._mesh = client.NewestMessage(node, Mesh, f"{below}/mesh", client.latched_qos())
+        self._surface = client.NewestMessage(node, PointCloud2, f"{below}/surface", client.stream_qos())
+        self._atoms = client.NewestMessage(node, PointCloud2, f"{below}/skeleton", client.stream_qos())
+        self._within = client.NewestMessage(node, Mesh, f"{below}/inclusions", client.latched_qos())
         self._skeleton = SkeletonView(server, name)
         self._inclusions: InclusionView | None = None
         self.view: OrganView | None = None

@@ -32,7 +32,7 @@ class Port:
     def __init__(self, position):
         self._sequence = 0
         self.held_off = []
-        self.was_held_off = self.held_off.append
+        self.note_inactive = self.held_off.append
         self.move(position)
 
     def move(self, position):

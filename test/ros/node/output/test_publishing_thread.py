@@ -11,7 +11,7 @@ from helpers.scenes import ball
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node.output import publishing_thread as outlet
-from tissue_sim.ros.node.output.publishing_thread import Outlet
+from tissue_sim.ros.node.output.publishing_thread import PublishingThread
 from tissue_sim.ros.node.shared.backlog import Backlog
 from tissue_sim.ros.shared.cdr import check_force, check_position
 from tissue_sim.ros.shared.loop import Loop
@@ -66,7 +66,7 @@ def scene(request, monkeypatch):
         parts.outlet.report(report)
         parts.told.append(report)
 
-    parts.outlet = Outlet(
+    parts.outlet = PublishingThread(
         Organs(Loop(Joined([Simulation(ball(1))]))),
         [SimpleNamespace(input=SimpleNamespace(poses=0), output=parts.output)],
         [parts.presenter.present, parts.presenter.present_tools],

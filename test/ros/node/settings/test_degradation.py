@@ -21,7 +21,7 @@ from tissue_sim.ros.node.settings.degradation import (
     PATIENCE,
     RATE,
     REGION,
-    Ladder,
+    DegradationLadder,
     Look,
 )
 from tissue_sim.ros.node.settings.live_settings import ANY_FORCE, LiveSettings
@@ -37,7 +37,7 @@ class Run:
     """A ladder that is looked at four times a second."""
 
     def __init__(self, helps=lambda level: True):
-        self.ladder, self.helps, self.now = Ladder(), helps, 100.0
+        self.ladder, self.helps, self.now = DegradationLadder(), helps, 100.0
 
     def look(self, look, seconds):
         """The levels that were taken within so many s."""
@@ -86,7 +86,7 @@ def test_between_strained_and_well_nothing_changes():
 
 
 def test_hiccups_of_a_machine_that_is_well_delay_the_way_back_and_do_not_bar_it():
-    ladder, now = Ladder(), 0.0
+    ladder, now = DegradationLadder(), 0.0
     while ladder.level == NONE:
         ladder.look(now, Look(0.9, 0.5, 0), lambda _: True)
         now += LOOK_EVERY

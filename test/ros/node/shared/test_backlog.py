@@ -12,7 +12,7 @@ from std_msgs.msg import Float64
 
 from helpers.patience import wait_for
 from tissue_sim.ros.node.shared import backlog as module
-from tissue_sim.ros.node.shared.backlog import LONGEST, MOST_BEHIND, SHORTEST, Backlog, Turnstile, executor_of
+from tissue_sim.ros.node.shared.backlog import LONGEST, MOST_BEHIND, SHORTEST, Backlog, InputThrottle, executor_of
 from tissue_sim.ros.shared.executors import EventsExecutor
 from tissue_sim.ros.shared.qos import STREAM
 from tissue_sim.ros.shared.report import Report
@@ -69,7 +69,7 @@ def test_what_is_not_answered_is_behind_and_not_asked_again(clock):
 
 def test_one_message_in_a_pause_passes_and_all_without_one(clock):
     backlog = Backlog(lambda task: task())
-    gate = Turnstile(backlog)
+    gate = InputThrottle(backlog)
     assert all(gate.passes() for _ in range(5))
     backlog.pause = 0.004
     passed = 0
@@ -95,7 +95,7 @@ def messages_before(guarded):
             time.sleep(0.003)
 
     for name in ("left", "right"):
-        gate = Turnstile(backlog)
+        gate = InputThrottle(backlog)
         node.create_subscription(Float64, name, lambda _, gate=gate: handle(gate), STREAM)
     publishers = [sender.create_publisher(Float64, name, STREAM) for name in ("left", "right")]
 

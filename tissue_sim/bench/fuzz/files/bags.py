@@ -53,7 +53,7 @@ def warm_up(folder: Path) -> None:
 def use(path: Path) -> str:
     """Do what `tissue_sim replay` does: complete, read, replay, compare."""
     with contextlib.redirect_stdout(io.StringIO()):
-        if recovery.is_broken_off(path):
+        if recovery.is_interrupted(path):
             recovery.complete(path)
         outcome = replay_bag(path, _ASKED)
     found, shown = outcome.comparison, outcome.replayed.shown

@@ -74,7 +74,7 @@ class Served:
         """Check that it lives, has ticked, printed no traceback and leaks no memory. Raises Broken."""
         if self.child.exit_code is not None:
             raise Broken(f"the node has ended: {self.child.last_words()}")
-        report = self.hostile.calm_down()
+        report = self.hostile.return_to_default_settings()
         lines = [*self.child.output, *self.child.errors]
         if any("Traceback" in line for line in lines):
             raise Broken(f"a traceback: {lines[-1]}")

@@ -298,7 +298,7 @@ def use(
         if rng.random() < storm:
             change_settings(rng, scene)
         if breath is not None:
-            scene.joined.tell_breath(breath(tick))
+            scene.joined.set_breathing(breath(tick))
         for tool, hand in enumerate(hands):
             if (place := hand(tick)) is not None:
                 scene.move(tool, *place)
@@ -310,7 +310,7 @@ def use(
         look(scene, tick)
         farthest = max(farthest, moved(scene))
     faults = faults_of(scene)
-    settle_down(scene, defaults)
+    wait_for_rest(scene, defaults)
     left = moved(scene)
     if left > LEFT:
         raise Broken(f"{1e3 * left:.3g} mm from rest at the end, asleep; was {1e3 * farthest:.3g} mm")
@@ -354,10 +354,10 @@ def look(scene: Scene, tick: int) -> None:
             raise Broken(f"{span:.3g} m from rest at tick {tick}")
 
 
-def settle_down(scene: Scene, defaults: list[Settings]) -> None:
+def wait_for_rest(scene: Scene, defaults: list[Settings]) -> None:
     """Run without poses, loads and breath, until all sleep. Raises Broken where a force remains."""
     usual(scene, defaults)
-    scene.joined.tell_breath(0.0)
+    scene.joined.set_breathing(0.0)
     for tick in range(MOST_AFTER):
         scene.step()
         asleep = all(one.asleep for one in scene.simulations)

@@ -90,7 +90,7 @@ class _Sender:
         forces = [f"{tool.name}/external_cf" for tool in self._made if scene.pushes]
         self._forces = [node.create_publisher(WrenchStamped, name, stream) for name in forces]
         self._clock = node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
-        self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+        self._reports = client.NewestMessage(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
         self._time = FIRST_TIME
 
     def play(self, organ: Organ) -> dict[str, int]:

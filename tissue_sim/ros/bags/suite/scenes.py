@@ -166,7 +166,7 @@ def _pushed(total: float, points: int) -> Callable[[Organ, Sequence[Tool]], Step
 def _fly(organ: Organ, tools: Sequence[Tool]) -> Steps:
     """Move a tool through all of the organ at 1.5 m/s, and back."""
     surface = _surface(organ, tools[0].radius)
-    touch = surface.poke_place()
+    touch = surface.poke_location()
     start, end = touch.at(-0.05), touch.at(0.12)
     for a, b in ((start, end), (end, start)):
         yield from _along({0: (a, a, touch.way)}, 0.1)
@@ -179,7 +179,7 @@ def _fly(organ: Organ, tools: Sequence[Tool]) -> Steps:
 
 def _bad_input(organ: Organ, tools: Sequence[Tool]) -> Steps:
     """Send poses that are refused while a tool presses; then none, until its force has faded."""
-    touch = _surface(organ, tools[0].radius).poke_place()
+    touch = _surface(organ, tools[0].radius).poke_location()
     yield from _along({0: (touch.at(-FAR), touch.place, touch.way)}, 0.4)
     yield from _along({0: (touch.place, touch.at(0.005), touch.way)}, 0.3)
     for kind in ("malformed", "nan_pose", "zero_quaternion", "unknown_frame", "no_stamp", "backward_stamp", "far_pose"):
@@ -194,7 +194,7 @@ def _bad_input(organ: Organ, tools: Sequence[Tool]) -> Steps:
 
 def _sleep(organ: Organ, tools: Sequence[Tool]) -> Steps:
     """Touch the organ, leave it until it sleeps, wake it by a touch, and leave it again."""
-    touch = _surface(organ, tools[0].radius).poke_place()
+    touch = _surface(organ, tools[0].radius).poke_location()
     for depth in (0.004, 0.002):
         yield from _along({0: (touch.at(-FAR), touch.at(depth), touch.way)}, 0.5)
         yield from _along({0: (touch.at(depth), touch.at(-FAR), touch.way)}, 0.5)

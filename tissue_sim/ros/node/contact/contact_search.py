@@ -10,7 +10,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.finder import MARGIN, ContactFinder, Sought, reach_margins, ways
-from tissue_sim.contact.organ_contact_finder import PairFinder
+from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.model.data.contact_set import Engaged
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
@@ -123,7 +123,7 @@ class ContactSearch:
         for body in np.flatnonzero(looked & (bodies.engaged == 0) & (bodies.resisted == 0)).tolist():
             if self.finder.is_inside(body, self._positions, places[body]):
                 engaged[body] = Engaged.HELD_OFF
-        self._tell_held_off(engaged, bodies)
+        self._report_inactive(engaged, bodies)
         releases = bodies.releases.copy()
         found = self.finder.find(self._positions, Sought(places.copy(), margins, engaged, now.pushing, releases))
         self._last_empty = found.header.points == 0 and bool(np.all(found.tip_node < 0))
@@ -134,7 +134,7 @@ class ContactSearch:
             self._recorder.contacts(sequence, (tick, int(results.status.tick)), found, rows)
         return True
 
-    def _tell_held_off(self, engaged: Longs, bodies: Any) -> None:
+    def _report_inactive(self, engaged: Longs, bodies: Any) -> None:
         """Notify ports of bodies that nothing resists: each time that one was outside before, stopped or was reset."""
         outside = engaged == Engaged.YES
         held_off = ~outside & ((engaged == Engaged.HELD_OFF) | bodies.held_off.astype(bool))
@@ -142,15 +142,15 @@ class ContactSearch:
         self._told[is_new] = bodies.releases[is_new]
         self._told[outside] = -1
         for port in {id(port): port for port, new in zip(self._port_of, is_new.tolist(), strict=True) if new}.values():
-            port.was_held_off(self._organ)
+            port.note_inactive(self._organ)
 
 
-class PairSearch:
+class OrganContactSearch:
     """Pairs where organs of a scene touch each other."""
 
     def __init__(self, organs: Organs, recorder: JoinedRecorder) -> None:
         self._organs, self._recorder = organs, recorder
-        self.finder = PairFinder([one.simulation.organ for one in organs.each])
+        self.finder = OrganContactFinder([one.simulation.organ for one in organs.each])
         self.unchanged_skips = 0
         self._positions = [np.zeros_like(one.simulation.organ.rest_positions) for one in organs.each]
         self._last_key: tuple[int, ...] = (0,)
@@ -174,6 +174,6 @@ class PairSearch:
         is_empty = bool(found.found[0] == 0)
         if not (is_empty and self._last_empty):
             with self._recorder.together:
-                self._recorder.pairs(self._organs.loop.post_pairs(found), ticks, found)
+                self._recorder.pairs(self._organs.loop.post_organ_contacts(found), ticks, found)
         self._last_empty = is_empty
         return True

@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tissue_sim.ros.node.contact.contact_search import ContactSearch, PairSearch, ToolsNow
+from tissue_sim.ros.node.contact.contact_search import ContactSearch, OrganContactSearch, ToolsNow
 from tissue_sim.ros.node.tools.tool_port import ToolPort
-from tissue_sim.ros.shared.report import Report, Trouble
+from tissue_sim.ros.shared.report import RepeatedFailure, Report
 
 BUSY_WAIT, IDLE_WAIT = 0.05, 0.5  # s without a new pose or force, after which a check for stale ones is due
 
@@ -21,7 +21,7 @@ class ContactWorker:
     def __init__(
         self,
         searches: Sequence[ContactSearch],
-        pairs: PairSearch | None,
+        pairs: OrganContactSearch | None,
         ports: Sequence[ToolPort],
         woken: threading.Event,
         warn: Callable[[str], None],
@@ -30,7 +30,7 @@ class ContactWorker:
         self.idle_skips = 0
         self.durations: list[float] = []
         self._searches, self._pairs, self._ports, self._woken = list(searches), pairs, list(ports), woken
-        self._trouble = Trouble("contact search", warn)
+        self._trouble = RepeatedFailure("contact search", warn)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="contact", daemon=True)
         self._idle = self._organs_move = False

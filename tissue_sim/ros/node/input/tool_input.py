@@ -19,7 +19,7 @@ from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import shown
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.input.freshness import Freshness
-from tissue_sim.ros.node.shared.backlog import Backlog, Turnstile
+from tissue_sim.ros.node.shared.backlog import Backlog, InputThrottle
 from tissue_sim.ros.node.shared.served_tool import NewestPose, ServedTool, turned
 from tissue_sim.ros.shared.cdr import UNSTAMPED, Stamped, check_force, check_position, unit_pose
 from tissue_sim.ros.shared.frames import Transform, UnknownFrame
@@ -78,7 +78,7 @@ class ToolInput:
     ) -> None:
         self._tool, self._organs, self._recorder = tool, organs, recorder
         self._pose_freshness, self._force_freshness = freshness
-        self._pose_gate, self._force_gate = Turnstile(backlog), Turnstile(backlog)
+        self._pose_gate, self._force_gate = InputThrottle(backlog), InputThrottle(backlog)
         self._pose_came, self._force_came = pose_came, force_came
         self._log, self._clock, self._count_publishers = node.get_logger(), node.get_clock(), node.count_publishers
         self.newest, self._angle = tool.nowhere, 0.0  # rad between a gripper's jaws

@@ -14,7 +14,7 @@ from visualization_msgs.msg import MarkerArray
 from tissue_sim.model.joined import Joined
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.output.ligaments import Ligaments
-from tissue_sim.ros.node.output.published_shapes import ShapesShown, Touches
+from tissue_sim.ros.node.output.published_shapes import PublishedShapes, Touches
 from tissue_sim.ros.node.shared.served_organ import ServedOrgan
 from tissue_sim.ros.node.tools.tool_port import ToolPort
 from tissue_sim.ros.shared.messages import CloudTemplate, inclusion_mesh, rest_mesh
@@ -26,7 +26,7 @@ from tissue_sim.ros.shared.report import Report
 REPEAT_AFTER = 0.5  # s after which an organ that stands still is published again
 
 
-class OrganPresenter:
+class OrganPublisher:
     """Publishers of one deformed organ. `present` is called at the marker rate."""
 
     def __init__(
@@ -46,7 +46,9 @@ class OrganPresenter:
         self._markers = node.create_publisher(MarkerArray, f"{below}/markers", LATCHED)
         self._surface = node.create_publisher(PointCloud2, f"{below}/surface", STREAM)
         self._skeleton = node.create_publisher(PointCloud2, f"{below}/skeleton", STREAM)
-        self._shown = ShapesShown(frame_id, {"": organ}, [served.physics], Touches(ports, served.physics), len(ports))
+        self._shown = PublishedShapes(
+            frame_id, {"": organ}, [served.physics], Touches(ports, served.physics), len(ports)
+        )
         self._surface_bytes = CloudTemplate(frame_id, organ.n_surface, ("x", "y", "z"))
         self._skeleton_bytes = CloudTemplate(frame_id, organ.n_atoms, ("x", "y", "z", "radius", "parent"))
         self._skeleton_bytes.points[:, 3] = organ.atom_radius
@@ -124,7 +126,7 @@ class OrganPresenter:
         return self._sequence.get(name) != sequence
 
 
-class ScenePresenter:
+class ScenePublisher:
     """Publisher of the markers of a scene's organs as one array, and of its ligaments, while somebody subscribes."""
 
     def __init__(
@@ -140,7 +142,7 @@ class ScenePresenter:
         self._values, self._clock = values, node.get_clock()
         self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
         named = {one.name: one.organ for one in served}
-        self._shown = ShapesShown(frame_id, named, organs.each, Touches(ports, organs), len(ports))
+        self._shown = PublishedShapes(frame_id, named, organs.each, Touches(ports, organs), len(ports))
         self._sent: tuple[object, ...] = ()
         self._had = 0
         self._ligaments: Ligaments | None = None

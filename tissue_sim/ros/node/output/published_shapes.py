@@ -16,7 +16,7 @@ from tissue_sim.ros.shared.appearance import FULL_DISPLACEMENT, FULL_FORCE, MOVI
 from tissue_sim.ros.shared.physics import Physics
 
 
-class Feels(Protocol):
+class ContactForces(Protocol):
     """An organ, or all of them."""
 
     def wrenches(self) -> tuple[int, Floats]:
@@ -26,7 +26,7 @@ class Feels(Protocol):
 class Touches:
     """Where tools are, and what they feel of one organ or of all."""
 
-    def __init__(self, ports: Sequence[ToolPort], felt_of: Feels) -> None:
+    def __init__(self, ports: Sequence[ToolPort], felt_of: ContactForces) -> None:
         self._ports, self._felt_of = list(ports), felt_of
         self._tips, self._felt = np.zeros((len(ports), 3)), np.zeros((len(ports), 6))
 
@@ -39,7 +39,7 @@ class Touches:
         return self._tips, self._felt
 
 
-class ShapesShown:
+class PublishedShapes:
     """Positions of organs, (n, 3) m, one after the other, and their MarkerArray as bytes.
 
     Parameters

@@ -15,7 +15,7 @@ from tissue_sim.ros.node.shared.backlog import Backlog
 from tissue_sim.ros.node.shared.sim_clock import SimClock
 from tissue_sim.ros.node.tools.tool_port import ToolPort
 from tissue_sim.ros.shared.organs import Organs
-from tissue_sim.ros.shared.report import Report, Trouble
+from tissue_sim.ros.shared.report import RepeatedFailure, Report
 
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
 IDLE_MARKER_RATE = 20.0  # Hz, of checks for motion while nothing moves
@@ -34,7 +34,7 @@ class Logger(Protocol):
         """Log something that needs attention."""
 
 
-class Outlet:
+class PublishingThread:
     """Thread of fading wrenches at the tick rate, markers at their rate, and the journal.
 
     Four times a second it checks whether machine and executor keep up, and every second it reports. Where one of these
@@ -74,9 +74,9 @@ class Outlet:
         self._organs, self._ports, self._show = organs, list(ports), list(show)
         self._live, self._sim_clock, self._tell, self._logger = live, sim_clock, tell, logger
         self._backlog = backlog
-        self._trouble = Trouble("outlet", logger.warning)
+        self._trouble = RepeatedFailure("outlet", logger.warning)
         self._load = TimingReader(organs)
-        self._ladder = degrade.Ladder()
+        self._ladder = degrade.DegradationLadder()
         self._seen: tuple[int, ...] = ()
         self._next_marker = self._next_look = self._next_report = self._next_return = 0.0
         self._stop = threading.Event()

@@ -22,7 +22,7 @@ from tissue_sim.ros.shared.qos import RELIABLE
 POSE_LASTS = 1.0  # s that a tool is shown without a new pose
 
 
-class ToolPresenter:
+class ToolPublisher:
     """Publisher of where the tools are, and what they feel of all organs."""
 
     def __init__(

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from std_srvs.srv import SetBool, Trigger
 
 from tissue_sim.errors import UserError
-from tissue_sim.ros.node.shared.deferred_service import LateService, Work
+from tissue_sim.ros.node.shared.deferred_service import DeferredService, Work
 from tissue_sim.ros.node.shared.guarded_node import GuardedNode
 from tissue_sim.ros.node.shared.sim_clock import SimClock
 from tissue_sim.ros.shared.loop import Loop
@@ -50,7 +50,7 @@ class Pausing:
         self._stepping = threading.Lock()
         clock.jumped.append(self._on_clock)
         node.create_service(SetBool, "~/pause", self._on_pause)
-        LateService(node, Trigger, "~/step", self._on_step)
+        DeferredService(node, Trigger, "~/step", self._on_step)
 
     @property
     def paused(self) -> bool:

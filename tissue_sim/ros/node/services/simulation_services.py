@@ -12,7 +12,7 @@ from tissue_sim.errors import UserError, shown
 from tissue_sim.ros.node.input.tool_input import Refused
 from tissue_sim.ros.node.services.entities import Entities, Placed, Sphere
 from tissue_sim.ros.node.services.pausing import BY_CLOCK, NEXT_TICK, Pausing, step_result
-from tissue_sim.ros.node.shared.deferred_service import LateService, Work
+from tissue_sim.ros.node.shared.deferred_service import DeferredService, Work
 from tissue_sim.ros.node.shared.guarded_node import GuardedNode
 from tissue_sim.ros.shared.frames import UnknownFrame
 from tissue_sim.ros.shared.loop import Loop
@@ -62,7 +62,7 @@ class SimulationServices:
         node.create_service(ResetSimulation, "~/reset_simulation", self._reset)
         node.create_service(SetEntityState, "~/set_entity_state", self._set_entity_state)
         node.create_service(SetSimulationState, "~/set_simulation_state", self._set_state)
-        LateService(node, StepSimulation, "~/step_simulation", self._step)
+        DeferredService(node, StepSimulation, "~/step_simulation", self._step)
 
     # the simulation ----------------------------------------------------------------------------
     def _get_features(self, _: Any, response: Any) -> Any:

@@ -65,7 +65,7 @@ def halvings(level: int) -> int:
     return max(0, level - RATE + 1)
 
 
-class Ladder:
+class DegradationLadder:
     """Decision on the level from one check to the next, without a clock or a node of its own.
 
     A step is taken after a second of uninterrupted strain, and back after ten seconds of wellness since the last

@@ -66,7 +66,7 @@ class Backlog:
             )
 
 
-class Turnstile:
+class InputThrottle:
     """Gate for the messages of one stream, as often as a backlog allows."""
 
     def __init__(self, backlog: Backlog) -> None:

@@ -15,7 +15,7 @@ from tissue_sim.ros.node.shared.guarded_node import GuardedNode, failed
 Work = Callable[[], None]  # fills in a response
 
 
-class LateService:
+class DeferredService:
     """Service whose `begin` is called with a request and its response by the executor.
 
     What it returns is done in a thread of its own before the response is sent; None: the response is complete.

@@ -7,7 +7,7 @@ from rclpy.node import Node
 from tissue_sim.ros.shared.report import Report
 
 
-class Namesakes:
+class DuplicateNodes:
     """Count of the nodes in the graph that have this one's name."""
 
     def __init__(self, node: Node) -> None:

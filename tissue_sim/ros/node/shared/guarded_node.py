@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 
-from tissue_sim.ros.shared.report import Mishaps
+from tissue_sim.ros.shared.report import UnexpectedErrors
 
 
 class GuardedNode(Node):
@@ -32,7 +32,7 @@ class GuardedNode(Node):
     """
 
     def __init__(self, name: str) -> None:
-        self.mishaps = Mishaps("callback", lambda line: self.get_logger().error(line))
+        self.mishaps = UnexpectedErrors("callback", lambda line: self.get_logger().error(line))
         self.remedies: dict[str, str] = {}
         self.decided: Callable[[Parameter], SetParametersResult | None] = lambda _: None
         super().__init__(name)
@@ -63,17 +63,17 @@ class GuardedNode(Node):
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **named: Any) -> Any:
         """Subscribe like rclpy, guarded; warn about publishers that offer less than it requests."""
-        tell = self.guarded(lambda event: self._tell_of_qos(topic, qos_profile, event, publishes=False))
+        tell = self.guarded(lambda event: self._report_qos(topic, qos_profile, event, publishes=False))
         named.setdefault("event_callbacks", SubscriptionEventCallbacks(incompatible_qos=tell))
         return super().create_subscription(msg_type, topic, self.guarded(callback), qos_profile, **named)
 
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **named: Any) -> Any:
         """Publish like rclpy; warn about subscribers that request more than it offers."""
-        tell = self.guarded(lambda event: self._tell_of_qos(topic, qos_profile, event, publishes=True))
+        tell = self.guarded(lambda event: self._report_qos(topic, qos_profile, event, publishes=True))
         named.setdefault("event_callbacks", PublisherEventCallbacks(incompatible_qos=tell))
         return super().create_publisher(msg_type, topic, qos_profile, **named)
 
-    def _tell_of_qos(self, topic: str, given: QoSProfile | int, event: Any, publishes: bool) -> None:
+    def _report_qos(self, topic: str, given: QoSProfile | int, event: Any, publishes: bool) -> None:
         """Warn about nodes whose QoS doesn't match, and say what helps."""
         own = QoSProfile(depth=given) if isinstance(given, int) else given
         name = self.resolve_topic_name(topic)

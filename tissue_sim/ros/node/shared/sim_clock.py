@@ -99,13 +99,13 @@ class SimClock:
             self._log.warning(
                 f"/clock jumped back by {-1e-9 * jump.delta.nanoseconds:.3f} s: the organ was reset to rest"
             )
-            self._begin_anew()
+            self._restart()
             self._loop.reset()
         self._loop.post_time(self._clock.now().nanoseconds)
 
     def _follow(self, active: bool) -> None:
         self.active = active
-        self._begin_anew()
+        self._restart()
         posted = self._clock.now().nanoseconds if active else 0
         self._waiting = active and posted == 0
         if self._waiting:
@@ -113,6 +113,6 @@ class SimClock:
         self._loop.post_time(posted)
         self._loop.follow_posted_time(active)
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         for tell in self.jumped:
             tell()

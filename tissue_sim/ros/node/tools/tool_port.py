@@ -176,7 +176,7 @@ class ToolPort:
             return "stale"
         return "held_off" if self._organs.hold_off(self.bodies) else "fresh"
 
-    def was_held_off(self, organ: str) -> None:
+    def note_inactive(self, organ: str) -> None:
         """Log that the tool appeared inside an organ, and is not resisted until it has been outside.
 
         Where that happens many times a second, as with poses that come more seldom than `stale_time`, one line covers
@@ -190,9 +190,9 @@ class ToolPort:
         with self._saying:
             self.held_off += 1
             self._unsaid.append(organ)
-        self._say_held_off()
+        self._log_inactive()
 
-    def _say_held_off(self) -> None:
+    def _log_inactive(self) -> None:
         """Log that the tool was held off since the last such line, at most once in SAY_EVERY."""
         with self._saying:
             now, organs = time.monotonic(), self._unsaid
@@ -229,7 +229,7 @@ class ToolPort:
         report : Report
             The report; updated.
         """
-        self._say_held_off()
+        self._log_inactive()
         own = report.part(f"tool {self.name}", f"{self.name}.")
         own.state = self.state()
         if own.state == "held_off":

@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from tissue_sim.ros.node.tools.tool_port import ToolPort
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.priority import prefer
-from tissue_sim.ros.shared.report import Report, Trouble
+from tissue_sim.ros.shared.report import RepeatedFailure, Report
 
 LONGEST = 0.05  # s between checks whether it is to end
 
 
-class Answers:
+class WrenchReplies:
     """Thread that publishes a tool's wrench once a tick has applied its pose; then contacts are found again.
 
     Parameters
@@ -32,7 +32,7 @@ class Answers:
         self, organs: Organs, ports: Sequence[ToolPort], woken: threading.Event, warn: Callable[[str], object]
     ) -> None:
         self._organs, self._ports, self._woken = organs, list(ports), woken
-        self._trouble = Trouble("answers", warn)
+        self._trouble = RepeatedFailure("answers", warn)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="answers", daemon=True)
 
