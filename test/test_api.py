@@ -174,7 +174,7 @@ NAN = float("nan")
         (lambda _: Scene(ball(), [Tool("left", radius=NAN)]), "tool 'left': radius nan m is outside 0.0005..0.5"),
         (
             lambda _: Organ.shipped("lung"),
-            "no organ 'lung' comes with this installation; make one with 'tissue_sim build'",
+            "organ 'lung' is not part of this installation; make one with 'tissue_sim build'",
         ),
         (lambda _: load_scene("nowhere.yaml"), "scene nowhere.yaml can't be read: No such file or directory"),
     ],
@@ -278,8 +278,8 @@ def test_a_mask_is_built_from_voxels():
         ((np.full((4, 3), NAN), [[0, 1, 2]]), {}, "points that are not finite"),
         ((np.zeros((4, 2)), [[0, 1, 2]]), {}, r"positions has shape \(4, 2\); wanted: numbers \(n, 3\)"),
         ((np.zeros((4, 3)), [[0.5, 1, 2]]), {}, "triangles must be whole numbers"),
-        ((np.eye(4, 3), [[0, 1, 7]]), {}, "a triangle names a point that isn't there"),
-        ((np.eye(4, 3), [[0, 1, 2]]), {"unit": "miles"}, "unit miles is not known"),
+        ((np.eye(4, 3), [[0, 1, 7]]), {}, "a triangle names a point that doesn't exist"),
+        ((np.eye(4, 3), [[0, 1, 2]]), {"unit": "miles"}, "unit miles is unknown"),
     ],
 )
 def test_what_build_refuses_it_says_in_one_line(source, options, message):

@@ -6,8 +6,8 @@ finger's pressure consists, are a foundation of springs under the contact points
 length. Across the normal it is softer by (2 - nu) / (2 (1 - nu)) (Mindlin 1949).
 
 A mesh yields less between its nodes than at them, and the force of a ball as large as an edge depends on its place; so
-tissue yields more there (`extra_compliance_between_nodes`). To shafts and jaws it yields less (`ComplianceLimits`), or it
-would slip from under their edges.
+tissue yields more there (`extra_compliance_between_nodes`). To shafts and jaws it yields less (`ComplianceLimits`), or
+it would slip from under their edges.
 """
 
 from __future__ import annotations

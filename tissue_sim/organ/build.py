@@ -19,6 +19,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.inclusions import Inclusion, check_stiffness
 from tissue_sim.organ.pipeline import organ_from_image, organ_from_mask, organ_from_mesh
+from tissue_sim.organ.refinement import Refinement
 from tissue_sim.organ.request import Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 
@@ -36,10 +37,10 @@ class BuildOptions(TypedDict, total=False):
 
     Of the organ: name; points of its surface; atoms, medial ones; branches, `auto` or `none`; interior atoms; organ,
     what it is, so that leaks are noticed; accept what can't be that organ; fixed nodes, `z<0.1` or indices (k,);
-    youngs_modulus Pa; poisson_ratio; density kg/m^3. Of a surface: length m of its longest side, instead of a unit;
-    keep_points. Of a mask: inclusions, how many times as stiff each further label is. Of both: part, merge_parts. Of an
-    image: series of a DICOM folder; seed_voxel (3,); segmentation, fields of SegmentationParameters. progress: where
-    the stages report.
+    youngs_modulus Pa; poisson_ratio; density kg/m^3; refinement, where edges are shorter. Of a surface: length m of its
+    longest side, instead of a unit; keep_points. Of a mask: inclusions, how many times as stiff each further label is.
+    Of both: part, merge_parts. Of an image: series of a DICOM folder; seed_voxel (3,); segmentation, fields of
+    SegmentationParameters. progress: where the stages report.
     """
 
     name: str
@@ -58,6 +59,7 @@ class BuildOptions(TypedDict, total=False):
     inclusions: Mapping[str, float]
     part: int | str | None
     merge_parts: bool
+    refinement: Refinement
     series: str | None
     seed_voxel: ArrayLike | None
     segmentation: Mapping[str, float]

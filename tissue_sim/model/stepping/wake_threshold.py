@@ -3,9 +3,9 @@
 Either would keep an organ awake whose shape it doesn't change visibly. So each tick bounds their effect on an organ:
 how far they bend it at most, which is the tension of each link times the compliance of its node plus the acceleration
 of the frame times the compliance to it, and with which force they pull. Where that is s times as much as
-WAKE_DISPLACEMENT and WAKE_FORCE allow, an organ that nothing else loads feels 1 - 1/s^2 of these loads, and none while s is below 1. The
-part that it lacks never exceeds these bounds, shrinks as the loads grow, and never jumps. An organ that a tool, a hand
-or another organ loads is awake anyway, and feels all of it.
+WAKE_DISPLACEMENT and WAKE_FORCE allow, an organ that nothing else loads feels 1 - 1/s^2 of these loads, and none while
+s is below 1. The part that it lacks never exceeds these bounds, shrinks as the loads grow, and never jumps. An organ
+that a tool, a hand or another organ loads is awake anyway, and feels all of it.
 """
 
 from __future__ import annotations

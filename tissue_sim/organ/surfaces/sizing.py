@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
-from tissue_sim.organ.surfaces.fitting import spread
 from tissue_sim.organ.surfaces.remesh import vertex_normals
 
 _CHUNK = 512  # points at once
@@ -38,6 +37,16 @@ def thickness(positions: Floats, triangles: Ints) -> Floats:
         with np.errstate(divide="ignore", invalid="ignore"):
             found[here] = np.where(other, square / depth, np.inf).min(axis=1)
     return found
+
+
+def spread(values: Floats, triangles: Ints, times: int) -> Floats:
+    """Return values (n,) at points, averaged `times` times over the triangles around them."""
+    n = len(values)
+    count = np.bincount(triangles.ravel(), minlength=n)
+    for _ in range(times):
+        mean = values[triangles].mean(axis=1)
+        values = np.bincount(triangles.ravel(), weights=np.repeat(mean, 3), minlength=n) / count
+    return values
 
 
 def relative_edges(positions: Floats, triangles: Ints) -> Floats:
