@@ -50,7 +50,7 @@ class Remote:
 def _script_hidden() -> Iterator[None]:
     """Keep a new process from running the user's script again: it needs none of it, and few scripts have a guard."""
     main = sys.modules["__main__"]
-    kept = {name: main.__dict__[name] for name in ("__file__", "__spec__") if name in main.__dict__}
+    kept: dict[str, Any] = {name: main.__dict__[name] for name in ("__file__", "__spec__") if name in main.__dict__}
     main.__dict__.pop("__file__", None)
     main.__spec__ = None
     try:
