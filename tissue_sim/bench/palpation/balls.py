@@ -109,6 +109,7 @@ def as_json(pressed: Sequence[Pressed], slid: Sequence[Slid]) -> dict[str, Any]:
                 "friction": one.friction,
                 "force_n": one.force,
                 "ripple_percent": one.ripple,
+                "carried_m": one.carried,
             }
             for one in slid
         ],
@@ -154,14 +155,13 @@ def text(found: dict[str, Any]) -> str:
             cells += [_signed(row[kind][what]) for what in ("worst_percent", "median_percent")]
             unsettled += row[kind]["unsettled"]
         table.append(cells)
-    slid = [["radius, edges", "friction", "force N", "ripple: worst", "median"]]
+    slid = [["radius, edges", "friction", "force N", "carried mm", "ripple: worst", "median"]]
     for radius, friction in dict.fromkeys((one["radius_edges"], one["friction"]) for one in found["slides"]):
         own = [one for one in found["slides"] if (one["radius_edges"], one["friction"]) == (radius, friction)]
         ripples = [one["ripple_percent"] for one in own]
-        force = float(np.median([one["force_n"] for one in own]))
-        slid.append(
-            [f"{radius:g}", f"{friction:g}", f"{force:.3f}", f"{max(ripples):.1f} %", f"{np.median(ripples):.1f} %"]
-        )
+        force, carried = (float(np.median([one[key] for one in own])) for key in ("force_n", "carried_m"))
+        cells = [f"{radius:g}", f"{friction:g}", f"{force:.3f}", f"{1e3 * carried:.1f}"]
+        slid.append([*cells, f"{max(ripples):.1f} %", f"{np.median(ripples):.1f} %"])
     deep = ", ".join(f"{depth:g}" for depth in DEPTHS)
     lines = [
         f"organ '{found['organ']}', mean edge {1e3 * edge:.2f} mm: balls that don't slip, {deep} radii deep at"
@@ -170,7 +170,8 @@ def text(found: dict[str, Any]) -> str:
         *aligned(table),
         *([f"finite elements found no rest {unsettled} times; these are left out"] if unsettled else []),
         "",
-        f"balls that slide {WAY:g} edges, {SLID_DEPTH:g} radii deep: half the force's range about a parabola",
+        f"balls that slide {WAY:g} edges, {SLID_DEPTH:g} radii deep: half the force's range about a parabola, and how"
+        " far they carry the surface along",
         "",
         *aligned(slid),
         "",
