@@ -22,9 +22,9 @@ def test_bounds_take_the_worst_of_their_radii_and_leave_out_what_did_not_settle(
     pressed = [pressed_of(radius, kind, -9.0, 1.0, 2.0) for radius in (0.5, 2.0) for kind in KINDS]
     pressed[-1].reference[1:] = np.nan
     slid = [
-        SlidingPress(0.5, 0, 0.6, 0.1, 30.0),
-        SlidingPress(2.0, 0, 0.6, 0.1, 4.0),
-        SlidingPress(2.0, 1, 0.6, 0.1, 6.0),
+        SlidingPress(0.5, 0, 0.6, 0.1, 30.0, 1e-3),
+        SlidingPress(2.0, 0, 0.6, 0.1, 4.0, 1e-3),
+        SlidingPress(2.0, 1, 0.6, 0.1, 6.0, 1e-3),
     ]
     found = as_json(pressed, slid)
     assert [bound["met"] for bound in found["bounds"]] == [False, True, False]

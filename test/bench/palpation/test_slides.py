@@ -40,3 +40,11 @@ def test_a_ball_that_slides_feels_more_of_the_mesh_when_tissue_gives_way_as_to_j
     (poor,) = slides.slides(organ, [SMALL], places)
     assert 0.0 < good.force < poor.force
     assert poor.ripple > 1.2 * good.ripple
+
+
+def test_friction_carries_the_surface_along(organ, places, monkeypatch):
+    monkeypatch.setattr(slides, "SLIDING", 0.03)
+    held, free = slides.slides(organ, [1.0], places)
+    assert held.friction > free.friction == 0.0
+    assert free.carried < 0.3 * held.carried
+    assert 1e-4 < held.carried < mean_edge(organ)

@@ -130,6 +130,7 @@ def as_json(pressed: Sequence[Pressed], slid: Sequence[SlidingPress]) -> dict[st
                 "friction": one.friction,
                 "force_n": one.force,
                 "ripple_percent": one.ripple,
+                "carried_m": one.carried,
             }
             for one in slid
         ],
@@ -175,14 +176,13 @@ def text(found: dict[str, Any]) -> str:
             cells += [_signed(row[kind][what]) for what in ("worst_percent", "median_percent")]
             unsettled += row[kind]["unsettled"]
         table.append(cells)
-    slid = [["radius, edges", "friction", "force N", "ripple: worst", "median"]]
+    slid = [["radius, edges", "friction", "force N", "carried mm", "ripple: worst", "median"]]
     for radius, friction in dict.fromkeys((one["radius_edges"], one["friction"]) for one in found["slides"]):
         own = [one for one in found["slides"] if (one["radius_edges"], one["friction"]) == (radius, friction)]
         ripples = [one["ripple_percent"] for one in own]
-        force = float(np.median([one["force_n"] for one in own]))
-        slid.append(
-            [f"{radius:g}", f"{friction:g}", f"{force:.3f}", f"{max(ripples):.1f} %", f"{np.median(ripples):.1f} %"]
-        )
+        force, carried = (float(np.median([one[key] for one in own])) for key in ("force_n", "carried_m"))
+        cells = [f"{radius:g}", f"{friction:g}", f"{force:.3f}", f"{1e3 * carried:.1f}"]
+        slid.append([*cells, f"{max(ripples):.1f} %", f"{np.median(ripples):.1f} %"])
     deep = ", ".join(f"{depth:g}" for depth in DEPTHS)
     lines = [
         f"organ '{found['organ']}', mean edge {1e3 * edge:.2f} mm: spheres without slip, {deep} radii deep at"
@@ -191,7 +191,8 @@ def text(found: dict[str, Any]) -> str:
         *aligned(table),
         *([f"the finite elements did not converge {unsettled} times; these are excluded"] if unsettled else []),
         "",
-        f"spheres that slide {WAY:g} edges, {SLID_DEPTH:g} radii deep: half the force's range about a parabola",
+        f"spheres that slide {WAY:g} edges, {SLID_DEPTH:g} radii deep: half the force's range about a parabola, and how"
+        " far they carry the surface along",
         "",
         *aligned(slid),
         "",

@@ -1,4 +1,9 @@
-"""Balls that slide over an organ at constant depth: the ripple of their force is what a hand feels of the mesh."""
+"""Balls that slide over an organ at constant depth: the ripple of their force is what a hand feels of the mesh.
+
+A ball keeps its depth in the facets where they lie at rest. Friction carries these along, and then it lies too deep
+over one facet and not deep enough over the next: with friction a ripple is a shape's, too, and finer meshes of the same
+facets have it.
+"""
 
 from __future__ import annotations
 
@@ -26,13 +31,14 @@ KNOTS, ROUNDS = 25, 4  # of a track on an edge; of finding its distance
 
 
 class SlidingPress(NamedTuple):
-    """Results of a sliding ball: radius in mean edges, mean force along the normal, N, and its ripple, % of that."""
+    """Results of a ball that slides over a point."""
 
-    radius: float
+    radius: float  # mean edges
     place: int
     friction: float
-    force: float
-    ripple: float
+    force: float  # N, along the normal, in the mean
+    ripple: float  # % of that
+    carried: float  # m, by which the surface is carried along
 
 
 class Track(NamedTuple):
@@ -83,13 +89,24 @@ def slides(organ: Organ, radii: Sequence[float], places: Sequence[Sequence[Press
             for friction in FRICTIONS:
                 scene = ball(organ, radius * edge, friction)
                 for spots in places:
-                    force = slid_force(scene, track_over(organ, spots[-1], radius * edge))
-                    yield SlidingPress(radius, spots[-1].place, friction, float(force.mean()), ripple(force))
+                    over = spots[-1]
+                    found = slide(scene, track_over(organ, over, radius * edge))
+                    carried = float(np.linalg.norm(found.carried - (found.carried @ over.way) * over.way))
+                    yield SlidingPress(
+                        radius, over.place, friction, float(found.force.mean()), ripple(found.force), carried
+                    )
                     under_way.advance()
 
 
-def slid_force(scene: Scene, track: Track) -> Floats:
-    """Return the force along the normal (k,) N at each tick after the run-in of a slide on a track."""
+class Slide(NamedTuple):
+    """What is found after the run-in of a slide on a track."""
+
+    force: Floats  # (k,) N along the normal, at each tick
+    carried: Floats  # (3,) m, by which the tissue that touches is displaced, in the mean of its force
+
+
+def slide(scene: Scene, track: Track) -> Slide:
+    """Let a ball enter, and slide on a track."""
     scene.reset()
     tick, (begin, end) = scene.simulation.settings.tick_time, track.along[[0, -1]]
 
@@ -105,8 +122,24 @@ def slid_force(scene: Scene, track: Track) -> Floats:
     for _ in range(round(PAUSE / tick)):
         felt(first, normal)
     along = np.linspace(begin, end, max(2, round((end - begin) / (SLIDING * tick))))
-    force = np.array([felt(*one) for one in zip(*track.at(along), strict=True)])
-    return np.asarray(force[along >= begin + RUN_IN / (RUN_IN + WAY) * (end - begin)])
+    force, carried = [], []
+    for place, one in zip(along, zip(*track.at(along), strict=True), strict=True):
+        now = felt(*one)
+        if place >= begin + RUN_IN / (RUN_IN + WAY) * (end - begin):
+            force.append(now)
+            carried.append(displaced(scene))
+    return Slide(np.array(force), np.mean(carried, axis=0))
+
+
+def displaced(scene: Scene) -> Floats:
+    """Return how far the tissue that touches the ball is from rest, (3,) m, in the mean of its force."""
+    simulation = scene.simulation
+    contacts = simulation.state.contacts
+    points = contacts.header.points
+    pressed = simulation.state.contact_pressed[0, :points]
+    moved = (simulation.positions - simulation.model.rest)[contacts.node[:points]]
+    whole = np.einsum("k,kc,kcx->x", pressed, contacts.weight[:points], moved)
+    return np.asarray(whole / max(float(pressed.sum()), np.finfo(np.float64).tiny))
 
 
 def ripple(force: Floats) -> float:
