@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Longs
-from tissue_sim.model.runtime.mailboxes import JOURNAL_ROWS
 from tissue_sim.model.stepping.breathing import Breath
 from tissue_sim.model.stepping.organ_contact import OrganContactSet, used_words
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bag_messages import BagMessages
 from tissue_sim.ros.shared.loop import Loop
+from tissue_sim.ros.shared.physics import unread_rows
 
 
 class JoinedRecorder:
@@ -108,7 +108,7 @@ class JoinedRecorder:
         if self._joined.alone:
             return {}
         written = int(self._box.journal_written[0])
-        chosen = np.arange(max(self._read, written - JOURNAL_ROWS + 64), written) % JOURNAL_ROWS
+        chosen = unread_rows(self._read, written)
         self._read = written
         noted, self._notes = self._notes, []
         shares, self._shares = self._shares, []

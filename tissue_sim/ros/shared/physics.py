@@ -20,6 +20,11 @@ from tissue_sim.ros.shared.loop import Loop
 LONGEST = 0.1  # s that a wrench may be published again without a new one
 
 
+def unread_rows(read: int, written: int) -> Longs:
+    """Return the places (k,) of a journal's rows from number `read` on, without those that the loop may overwrite."""
+    return np.arange(max(read, written - mb.JOURNAL_ROWS + 64), written) % mb.JOURNAL_ROWS
+
+
 class Physics:
     """One organ of a running loop; methods may be called from any one thread each.
 
@@ -228,6 +233,6 @@ class Physics:
     def journal(self) -> tuple[Any, Any]:
         """Return what ticks applied since the last call: (k,) of JournalRow, and (k, T) of BodyInputs."""
         written = int(self.box.journal_written[0])
-        chosen = np.arange(max(self._journal_read, written - mb.JOURNAL_ROWS + 64), written) % mb.JOURNAL_ROWS
+        chosen = unread_rows(self._journal_read, written)
         self._journal_read = written
         return self.box.journal[chosen], self.box.journal_inputs[chosen]
