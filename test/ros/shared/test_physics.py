@@ -8,9 +8,9 @@ import pytest
 from helpers.scenes import ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.together import Joined
+from tissue_sim.model.mailboxes import JOURNAL_ROWS
 from tissue_sim.ros.shared.loop import Loop
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.physics import Physics, unread_rows
 
 
 def test_contact_forces_are_of_whole_ticks():
@@ -23,7 +23,7 @@ def test_contact_forces_are_of_whole_ticks():
         scene.move(0, top + (0.0, 0.0, height))
         scene.step()
     held = np.append(top + (0.0, 0.0, 0.003), (0.0, 0.0, 0.0, 1.0))
-    physics = Physics(Loop(Joined([scene.simulation])))
+    physics = Physics(Loop(scene.joined))
     physics.post_contacts(scene.contacts)
     physics.post_pose(0, held)
     physics.loop.start()
@@ -39,3 +39,10 @@ def test_contact_forces_are_of_whole_ticks():
     finally:
         physics.loop.stop()
     assert wrenches[0, 2] > 0.01, "N, in the hand"
+
+
+def test_rows_of_a_journal_are_read_once_and_none_that_the_loop_may_write_meanwhile():
+    assert unread_rows(3, 7).tolist() == [3, 4, 5, 6]
+    assert len(unread_rows(7, 7)) == 0
+    late = unread_rows(10, 2 * JOURNAL_ROWS)
+    assert (len(late), late[0], late[-1]) == (JOURNAL_ROWS - 64, 64, JOURNAL_ROWS - 1)

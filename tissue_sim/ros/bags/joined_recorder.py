@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Longs
 from tissue_sim.model.breathing import Breath
-from tissue_sim.model.mailboxes import JOURNAL_ROWS
 from tissue_sim.model.pairs import PairSet, used_words
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bag_messages import BagMessages
 from tissue_sim.ros.shared.loop import Loop
+from tissue_sim.ros.shared.physics import unread_rows
 
 
 class JoinedRecorder:
@@ -85,7 +85,7 @@ class JoinedRecorder:
         if self._joined.alone:
             return {}
         written = int(self._box.journal_written[0])
-        chosen = np.arange(max(self._read, written - JOURNAL_ROWS + 64), written) % JOURNAL_ROWS
+        chosen = unread_rows(self._read, written)
         self._read = written
         noted, self._notes = self._notes, []
         shares, self._shares = self._shares, []

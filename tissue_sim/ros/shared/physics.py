@@ -20,6 +20,11 @@ from tissue_sim.ros.shared.loop import Loop
 LONGEST = 0.1  # s that a wrench may go out without a new one, however late a tool's poses may come
 
 
+def unread_rows(read: int, written: int) -> Longs:
+    """Return the places (k,) of a journal's rows from number `read` on, without those that the loop may overwrite."""
+    return np.arange(max(read, written - mb.JOURNAL_ROWS + 64), written) % mb.JOURNAL_ROWS
+
+
 class Physics:
     """One organ of a running loop. Methods may be called from any one thread each.
 
@@ -165,6 +170,6 @@ class Physics:
     def journal(self) -> tuple[Any, Any]:
         """What ticks took up since the last call: (k,) of JournalRow, and (k, T) of BodyInputs."""
         written = int(self.box.journal_written[0])
-        chosen = np.arange(max(self._journal_read, written - mb.JOURNAL_ROWS + 64), written) % mb.JOURNAL_ROWS
+        chosen = unread_rows(self._journal_read, written)
         self._journal_read = written
         return self.box.journal[chosen], self.box.journal_inputs[chosen]
