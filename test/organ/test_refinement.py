@@ -18,8 +18,7 @@ from tissue_sim.organ.refinement import (
     wanted_edges,
 )
 from tissue_sim.organ.surfaces.balloon import fibonacci_sphere
-from tissue_sim.organ.surfaces.grading import GROWTH
-from tissue_sim.organ.surfaces.sizing import local_edges
+from tissue_sim.organ.surfaces.sizing import GROWTH, local_edges
 
 POSITIONS, TRIANGLES = fibonacci_sphere(1500)
 POSITIONS *= [0.05, 0.05, 0.01]  # m: a flat organ

@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissue_sim.array_types import Floats
+from tissue_sim.calibration.coarseness import coarseness
 from tissue_sim.commands.build_inclusions import parse_inclusions, surrounded
 from tissue_sim.commands.build_refine import HELP as REFINE_HELP
 from tissue_sim.commands.build_refine import parse_refine
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import STAGES, Progress
-from tissue_sim.organ.fineness import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, mean_edge
+from tissue_sim.organ.fineness import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, usual_edge
 from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.making import MOST_ATOMS, SPARSE, Request, organ_from_image, organ_from_mask, organ_from_mesh
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
@@ -170,7 +171,7 @@ def _run(args: argparse.Namespace) -> int:
 
             with progress.stage("report"):
                 write_report(progress.record, report, organ_file=out.name)
-    n, edge = organ.n_surface, 1e3 * mean_edge(organ)
+    n, edge = organ.n_surface, 1e3 * usual_edge(organ)
     print(
         f"{out}: {name}, {organ.volume * 1e6:.1f} mL, {n} points, {len(organ.surface_triangles)} triangles,"
         f" {organ.n_atoms} atoms, {len(organ.fixed)} held, {time.perf_counter() - started:.1f} s"
@@ -179,6 +180,9 @@ def _run(args: argparse.Namespace) -> int:
         f"{out}: fine enough for balls from {FINE * edge:.2g} mm radius ({FINE_WITHIN:g} % off, once calibrated),"
         f" {FAIR * edge:.2g} mm ({FAIR_WITHIN:g} %); more --points for smaller ones"
     )
+    coarse = coarseness(organ)
+    if coarse is not None:
+        print(f"warning: too coarse to be calibrated: {coarse}")
     if report:
         print(f"{report}: report")
     return 0

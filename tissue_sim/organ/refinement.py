@@ -12,8 +12,7 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.fineness import relative_size
 from tissue_sim.organ.organ import signed_volume
-from tissue_sim.organ.surfaces.grading import GROWTH, Wanted
-from tissue_sim.organ.surfaces.sizing import local_edges, thickness
+from tissue_sim.organ.surfaces.sizing import GROWTH, Wanted, local_edges, thickness
 
 if TYPE_CHECKING:
     from tissue_sim.organ.imaging.image import Volume

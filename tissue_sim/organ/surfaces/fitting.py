@@ -11,6 +11,7 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.organ.surfaces.remesh import flip_edges, relax, relax_sized, transport, transport_sized, vertex_normals
 from tissue_sim.organ.surfaces.resample import thicken, thin_out
+from tissue_sim.organ.surfaces.sizing import spread
 from tissue_sim.organ.surfaces.surface import Wall, corner_angles, intersecting_pairs
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 
@@ -164,16 +165,6 @@ def refine(positions: Floats, triangles: Ints, size: Floats, wall: Wall, referen
         flip(positions, triangles)
         relax_sized(positions, triangles, 0.4, size)
         positions[:] = wall.project(positions, 1)
-
-
-def spread(values: Floats, triangles: Ints, times: int) -> Floats:
-    """Values (n,) at points, averaged `times` times over the triangles around them."""
-    n = len(values)
-    count = np.bincount(triangles.ravel(), minlength=n)
-    for _ in range(times):
-        mean = values[triangles].mean(axis=1)
-        values = np.bincount(triangles.ravel(), weights=np.repeat(mean, 3), minlength=n) / count
-    return values
 
 
 def bring_to(positions: Floats, triangles: Ints, wall: Wall, points: int) -> tuple[Floats, Ints] | None:

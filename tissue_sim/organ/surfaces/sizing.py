@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
-from tissue_sim.organ.surfaces.fitting import spread
 from tissue_sim.organ.surfaces.remesh import vertex_normals
 
+Wanted = Callable[[Floats], Floats]  # edge lengths (n,) wanted at points (n, 3), in their unit
+
+GROWTH = 0.3  # an edge may be longer than another by at most so much of the distance between them
 _CHUNK = 512  # points at once
 _EVEN = 2.0  # between the longest and the shortest twentieth of the edges, smoothed: more, and a surface is graded
 
@@ -38,6 +42,16 @@ def thickness(positions: Floats, triangles: Ints) -> Floats:
         with np.errstate(divide="ignore", invalid="ignore"):
             found[here] = np.where(other, square / depth, np.inf).min(axis=1)
     return found
+
+
+def spread(values: Floats, triangles: Ints, times: int) -> Floats:
+    """Values (n,) at points, averaged `times` times over the triangles around them."""
+    n = len(values)
+    count = np.bincount(triangles.ravel(), minlength=n)
+    for _ in range(times):
+        mean = values[triangles].mean(axis=1)
+        values = np.bincount(triangles.ravel(), weights=np.repeat(mean, 3), minlength=n) / count
+    return values
 
 
 def relative_edges(positions: Floats, triangles: Ints) -> Floats:
