@@ -228,7 +228,7 @@ def test_a_surface_is_built_from_arrays_and_repairs_are_warned_of(built):
     organ, heard = built
     np.testing.assert_allclose(organ.surface_positions, egg().vertices)
     assert organ.volume > 0.0
-    assert any("turned inward triangles outward" in line for line in heard)
+    assert any("flipped inward triangles" in line for line in heard)
     assert organ.name == "egg"
     assert organ.fixed.tolist() == list(range(10))
     assert organ.provenance["fixed"] == "10 nodes"

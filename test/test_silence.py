@@ -61,7 +61,7 @@ def files(tmp_path, monkeypatch):
 COMMANDS = {
     "build: before anything is read": (
         "build --surface ball.stl --unit mm --out o.npz",
-        "commands.build.organ_from_mesh",
+        "organ.build.organ_from_mesh",
     ),
     "build: the report": (
         "build --surface ball.stl --unit mm --out o.npz --report",
@@ -91,7 +91,7 @@ def test_a_line_comes_while_a_command_works(name, clock, files, monkeypatch, cap
         return timing._measured(progress.name_of_all(), function, given)[0]
 
     monkeypatch.setattr("tissue_sim.bench.tick_times.in_one_thread", within)
-    monkeypatch.setattr("tissue_sim.commands.build.organ_from_mesh", lambda *_, **__: ball(2))
+    monkeypatch.setattr("tissue_sim.organ.build.organ_from_mesh", lambda *_, **__: ball(2))
     owner, _, attribute = slowed.rpartition(".")
     monkeypatch.setattr(found(owner), attribute, work)
     main(words.split())

@@ -140,7 +140,7 @@ def test_a_wrong_force_moves_the_figure():
     lost = as_json([one((1.0, 0.0, 0.0)), one((0.1, 0.0, 0.0))])
     assert lost["all"]["lost"] == 1
     assert [bound["met"] for bound in lost["bounds"]] == [False, True]
-    assert "lost: kidney, sphere, 5 mm, 0.8 m/s, 500 Hz: 0.100 N instead of 1.000 N" in text(lost)
+    assert "failed: kidney, sphere, 5 mm, 0.8 m/s, 500 Hz: 0.100 N instead of 1.000 N" in text(lost)
 
 
 def test_the_force_is_that_of_the_end_however_few_wrenches_come():

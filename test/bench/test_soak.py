@@ -49,9 +49,9 @@ def test_each_figure_has_its_bound():
         return [bound["name"] for bound in as_json(good._replace(**changed))["bounds"] if not bound["met"]]
 
     assert missed() == []
-    assert missed(drift=1e-3) == ["drift of the shape at rest"]
+    assert missed(drift=1e-3) == ["drift of the rest shape"]
     assert missed(clamp=1.0) == ["highest force"]
-    assert missed(bag=bag._replace(missing=1)) == ["messages that the bag lacks"]
+    assert missed(bag=bag._replace(missing=1)) == ["messages missing from the bag"]
     assert missed(problems={"faults": 2}) == ["problems in the diagnostics"]
     assert missed(repeats=False) == ["replay that does not repeat"]
     late = [one._replace(late=10 * one.ticks // 1000) for one in samples]

@@ -160,7 +160,7 @@ def test_quarter_points_do_the_work_of_halvings(monkeypatch):
 
 @pytest.mark.parametrize("tissue", [{"poisson_ratio": 0.5}, {"youngs_modulus": 0.0}, {"density": float("nan")}])
 def test_tissue_that_is_no_solid_is_named(tissue):
-    with pytest.raises(UserError, match=r"'ball'.*is none"):
+    with pytest.raises(UserError, match=r"'ball'.*is not possible"):
         Body(replace(ball(1), **tissue))
 
 

@@ -92,7 +92,7 @@ def test_impossible_counts_are_refused():
     surface, triangles, atoms = parts(ball())
     with pytest.raises(UserError, match="--interior -1 is negative"):
         distribute_interior_atoms(surface, triangles, atoms, -1)
-    with pytest.raises(UserError, match=r"--interior 100000 is too many.*room for \d+"):
+    with pytest.raises(UserError, match=r"--interior 100000 is too many.*largest number is \d+"):
         distribute_interior_atoms(surface, triangles, atoms, 100_000)
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import tempfile
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 from typing import TypedDict, Unpack
 
 from tissue_sim.calibration import calibrate as calibration
 from tissue_sim.calibration.checkpoint import Checkpoint
+from tissue_sim.calibration.coarseness import coarseness
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
@@ -71,6 +73,8 @@ def calibrate(
         raise TypeError(f"calibrate() got an unexpected keyword argument '{unknown[0]}'")
     settings = Settings(**options)
     given = organ if isinstance(organ, Organ) else Organ.load(organ)
+    if coarse := coarseness(given):
+        warnings.warn(coarse, stacklevel=2)
     inputs = {"organ": given.digest(), "version": __version__, **asdict(settings)}
     with tempfile.TemporaryDirectory() as folder:
         kept = Checkpoint(Path(checkpoint or folder), inputs)

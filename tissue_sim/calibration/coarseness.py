@@ -36,14 +36,16 @@ class Coarse(NamedTuple):
 
 
 def check_coarseness(organ: Organ) -> None:
-    """Raise UserError, with what to build the organ with, where its triangles are too large to be calibrated."""
-    text = coarseness(organ)
-    if text is not None:
-        raise UserError(text)
+    """Raise UserError, with what to build the organ with, where it is too thin for its triangles to be calibrated.
+
+    Large triangles at thin rims or beside the clamp cost accuracy there: `coarseness` says so, and callers warn.
+    """
+    if _in_thin_tissue(organ) is not None:
+        raise UserError(str(coarseness(organ)))
 
 
 def coarseness(organ: Organ) -> str | None:
-    """Return why an organ's triangles are too large to be calibrated, and what helps; None where they aren't."""
+    """Return why an organ's triangles are too large to be calibrated well, and what helps; None where they aren't."""
     found = [one for one in (_in_thin_tissue(organ), _at_thin_rims(organ), _beside_clamp(organ)) if one is not None]
     if not found:
         return None
@@ -104,7 +106,7 @@ def _beside_clamp(organ: Organ) -> Coarse | None:
     near = edges / apart >= worst
     return Coarse(
         f"has triangles with edges of {1e3 * float(np.median(edges[near])):.1f} mm at"
-        f" {1e3 * float(np.median(apart[near])):.1f} mm from its clamp, too coarse for loads there",
+        f" {1e3 * float(np.median(apart[near])):.1f} mm from its clamp, too coarse for accurate loads there",
         worst / ROOM_BESIDE,
     )
 

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.array_types import Floats
-from tissue_sim.calibration.coarseness import coarseness
 from tissue_sim.commands.build_inclusions import parse_inclusions
 from tissue_sim.commands.build_refine import HELP as REFINE_HELP
 from tissue_sim.commands.build_refine import parse_refine
@@ -199,9 +198,11 @@ def _run(args: argparse.Namespace) -> int:
         f"{out}: resolves spheres with a radius of at least {FINE * edge:.2g} mm (error {FINE_WITHIN:g} % after"
         f" calibration) or {FAIR * edge:.2g} mm ({FAIR_WITHIN:g} %); use more --points for smaller ones"
     )
+    from tissue_sim.calibration.coarseness import coarseness  # needs the image libraries
+
     coarse = coarseness(organ)
     if coarse is not None:
-        print(f"warning: too coarse to be calibrated: {coarse}")
+        print(f"warning: too coarse to be calibrated well: {coarse}")
     if report:
         print(f"{report}: report")
     return 0

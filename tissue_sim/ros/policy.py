@@ -124,7 +124,7 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
             f"{namespace}/haptic_bridge",
             [f"{namespace}/haptic_bridge", f"{namespace}/haptic_bridge_parameters"],
             [*poses, *forces],
-            [*wrenches, *_of_organs(own, values, "mesh")],
+            [*wrenches, *_of_organs(own, values, "mesh"), "/diagnostics"],
             (),
             [f"{own}/get_parameters"],
         ),

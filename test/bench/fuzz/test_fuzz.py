@@ -125,7 +125,7 @@ def test_case_follows_from_its_numbers_alone(tmp_path, kind):
         (["--files", "0"], r"--files 0 is outside"),
         (["--scenes", "0"], r"--scenes 0 is outside"),
         (["--seed", "-1"], r"--seed -1 is negative"),
-        (["--scenes", "3", "--kinds", "organ"], r"--kinds organ takes --files"),
+        (["--scenes", "3", "--kinds", "organ"], r"--kinds organ needs --files"),
         (["--jobs", "0"], r"--jobs 0"),
         (["--from", "-1"], r"--from -1 is outside"),
         (["--scenes", "3", "--from", "3"], r"--from 3 is beyond the last case, 2"),

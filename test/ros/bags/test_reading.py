@@ -51,7 +51,7 @@ def test_a_bag_prints_what_it_holds(bag):
     lines = repr(bag).splitlines()
     assert lines[0].startswith(f"<Bag {BAGS / 'gripper'}: 3.065 s from 1000 ticks a second")
     assert len(lines) == 1 + len(bag)
-    assert lines[-1].split() == ["small", "kidney/surface", "(12,", "194,", "3)", "m>"]
+    assert lines[-1].split() == ["small", "kidney/surface", "(13,", "194,", "3)", "m>"]
     assert repr(bag["left/force"]).startswith("<Series left/force: (")
 
 

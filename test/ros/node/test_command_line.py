@@ -167,10 +167,10 @@ WRONG_WORDS = {
 }
 STARTS = """
 import os, sys
-from tissue_sim.ros.shared.shutdown_handler import Ending
+from tissue_sim.ros.shared.shutdown_handler import ShutdownHandler
 from tissue_sim.ros.node.serve import serve
 
-ending = Ending()
+ending = ShutdownHandler()
 codes = [serve(["tissue_node", *words.split()], ending) for words in sys.argv[1:]]
 os.environ["ROS_DOMAIN_ID"] = "300"
 codes += [serve(["tissue_node"], ending), serve(["tissue_node", "--version"], ending)]

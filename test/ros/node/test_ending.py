@@ -13,9 +13,9 @@ from tissue_sim.ros.node import serve
 
 IN_A_CALLBACK = """
 import ctypes, os, signal, time
-from tissue_sim.ros.shared.shutdown_handler import Ending
+from tissue_sim.ros.shared.shutdown_handler import ShutdownHandler
 
-ending = Ending()
+ending = ShutdownHandler()
 
 @ctypes.CFUNCTYPE(None)
 def called_from_c():
@@ -55,9 +55,9 @@ def test_other_errors_there_are_still_shown():
 
 WHERE_THE_EVENT_IS_LOCKED = """
 import os, signal, sys, time
-from tissue_sim.ros.shared.shutdown_handler import Ending
+from tissue_sim.ros.shared.shutdown_handler import ShutdownHandler
 
-ending = Ending()
+ending = ShutdownHandler()
 ending.closes()
 with ending.asked._cond:
     os.kill(os.getpid(), signal.SIGINT)

@@ -334,10 +334,10 @@ REFUSED_STARTS = {
 # Nodes that never come up, one after the other in a process: to start one for each would take half a minute.
 STARTS = """
 import sys
-from tissue_sim.ros.shared.shutdown_handler import Ending
+from tissue_sim.ros.shared.shutdown_handler import ShutdownHandler
 from tissue_sim.ros.node.serve import serve
 
-ending = Ending()
+ending = ShutdownHandler()
 for parameter in sys.argv[1:]:
     print("start", parameter, flush=True)
     words = [word for one in parameter.split(" -p ") for word in ("-p", one)]

@@ -86,8 +86,8 @@ def test_forces_fade_on_although_pictures_fail(scene):
     turns = scene.output.turns
     wait_for(lambda: scene.output.turns > turns + 50)
     lines = [
-        "outlet failed: ValueError: it lies 1e+09 m away; positions are in metres",
-        "outlet failed: ValueError: it is 1e+12 N; forces are in newtons",
+        "outlet failed: ValueError: its position is 1e+09 m away; positions are in metres",
+        "outlet failed: ValueError: its force is 1e+12 N; forces are in newtons",
     ]
     assert [line.partition(" (")[0] for line in scene.told[-1].failures] == lines
     assert scene.told[-1].problems["outlet_failures"] > scene.told[0].problems["outlet_failures"] >= 1
