@@ -1,70 +1,94 @@
-"""What the finite-element body has to say, worked out in a process of its own while the fit goes on."""
+"""What the finite-element body has to say, worked out in a process of its own while the fit goes on.
+
+Once the fit has nothing left to do but to wait, it settles loads, too: both cores are then in use until the last one.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
+from threading import Condition
 
 import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import Cases
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
-from tissue_sim.calibration.dynamics import release
+from tissue_sim.calibration.dynamics import lowest_frequencies, release
 from tissue_sim.calibration.fem import Body, Settled
+from tissue_sim.calibration.inertia import MODES
 from tissue_sim.calibration.judge import RELEASE_STEP, RELEASE_TIME, Answer
 from tissue_sim.calibration.remote import Remote
 from tissue_sim.organ.organ import Organ
 
 Poke = tuple[Floats, int]  # forces (n_surface, 3) N that a release begins with, and the node that is followed
+GROUP = 10  # cases that settle together, by whichever process is free
 
 
 class Reference:
-    """Settles cases from now on, then lets go of one.
+    """The finite-element body of an organ, in a process of its own, and what is to be asked of it, in turn.
 
+    held_out: loads (c, n_surface, 3) N whose linear answers are wanted, with the lowest frequencies; from now on.
     What is whole is kept in the checkpoint. Not case by case: what a case comes to depends, to rounding, on those that
-    settle in step with it. poke: chooses the load that is let go from the answers; rate: damping, 1/s.
+    settle in step with it. These are a fixed group, so that it is the same bits whichever process settles them.
     """
 
-    def __init__(
-        self, organ: Organ, checkpoint: Checkpoint, cases: Cases, poke: Callable[[Answer], Poke], rate: float
-    ) -> None:
-        self._organ, self._cases, self._poke, self._rate = organ, cases, poke, rate
-        self._settled = 0
+    def __init__(self, organ: Organ, checkpoint: Checkpoint, held_out: Floats) -> None:
+        self._organ, self._checkpoint = organ, checkpoint
+        self._groups: deque[slice] = deque()
         self._remote: Remote | None = None
         self._stopped = False
+        self._changed = Condition()
         self._thread = ThreadPoolExecutor(1, "finite elements")
+        self._linear = self._kept("linear-held-out", lambda: self._body().call("linear", held_out))
 
-        def kept(name: str, make: Callable[[], Arrays]) -> Future[Arrays]:
-            return self._thread.submit(checkpoint.remember, name, make)
-
-        self._answer, self._motion = kept("held-out", self._settle), kept("release", self._release)
+    def settle(self, cases: Cases, poke: Callable[[Answer], Poke], rate: float) -> None:
+        """Settle cases from now on, then release one: poke chooses the load from the answers; rate: damping, 1/s."""
+        self._cases, self._poke, self._rate = cases, poke, rate
+        self._found = {name: np.zeros(len(cases)) for name in ("volume", "converged", "least")}
+        self._found["displacement"] = np.zeros_like(cases.force)
+        self._settled = 0
+        self._answer, self._motion = self._kept("held-out", self._settle), self._kept("release", self._release)
 
     def stop(self) -> None:
         """End what is under way, and begin nothing more."""
-        self._stopped = True
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
         if self._remote is not None:
             self._remote.close()
         self._thread.shutdown(cancel_futures=True)
 
-    def answer(self, done: Callable[..., None]) -> Answer:
-        """Answers to the cases, as soon as they are there; `done` is called for each. Raises what went wrong."""
+    def linear(self) -> Arrays:
+        """Linear answers to the held-out loads, `held_out` (c, n_surface, 3) m, and `frequencies` (m,) Hz."""
+        return _waited(self._linear)
+
+    def answer(self, body: Body, done: Callable[..., None]) -> Answer:
+        """Answers to the cases, as soon as they are there; `done` is called for each. Raises what went wrong.
+
+        body: the same one in this process, which settles groups that are left, while the other one settles its own.
+        """
         told = 0
         while not self._answer.done():
-            wait([self._answer], 0.2)  # in turns, so that an interrupt comes through
-            for _ in range(told, self._settled):
-                told += 1
-                done()
+            group = self._next(last=True)
+            if group is None:
+                wait([self._answer], 0.2)  # in turns, so that an interrupt comes through
+            else:
+                for case, settled in enumerate(body.settle_many(self._cases.force[group]), group.start):
+                    self._take(case, settled)
+                    told = _tell(done, told, self._settled)
+            told = _tell(done, told, self._settled)
         found = Answer(**self._answer.result())
-        for _ in range(told, len(found.converged)):
-            done()
+        _tell(done, told, len(found.converged))
         return found
 
     def motion(self) -> Arrays:
         """Times (t,) s and displacements (t, 3) m of the node after the release, `time` and `displacement`."""
-        while not self._motion.done():
-            wait([self._motion], 0.2)
-        return self._motion.result()
+        return _waited(self._motion)
+
+    def _kept(self, name: str, make: Callable[[], Arrays]) -> Future[Arrays]:
+        return self._thread.submit(self._checkpoint.remember, name, make)
 
     def _body(self) -> Remote:
         if self._remote is None and not self._stopped:
@@ -76,25 +100,55 @@ class Reference:
         return self._remote
 
     def _settle(self) -> Arrays:
-        force = self._cases.force
-        count = len(force)
-        found = {name: np.zeros(count) for name in ("volume", "converged", "least")}
-        found["displacement"] = np.zeros_like(force)
-        remote = self._body()
-        remote.call("begin", force)
-        for case in range(count):
-            settled: Settled = remote.call("following")
-            found["displacement"][case] = settled.displacement
-            found["volume"][case] = settled.volume_change
-            found["converged"][case] = float(settled.converged)
-            found["least"][case] = settled.least_det
-            self._settled = case + 1
-        return found
+        count = len(self._cases)
+        with self._changed:
+            self._groups.extend(slice(first, min(first + GROUP, count)) for first in range(0, count, GROUP))
+        while (group := self._next(last=False)) is not None:
+            remote = self._body()
+            remote.call("begin", self._cases.force[group])
+            for case in range(group.start, group.stop):
+                self._take(case, remote.call("following"))
+        with self._changed:
+            self._changed.wait_for(lambda: self._stopped or self._settled == count)
+            if self._stopped:
+                raise CancelledError
+        return self._found
+
+    def _next(self, *, last: bool) -> slice | None:
+        """The first or the last group that nobody has begun with; None where none is left."""
+        with self._changed:
+            if not self._groups or self._stopped:
+                return None
+            return self._groups.pop() if last else self._groups.popleft()
+
+    def _take(self, case: int, settled: Settled) -> None:
+        """Take up what a case came to."""
+        with self._changed:
+            self._found["displacement"][case] = settled.displacement
+            self._found["volume"][case] = settled.volume_change
+            self._found["converged"][case] = float(settled.converged)
+            self._found["least"][case] = settled.least_det
+            self._settled += 1
+            self._changed.notify_all()
 
     def _release(self) -> Arrays:
         force, node = self._poke(Answer(**self._answer.result()))
         made: Arrays = self._body().call("release", force, node, self._rate)
         return made
+
+
+def _waited(future: Future[Arrays]) -> Arrays:
+    """What a future comes to, waited for in turns, so that an interrupt comes through."""
+    while not future.done():
+        wait([future], 0.2)
+    return future.result()
+
+
+def _tell(done: Callable[..., None], told: int, count: int) -> int:
+    """Call `done` for those of `count` that it wasn't called for; returns count."""
+    for _ in range(told, count):
+        done()
+    return count
 
 
 class _Bodies:
@@ -103,6 +157,11 @@ class _Bodies:
     def __init__(self, organ: Organ) -> None:
         self._organ = organ
         self._body: Body | None = None
+
+    def linear(self, force: Floats) -> Arrays:
+        """Linear answers (c, n_surface, 3) m to loads (c, n_surface, 3) N, and the lowest frequencies, Hz."""
+        body = self._made()
+        return {"held_out": body.settle_linear(force), "frequencies": lowest_frequencies(body, MODES)}
 
     def begin(self, force: Floats) -> None:
         """Take on cases (c, n_surface, 3) N."""
