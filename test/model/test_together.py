@@ -8,6 +8,7 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.handles import handle, row
 from tissue_sim.model.breathing import Breath, breathed_in
+from tissue_sim.model.coarse import no_coarse
 from tissue_sim.model.links import least_substeps, make_links, weigh_ends
 from tissue_sim.model.pairs import make_pairs
 from tissue_sim.model.simulation import Simulation
@@ -43,9 +44,8 @@ class Organs:
         self.carried = carried_with(breath, moves, gravity)
         self.unfelt = unfelt_by(simulations, self.links, np.outer(moves, [breath.x, breath.y, breath.z]), unfelt)
         self._worlds = row([one.world for one in simulations])
-        self._joined = handle(
-            Together(self.carried, self.links, make_pairs(), self.unfelt, np.zeros(len(simulations), dtype=np.int64))
-        )
+        rest = no_coarse(len(simulations)), np.zeros(len(simulations), dtype=np.int64)
+        self._joined = handle(Together(self.carried, self.links, make_pairs(), self.unfelt, *rest))
 
     def step(self, ticks=1):
         for _ in range(ticks):

@@ -71,7 +71,7 @@ class Row(NamedTuple):
 
 
 class Lacking(NamedTuple):
-    """What a scene lacks in which organs don't feel small loads, against one in which they feel everything.
+    """What a scene lacks in which organs don't feel small loads and take coarse steps, against one without both.
 
     A breath long, or LEAST_BREATH s, with a ball pressed into its first organ.
     """
@@ -160,12 +160,13 @@ def touched_ticks(scene: SceneFile) -> JoinedTicks:
 
 
 def lacking(scene: SceneFile) -> Lacking:
-    """Compare a scene with itself where organs feel everything."""
+    """Compare a scene with itself where organs feel everything, and take all of their substeps."""
     scenes = [_pressed(scene, 1) for _ in range(2)]
     (some, _), (everything, _) = scenes
     assert some.joined is not None
     assert everything.joined is not None
     everything.joined.unfelt.most[:] = 0.0
+    everything.joined.coarse.square[:] = 0.0
     seconds = max(LEAST_BREATH, float(some.joined.carried.breath.period))
     moved = felt = 0.0
     awake, ticks = np.zeros(2), round(seconds / TICK)

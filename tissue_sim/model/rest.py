@@ -14,6 +14,10 @@ from tissue_sim.model.squeezed import has_stiff_cells
 QUIET_SPEED = 2e-5  # m/s
 QUIET_DISPLACEMENT = 5e-6  # m
 QUIET_TICKS = 20
+# An organ beside one that a hand is on sleeps sooner: nobody sees its last way, nor feels it through a ligament.
+DROWSY_SPEED = 5e-4  # m/s
+DROWSY_DISPLACEMENT = 4e-5  # m
+DROWSY_TICKS = 5
 TREMBLING = 1.0  # 1/s, speed over displacement of a false shape at the most
 CREEPING = 0.02  # of the organ's pace: a sound one goes back at half of that
 SLOWEST = 0.2  # 1/s, of paces
@@ -65,8 +69,8 @@ def sleep_if_quiet(model: Any, state: Any, scratch: Any) -> None:
     """Fall asleep where an organ that nothing loads is as good as at rest, while a hand is on another one."""
     status = state.status
     speed, away = largest_motion(model, state, scratch)
-    status.quiet = status.quiet + 1 if speed <= QUIET_SPEED and away <= QUIET_DISPLACEMENT else 0
-    if status.quiet >= QUIET_TICKS:
+    status.quiet = status.quiet + 1 if speed <= DROWSY_SPEED and away <= DROWSY_DISPLACEMENT else 0
+    if status.quiet >= DROWSY_TICKS:
         fall_asleep(model, state)
 
 

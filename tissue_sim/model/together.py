@@ -13,6 +13,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.handles import handle, row
 from tissue_sim.jit import kernel
 from tissue_sim.model.breathing import Breath, breathe, weigh
+from tissue_sim.model.coarse import Coarse, allow_coarse, fit_coarse, no_coarse, plan_coarse, ratio_of
 from tissue_sim.model.felt import sum_felt
 from tissue_sim.model.links import Links, least_substeps, load_links, measure_links, pull_links
 from tissue_sim.model.pairs import MOST_ORGANS, Pairs, PairSet, press_pairs, resolve_pairs, take_pairs, wake_touched
@@ -42,6 +43,7 @@ class Together(NamedTuple):
     links: Links
     pairs: Pairs
     unfelt: Unfelt
+    coarse: Coarse
     awake: Longs  # (k,) 1 for organs that this tick advances; until it is planned, for those that it may
 
 
@@ -78,8 +80,13 @@ class Joined:
         self.carried = carried_with(breath, moves, gravity)
         self.unfelt = unfelt_by(self.simulations, links, np.outer(moves, [breath.x, breath.y, breath.z]), unfelt)
         self.worlds = row([one.world for one in self.simulations])
-        self.handle = handle(Together(self.carried, links, pairs, self.unfelt, np.zeros(len(moves), dtype=np.int64)))
+        self.coarse = no_coarse(len(moves))
+        awake = np.zeros(len(moves), dtype=np.int64)
+        self.handle = handle(Together(self.carried, links, pairs, self.unfelt, self.coarse, awake))
         self.set_substeps()
+        if len(moves) > 1 and unfelt > 0.0:
+            for organ, one in enumerate(self.simulations):
+                allow_coarse(self.coarse, organ, one, float(links.added[0]))
 
     def step(self) -> None:
         """Advance all by one tick."""
@@ -184,7 +191,7 @@ def tick_together(worlds: Any, joined: Any) -> None:
         share_loads(worlds, carried, unfelt, breathes)
         load_links(worlds, links, unfelt)
     touching = pairs.found[0] > 0
-    substeps = plan_together(worlds, awake, linked or touching)
+    substeps = plan_together(worlds, joined, linked or touching)
     for substep in range(substeps):
         if linked:
             pull_links(worlds, carried, links, unfelt, awake, step / substeps)
@@ -192,8 +199,10 @@ def tick_together(worlds: Any, joined: Any) -> None:
             press_pairs(worlds, pairs, awake)
         for organ in range(len(worlds)):
             world = worlds[organ]
-            if awake[organ] == 1 and substep < world.scratch.plan.substeps:
-                take_substep(world.model, world.state, world.shapes, world.settings, world.scratch, substep)
+            ratio = ratio_of(world.scratch.plan, substeps)
+            own = substep // ratio
+            if awake[organ] == 1 and substep == own * ratio and own < world.scratch.plan.substeps:
+                take_substep(world.model, world.state, world.shapes, world.settings, world.scratch, own)
         if touching:
             resolve_pairs(worlds, carried, pairs, awake, step / substeps)
     handled = are_handled(worlds)
@@ -215,22 +224,27 @@ def are_handled(worlds: Any) -> bool:
 
 
 @kernel
-def plan_together(worlds: Any, awake: Any, joined: bool) -> int:
+def plan_together(worlds: Any, joined: Any, tied: bool) -> int:
     """Plan the tick of every organ; returns the most substeps of any, or those that links ask for.
 
-    Those that are joined take as many each.
+    Those that are tied by links or touch take as many each, but for those in coarse steps.
     """
-    most = worlds[0].settings.least_substeps
+    most, awake, coarse, added = 1, joined.awake, joined.coarse, joined.links.added[0]
     for organ in range(len(worlds)):
         world = worlds[organ]
         planned = plan_tick(world.model, world.state, world.shapes, world.settings, world.scratch)
         awake[organ] = 1 if planned else 0
         if planned:
-            most = max(most, world.scratch.plan.substeps)
+            plan_coarse(world, coarse, organ, added)
+            least = 1 if world.scratch.plan.coarse else world.settings.least_substeps
+            most = max(most, least, world.scratch.plan.substeps)
     for organ in range(len(worlds)):
         world = worlds[organ]
         if awake[organ] == 1:
-            if joined:
+            if world.scratch.plan.coarse:
+                fit_coarse(world.scratch.plan, most)
+                coarse.ticks[organ] += 1
+            elif tied:
                 world.scratch.plan.substeps = most
             begin_tick(world.model, world.state, world.shapes, world.settings, world.scratch)
     return most
