@@ -34,8 +34,8 @@ TIME = (
     "A kidney of 994 points takes two minutes on two quiet cores, and half a minute more where kernels have to be"
     " compiled. The time goes by the surface's points and by how thin the organ is, which both ask for more finite"
     " elements, by --smooth, --sharp, --cases and --evaluations, and by whether a second core is free: another process"
-    " settles loads beside the fit, and both do so at the end, to the same bits as with one core. Each process holds the"
-    " finite elements once, with matrices of at most 0.5 GB."
+    " settles loads beside the fit, and both do so at the end, to the same bits as with one core. Each process holds"
+    " the finite elements once, with matrices of at most 0.5 GB."
 )
 _DEFAULT = Settings()
 
