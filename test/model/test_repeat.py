@@ -23,9 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def contact_run(integrator, region, organ):
     """A probe led into a ball, held and away; every bit of the state after it, and what was felt."""
-    scene = Scene(organ, [Tool("probe", radius=0.008)])
-    shapes = scene.tools.shapes
-    scene.organs[0].simulation = Simulation(organ, local_region=region, shapes=shapes, integrator=integrator)
+    scene = Scene(organ, [Tool("probe", radius=0.008)], local_region=region, integrator=integrator)
     top = ball(2).surface_positions[np.argmax(ball(2).surface_positions[:, 2])] + [0.0, 0.0, 0.008]
     down, felt = line(top + [0.0, 0.0, 0.001], top - [0.0, 0.0, 0.002], 40), []
     for position in [*down, *down[-1:] * np.ones((10, 1)), *down[::-2]]:

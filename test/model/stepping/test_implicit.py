@@ -247,10 +247,7 @@ def test_stiffness_changed_on_the_way_uses_the_other_slot():
 # contact ---------------------------------------------------------------------------------------
 def held_force(integrator, region="off", depth=0.003):
     """Force (3,) N of a probe of 8 mm that is led into a ball and held."""
-    scene = Scene(ball(3), [Tool("probe", radius=0.008)])
-    scene.organs[0].simulation = Simulation(
-        ball(3), local_region=region, shapes=scene.tools.shapes, integrator=integrator
-    )
+    scene = Scene(ball(3), [Tool("probe", radius=0.008)], local_region=region, integrator=integrator)
     top = ball(3).surface_positions[top_of(ball(3))] + [0.0, 0.0, 0.008]
     forces = []
     path = line(top + [0.0, 0.0, 0.001], top - [0.0, 0.0, depth], 60)
