@@ -17,8 +17,7 @@ from tissue_sim.organ.refinement import (
     wanted_edges,
 )
 from tissue_sim.organ.surfaces.balloon import fibonacci_sphere
-from tissue_sim.organ.surfaces.grading import GROWTH
-from tissue_sim.organ.surfaces.sizing import local_edges
+from tissue_sim.organ.surfaces.sizing import GROWTH, local_edges
 from tissue_sim.organ.tool_resolution import KIDNEY, relative_size
 
 POSITIONS, TRIANGLES = fibonacci_sphere(1500)

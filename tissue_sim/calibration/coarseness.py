@@ -37,18 +37,23 @@ class Coarse(NamedTuple):
 
 def check_coarseness(organ: Organ) -> None:
     """Raise UserError, with what to build the organ with, where its triangles are too large to be calibrated."""
+    text = coarseness(organ)
+    if text is not None:
+        raise UserError(text)
+
+
+def coarseness(organ: Organ) -> str | None:
+    """Return why an organ's triangles are too large to be calibrated, and what helps; None where they aren't."""
     found = [one for one in (_in_thin_tissue(organ), _at_thin_rims(organ), _beside_clamp(organ)) if one is not None]
     if not found:
-        return
+        return None
     worst = max(found, key=lambda one: one.times)
     points = math.ceil(organ.n_surface * worst.times**2 / 100.0) * 100
     refined = math.ceil(_refined_points(organ) / 100.0) * 100
     remedies = [f"--refine auto (about {refined} points)"] if refined <= MOST_POINTS else []
     remedies += [f"--points {points}"] if points <= MOST_POINTS else []
-    raise UserError(
-        f"organ '{organ.name}' {worst.reason}; build it with "
-        + (" or ".join(remedies) or "another --fixed: no surface of so few points would do")
-    )
+    told = " or ".join(remedies) or f"another --fixed: more than {MOST_POINTS} points would be needed"
+    return f"organ '{organ.name}' {worst.reason}; build it with {told}"
 
 
 def _in_thin_tissue(organ: Organ) -> Coarse | None:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.array_types import Floats
+from tissue_sim.calibration.coarseness import coarseness
 from tissue_sim.commands.build_inclusions import parse_inclusions
 from tissue_sim.commands.build_refine import HELP as REFINE_HELP
 from tissue_sim.commands.build_refine import parse_refine
@@ -26,7 +27,7 @@ from tissue_sim.organ.build_record import STAGES, Progress
 from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
-from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, mean_edge
+from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, usual_edge
 from tissue_sim.progress import task
 
 # Relative durations of the stages of a usual build; only the pace of the progress bar depends on them.
@@ -189,7 +190,7 @@ def _run(args: argparse.Namespace) -> int:
 
             with progress.stage("report"):
                 write_report(progress.record, report, organ_file=out.name)
-    n, edge = organ.n_surface, 1e3 * mean_edge(organ)
+    n, edge = organ.n_surface, 1e3 * usual_edge(organ)
     print(
         f"{out}: {name}, {organ.volume * 1e6:.1f} mL, {n} points, {len(organ.surface_triangles)} triangles,"
         f" {organ.n_atoms} atoms, {len(organ.fixed)} fixed, {time.perf_counter() - started:.1f} s"
@@ -198,6 +199,9 @@ def _run(args: argparse.Namespace) -> int:
         f"{out}: resolves spheres with a radius of at least {FINE * edge:.2g} mm (error {FINE_WITHIN:g} % after"
         f" calibration) or {FAIR * edge:.2g} mm ({FAIR_WITHIN:g} %); use more --points for smaller ones"
     )
+    coarse = coarseness(organ)
+    if coarse is not None:
+        print(f"warning: too coarse to be calibrated: {coarse}")
     if report:
         print(f"{report}: report")
     return 0

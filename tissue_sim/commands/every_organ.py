@@ -1,4 +1,4 @@
-"""Build and calibrate every organ of a folder of organ data, with defaults.
+"""Build and calibrate every organ of a folder of organ data, with defaults, and refine those that are too coarse.
 
 `python -m tissue_sim.commands.every_organ --data DATA --out FOLDER`.
 The data is not part of the project: masks of a CT, organs of the Human Reference Atlas, SOFA's meshes, a colon.
@@ -11,10 +11,12 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+from tissue_sim.calibration.coarseness import coarseness
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.commands import build
 from tissue_sim.commands.calibrate_many import add_cluster, calibrate_many, check_cluster, write_figures
 from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
 from tissue_sim.unexpected_errors import catch_all
 
 _LIVER, _HEART = 0.2, 0.12  # m, longest side of meshes without a unit
@@ -41,10 +43,10 @@ SOURCES = (
     _mask("kidney_right"),
     _mask("spleen"),
     _mask("liver"),
+    _mask("liver_cut", "--fixed", "z>0.9", file="liver"),  # held where the CT cuts it off flat
     _mask("aorta"),
     _mask("portal_vein", file="portal_vein_and_splenic_vein"),
     _mask("colon"),
-    _mask("colon_2400", "--points", "2400", file="colon"),  # as the refusal advises
     Source("hra_kidney", "hra_organs/kidney_left_solid.stl", ("--unit", "mm")),
     Source("hra_spleen", "hra_organs/VH_F_Spleen.glb"),
     Source("hra_heart", "hra_organs/v1.2_VH_F_Heart.glb", ("--merge-parts",)),
@@ -89,25 +91,37 @@ def main() -> int:
 
 
 def built(sources: list[Source], data: Path, folder: Path) -> list[Path]:
-    """Return organ files of the sources that exist and can be built. Raises UserError when there is none."""
+    """Build the sources that exist, and return the organ files of those that can be built.
+
+    An organ that is too coarse for calibration is followed by a refined one, with `_refined` in its name.
+    Raises UserError when there is none.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     found = []
     for source in sources:
         file, out = data / source.file, folder / f"{source.name}.npz"
         if not file.is_file():
             continue
-        given = ("--mask" if file.name.endswith(".nii.gz") else "--surface", str(file), "--name", source.name)
-        parser = argparse.ArgumentParser()
-        build.add_arguments(parser)
         try:
-            build.run(parser.parse_args([*given, *source.options, "--out", str(out)]))
+            _build(source.name, file, source.options, out)
+            found.append(out)
+            if coarseness(Organ.load(out)) is not None:
+                name = f"{source.name}_refined"
+                _build(name, file, (*source.options, "--refine", "auto"), out.with_stem(name))
+                found.append(out.with_stem(name))
         except UserError as error:
             print(f"{source.name}: not built: {error}")
-            continue
-        found.append(out)
     if not found:
         raise UserError(f"no organ in {data} can be built; name the folder of the organ data with --data")
     return found
+
+
+def _build(name: str, file: Path, options: tuple[str, ...], out: Path) -> None:
+    """Build an organ file from a mask or a mesh. Raises UserError as `tissue_sim build` does."""
+    parser = argparse.ArgumentParser()
+    build.add_arguments(parser)
+    given = ("--mask" if file.name.endswith(".nii.gz") else "--surface", str(file), "--name", name)
+    build.run(parser.parse_args([*given, *options, "--out", str(out)]))
 
 
 if __name__ == "__main__":

@@ -11,8 +11,7 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.organ import signed_volume
-from tissue_sim.organ.surfaces.grading import GROWTH, Wanted
-from tissue_sim.organ.surfaces.sizing import local_edges, thickness
+from tissue_sim.organ.surfaces.sizing import GROWTH, Wanted, local_edges, thickness
 from tissue_sim.organ.tool_resolution import relative_size
 
 if TYPE_CHECKING:

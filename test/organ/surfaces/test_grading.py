@@ -6,8 +6,8 @@ import pytest
 from helpers.shapes import ball, solid
 from tissue_sim.errors import UserError
 from tissue_sim.organ.surfaces.balloon import fibonacci_sphere
-from tissue_sim.organ.surfaces.grading import GROWTH, graded
-from tissue_sim.organ.surfaces.sizing import local_edges
+from tissue_sim.organ.surfaces.grading import graded
+from tissue_sim.organ.surfaces.sizing import GROWTH, local_edges
 from tissue_sim.organ.surfaces.surface import make_wall, measure
 
 RADIUS, POINTS, SHORT = 18.0, 300, 1.5  # mm

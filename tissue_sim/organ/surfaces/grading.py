@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
@@ -12,11 +10,9 @@ from tissue_sim.organ.surfaces.fitting import flip, settle
 from tissue_sim.organ.surfaces.intersections import intersecting_pairs
 from tissue_sim.organ.surfaces.remesh import relax_sized, transport_sized
 from tissue_sim.organ.surfaces.resample import split_long
+from tissue_sim.organ.surfaces.sizing import Wanted
 from tissue_sim.organ.surfaces.surface import Wall
 
-Wanted = Callable[[Floats], Floats]  # edge lengths (n,) wanted at points (n, 3), in their unit
-
-GROWTH = 0.3  # an edge may be longer than another by at most so much of the distance between them
 _LONG = 4.0 / 3.0  # an edge is split when it is so many times as long as wanted: the halves are then nearer to it
 _FINER = 0.95  # of the edges that are there: where more is wanted, nothing is split
 _ROUNDS = 12  # of splitting; a round halves edges

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.surfaces.remesh import vertex_normals
 
+Wanted = Callable[[Floats], Floats]  # edge lengths (n,) wanted at points (n, 3), in their unit
+
+GROWTH = 0.3  # an edge may be longer than another by at most so much of the distance between them
 _CHUNK = 512  # points at once
 _EVEN = 2.0  # between the longest and the shortest twentieth of the edges, smoothed: more, and a surface is graded
 
