@@ -70,7 +70,7 @@ class Row(NamedTuple):
 
 
 class WakeThresholdError(NamedTuple):
-    """Deviation of a scene whose organs have a wake threshold from one in which they respond to every load.
+    """Deviation of a scene with a wake threshold and coarse steps from one without either.
 
     Measured over a breath, or LEAST_BREATH s, with a ball pressed into the first organ.
     """
@@ -157,10 +157,11 @@ def touched_ticks(scene: SceneFile) -> JoinedTicks:
 
 
 def lacking(scene: SceneFile) -> WakeThresholdError:
-    """Compare a scene with itself without a wake threshold."""
+    """Compare a scene with itself without a wake threshold and without coarse steps."""
     scenes = [_pressed(scene, 1) for _ in range(2)]
     (some, _), (everything, _) = scenes
     everything.joined.unfelt.most[:] = 0.0
+    everything.joined.coarse.square[:] = 0.0
     seconds = max(LEAST_BREATH, float(some.joined.carried.breath.period))
     moved = felt = 0.0
     awake, ticks = np.zeros(2), round(seconds / TICK)

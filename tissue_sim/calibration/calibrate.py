@@ -22,13 +22,12 @@ from tissue_sim.calibration.cases import (
 )
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
 from tissue_sim.calibration.coarseness import check_coarseness
-from tissue_sim.calibration.dynamics import lowest_frequencies
 from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.evaluation import Answer, Release, errors, released, settled_answers
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.fit import Misfit, fit
 from tissue_sim.calibration.groups import GROUPS, group_of, search
-from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass, frequencies_of
+from tissue_sim.calibration.inertia import damping_rate, fit_mass, frequencies_of
 from tissue_sim.calibration.joint_fit import TICK, Together, fit_together, for_one_substep
 from tissue_sim.calibration.reference import Refined, corrected_answers, made_good, samples_of
 from tissue_sim.calibration.reference_process import Poke, Reference
@@ -78,7 +77,8 @@ class Calibrated(NamedTuple):
 def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress: Progress) -> Calibrated:
     """Fit an organ's cells or groups of springs, and its masses, to finite elements of its shape and tissue.
 
-    The finite-element body settles the held-out loads in a separate process meanwhile.
+    Meanwhile a separate process solves the held-out loads with finite elements; this one solves some of them, too, as
+    soon as it has nothing else to do. The result is the same bit for bit with one core and with two.
 
     Parameters
     ----------
@@ -110,30 +110,24 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
 def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress: Progress) -> Calibrated:
     check_coarseness(organ)
     start = prepared(organ, settings)
-    body = Body(start)
     held_out = held_out_cases(start, settings.smooth, settings.sharp)
-    pushes = fit_cases(start, settings.cases, settings.seed)
-
-    def respond() -> Arrays:
-        return {
-            "fit": body.settle_linear(pushes),
-            "held_out": body.settle_linear(held_out.force),
-            "frequencies": lowest_frequencies(body, MODES),
-        }
-
-    with progress.stage("linear reference", 1) as done:
-        linear = checkpoint.remember("linear-reference", respond)
-        done(f"{body.n_nodes} nodes, {len(pushes)} cases")
-    judged = scale_to_depth(held_out, linear["held_out"], start, HELD_OUT_SEED, DEPTH)
-    size = (np.linalg.norm(judged.force, axis=(1, 2)) / np.linalg.norm(held_out.force, axis=(1, 2)))[:, None, None]
-    judged_linear = linear["held_out"] * size
-    rate = damping_rate(linear["frequencies"])
-
-    def poke(wanted: Answer) -> Poke:
-        return _poke(judged, wanted, _telling(judged, judged_linear, wanted), POKE * size_of(start))
-
-    reference = Reference(start, checkpoint, judged, poke, rate)
+    reference = Reference(start, checkpoint, held_out.force)
     try:
+        body = Body(start)
+        pushes = fit_cases(start, settings.cases, settings.seed)
+        with progress.stage("linear reference", 1) as done:
+            fitted = checkpoint.remember("linear-fit", lambda: {"fit": body.settle_linear(pushes)})["fit"]
+            linear = reference.linear()
+            done(f"{body.n_nodes} nodes, {len(pushes)} cases")
+        judged = scale_to_depth(held_out, linear["held_out"], start, HELD_OUT_SEED, DEPTH)
+        size = (np.linalg.norm(judged.force, axis=(1, 2)) / np.linalg.norm(held_out.force, axis=(1, 2)))[:, None, None]
+        judged_linear = linear["held_out"] * size
+        rate = damping_rate(linear["frequencies"])
+
+        def poke(wanted: Answer) -> Poke:
+            return _poke(judged, wanted, _telling(judged, judged_linear, wanted), POKE * size_of(start))
+
+        reference.settle(judged, poke, rate)
         some = samples_of(len(pushes))
         with progress.stage("finer mesh", 1) as done:
             finer = checkpoint.remember(
@@ -143,7 +137,7 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
             done(f"{accuracy.finer_nodes} nodes, remaining error at most {accuracy.worst:.2f} %")
         model = assemble(start)
         elastic = Elastic(model)
-        answers = made_good(linear["fit"], linear["fit"][some], finer["samples"])
+        answers = made_good(fitted, fitted[some], finer["samples"])
         misfit = Misfit(elastic, *principal(pushes, answers))
         first = first_stiffness(start, model)
         group = group_of(start, model) if settings.method == "groups" else None
@@ -166,8 +160,11 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
                 found_error = misfit.evaluate(stiffness).error
                 done(f"{100.0 * found_error.mean():.2f} %")
         made = replace(with_stiffness(start, model, stiffness), mass=mass, damping=rate * mass)
+        # This comes before the reference, on which the other process is still working.
+        with progress.stage("held-out", len(judged)) as done:
+            found = settled_answers(made, judged, done)
         with progress.stage("held-out reference", len(judged)) as done:
-            settled = reference.answer(done)
+            settled = reference.answer(body, done)
             wanted = settled._replace(displacement=settled.displacement + finer["answers"] - judged_linear)
         with progress.stage("release", 1) as done:
             theirs = reference.motion()
@@ -177,9 +174,7 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
         unsettled = int(np.count_nonzero(wanted.converged == 0.0))
         kept = _telling(judged, judged_linear, wanted)
         judged, judged_linear = judged.chosen(kept), finer["answers"][kept]
-        wanted = Answer(*(part[kept] for part in wanted))
-        with progress.stage("held-out", len(judged)) as done:
-            found = settled_answers(made, judged, done)
+        wanted, found = (Answer(*(part[kept] for part in answer)) for answer in (wanted, found))
     finally:
         reference.stop()
     figures: dict[str, Any] = {

@@ -15,6 +15,7 @@ from tissue_sim.model.data.records import words_of
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath
+from tissue_sim.model.stepping.coarse_steps import coarse_masses, no_coarse
 from tissue_sim.model.stepping.coupled_step import Together, let_go, moves_with_frame, tick_coupled
 from tissue_sim.model.stepping.ligament_links import Links, least_substeps, make_links
 from tissue_sim.model.stepping.organ_contact import (
@@ -69,9 +70,15 @@ class Joined:
         ways = np.outer(moves, [breath.x, breath.y, breath.z])
         self.unfelt = wake_threshold_of([one.model for one in self.simulations], links, ways, unfelt)
         self.worlds = row([one.world for one in self.simulations])
-        awake = np.zeros(len(moves), dtype=np.int64)
-        self.handle = None if self.alone else handle(Together(self.carried, links, pairs, self.unfelt, awake))
+        self.coarse = no_coarse(len(moves))
+        rest = self.coarse, np.zeros(len(moves), dtype=np.int64)
+        self.handle = None if self.alone else handle(Together(self.carried, links, pairs, self.unfelt, *rest))
         self.set_substeps()
+        if len(moves) > 1 and unfelt > 0.0:
+            for organ, one in enumerate(self.simulations):
+                factor, frequency = coarse_masses(one.model, one.settings, float(links.added[0]))
+                one.scratch.coarse[:] = factor
+                self.coarse.square[organ] = frequency**2
 
     def step(self) -> None:
         """Advance all by one tick."""

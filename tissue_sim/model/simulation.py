@@ -24,7 +24,7 @@ from tissue_sim.model.elasticity.energy import Energy, energy_of
 from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.elasticity.hop_distances import hop_table
 from tissue_sim.model.regions.reduction import reduce_model
-from tissue_sim.model.stepping.critical_step import SAFETY, model_step, substeps_for
+from tissue_sim.model.stepping.critical_step import LONGEST_OF_CELLS, SAFETY, model_step, substeps_for
 from tissue_sim.model.stepping.equilibrium import residuals, settle
 from tissue_sim.model.stepping.implicit import make_factor, write_factor
 from tissue_sim.model.stepping.scratch import make_scratch
@@ -46,8 +46,7 @@ from tissue_sim.organ.organ import Organ
 
 # s, however soft the organ. In a longer step a tool that is finer than FINE, m, or of any shape, slips through the
 # tissue that it pushes, and springs oscillate.
-LONGEST_STEP = 5e-4
-LONGEST_OF_CELLS = 1e-3  # s; with other tools
+LONGEST_STEP = 5e-4  # with other tools, cells take LONGEST_OF_CELLS
 FINE = 1e-3
 
 # s. In a modal region the nodes' mass is scaled so that they need no shorter step: on a fine organ they are tiny, and

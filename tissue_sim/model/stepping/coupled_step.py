@@ -11,6 +11,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.records import words_of
 from tissue_sim.model.stepping.breathing import Breath, breathe, weigh
+from tissue_sim.model.stepping.coarse_steps import Coarse, fit_coarse, plan_coarse, ratio_of
 from tissue_sim.model.stepping.ligament_links import Links, load_links, measure_links, pull_links
 from tissue_sim.model.stepping.organ_contact import (
     OrganContacts,
@@ -41,6 +42,7 @@ class Together(NamedTuple):
     links: Links
     pairs: OrganContacts
     unfelt: WakeThreshold
+    coarse: Coarse
     awake: Longs  # (k,) 1 for organs that this tick advances; before planning, for those that it may
 
 
@@ -98,7 +100,7 @@ def tick_coupled(worlds: Any, joined: Any) -> None:
         apply_wake_threshold(worlds, carried, unfelt, breathes)
         load_links(worlds, links, unfelt)
     touching = pairs.found[0] > 0
-    substeps = plan_coupled(worlds, awake, linked or touching)
+    substeps = plan_coupled(worlds, joined, linked or touching)
     for substep in range(substeps):
         if linked:
             pull_links(worlds, carried, links, unfelt, awake, step / substeps)
@@ -106,8 +108,10 @@ def tick_coupled(worlds: Any, joined: Any) -> None:
             apply_organ_contacts(worlds, pairs, awake)
         for organ in range(len(worlds)):
             world = worlds[organ]
-            if awake[organ] == 1 and substep < world.scratch.plan.substeps:
-                take_substep(world, substep)
+            ratio = ratio_of(world.scratch.plan, substeps)
+            own = substep // ratio
+            if awake[organ] == 1 and substep == own * ratio and own < world.scratch.plan.substeps:
+                take_substep(world, own)
         if touching:
             resolve_organ_contacts(worlds, carried, pairs, awake, step / substeps)
     handled = are_handled(worlds)
@@ -129,22 +133,27 @@ def are_handled(worlds: Any) -> bool:
 
 
 @kernel
-def plan_coupled(worlds: Any, awake: Any, joined: bool) -> int:
+def plan_coupled(worlds: Any, joined: Any, tied: bool) -> int:
     """Plan the tick of every organ; return the most substeps of any, or those that links require.
 
-    Joined organs take the same number each.
+    Organs that links or contact tie to each other take the same number each, except for those in coarse steps.
     """
-    most = worlds[0].settings.least_substeps
+    most, awake, coarse, added = 1, joined.awake, joined.coarse, joined.links.added[0]
     for organ in range(len(worlds)):
         world = worlds[organ]
         planned = plan_tick(world)
         awake[organ] = 1 if planned else 0
         if planned:
-            most = max(most, world.scratch.plan.substeps)
+            plan_coarse(world, coarse, organ, added)
+            least = 1 if world.scratch.plan.coarse else world.settings.least_substeps
+            most = max(most, least, world.scratch.plan.substeps)
     for organ in range(len(worlds)):
         world = worlds[organ]
         if awake[organ] == 1:
-            if joined:
+            if world.scratch.plan.coarse:
+                fit_coarse(world.scratch.plan, most)
+                coarse.ticks[organ] += 1
+            elif tied:
                 world.scratch.plan.substeps = most
             begin_tick(world)
     return most

@@ -7,6 +7,7 @@ import math
 from tissue_sim.model.data.model import Model
 
 SAFETY = 0.9
+LONGEST_OF_CELLS = 1e-3  # s, longest substep of an organ of cells
 MOST_SUBSTEPS = 10_000  # in a tick; where the critical step is shorter, only the guard is left
 
 

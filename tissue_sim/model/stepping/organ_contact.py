@@ -320,12 +320,14 @@ def resolve_organ_contact(worlds: Any, carried: Any, pairs: Any, pair: int, step
     if plane[3] > 0.0 and pressed == 0.0:
         return 0.0
     own, other = worlds[first], worlds[second]
-    light = own.scratch.mobility[node[0]]
+    # Each organ moves as if the force had acted during the whole of its own substep, which may be a coarse one.
+    own_step, other_step = substep_of(own), substep_of(other)
+    light = own_step * own_step * own.scratch.mobility[node[0]]
     for corner in range(3):
-        light += weight[corner] ** 2 * other.scratch.mobility[node[1 + corner]]
+        light += weight[corner] ** 2 * other_step * other_step * other.scratch.mobility[node[1 + corner]]
     if light == 0.0:
         return 0.0
-    stiffness = 1.0 / (step * step * light)  # N that move the node a metre out of the triangle
+    stiffness = 1.0 / light  # N that move the node a metre out of the triangle
     normal = max(0.0, pressed - max(plane[3], -RECOVERY_SPEED * step) * stiffness)
     sx, sy, sz = sliding(worlds, carried, pairs, pair, step)
     along = sx * plane[0] + sy * plane[1] + sz * plane[2]
@@ -339,10 +341,18 @@ def resolve_organ_contact(worlds: Any, carried: Any, pairs: Any, pair: int, step
     pz = (normal - pressed) * plane[2] + share * tz - held[2]
     pairs.pressed[pair] = normal
     held[0], held[1], held[2] = share * tx, share * ty, share * tz
-    move(own, node[0], px, py, pz, step)
+    move(own, node[0], px, py, pz, own_step)
     for corner in range(3):
-        move(other, node[1 + corner], -weight[corner] * px, -weight[corner] * py, -weight[corner] * pz, step)
+        part = -weight[corner]
+        move(other, node[1 + corner], part * px, part * py, part * pz, other_step)
     return math.sqrt(px * px + py * py + pz * pz)
+
+
+@kernel
+def substep_of(world: Any) -> float:
+    """Return the substep of an organ in this tick, s."""
+    step: float = world.settings.tick_time / world.scratch.plan.substeps
+    return step
 
 
 @kernel

@@ -97,6 +97,7 @@ def plan_tick(world: Any) -> bool:
     find_walls(model, state, scratch)
     plan.handled = plan.handled or has_tip_force(state, settings) or status.prescribed > 0
     plan.forced = plan.handled or status.loaded > 0 or is_out_of_balance(model, settings)
+    plan.coarse = False
     status.touching = 0
     if status.asleep:
         if not plan.forced and follow_untouched(state, shapes, settings, scratch):
@@ -414,15 +415,17 @@ def set_mobility(world: Any, step: float, implicit: bool) -> None:
     slot = float(settings.factor_slot) if implicit else -1.0
     key, damping, scale = scratch.mobility_key, damping_of(state, settings), settings.stiffness_scale
     inertia = inertia_of(state, settings)
-    changes = float(state.status.prescriptions)
+    changes, coarse = float(state.status.prescriptions), scratch.plan.coarse
+    masses = 1.0 if coarse else 0.0
     same = key[0] == step and key[1] == damping and key[2] == slot and key[3] == scale
-    if same and key[4] == inertia and key[5] == changes:
+    if same and key[4] == inertia and key[5] == changes and key[6] == masses:
         return
     key[0], key[1], key[2], key[3], key[4], key[5] = step, damping, slot, scale, inertia, changes
+    key[6] = masses
     mobility, moving, inverse_mass = scratch.mobility, model.moving, model.inverse_mass
     for index in range(len(moving)):
         node = moving[index]
-        inverse = inverse_mass[node]
+        inverse = inverse_mass[node] / scratch.coarse[node] if coarse else inverse_mass[node]
         if implicit:
             mobility[node] = implicit_mobility(model, settings.factor_slot, node)
         elif settings.integrator == Integrator.EXPLICIT:
