@@ -53,7 +53,7 @@ def test_each_figure_has_its_bound():
     assert missed(clamp=1.0) == ["highest force"]
     assert missed(bag=bag._replace(missing=1)) == ["messages missing from the bag"]
     assert missed(problems={"faults": 2}) == ["problems in the diagnostics"]
-    assert missed(repeats=False) == ["replay that does not repeat"]
+    assert missed(repeats=False) == ["deviation of the replay"]
     late = [one._replace(late=10 * one.ticks // 1000) for one in samples]
     assert missed(samples=late) == ["ticks late by more than a period"]
     assert missed(samples=[one._replace(megabytes=100.0 + 0.1 * one.seconds) for one in samples]) == [
