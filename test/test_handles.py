@@ -100,7 +100,7 @@ def test_handle_shares_arrays_copies_numbers_and_keeps_both(shown):
 
 def test_a_row_is_one_type_however_many_handles_it_has(shown):
     """Factors 1, 2, ... of tables (1, factor)."""
-    assert shown[1] == ["2.0", "8.0", "70.0", "1", "2 types of handles in a row; wanted: one"]
+    assert shown[1] == ["2.0", "8.0", "70.0", "1", "2 types of handles in a row; expected: one"]
 
 
 def test_a_row_is_a_tuple_without_the_compiler(monkeypatch):

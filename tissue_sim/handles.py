@@ -158,7 +158,7 @@ class HandleRow:
         self.address, self.count = self._places.ctypes.data, len(handles)
         kinds = {numba.typeof(one) for one in handles}
         if len(kinds) != 1:
-            raise ValueError(f"{len(kinds)} types of handles in a row; wanted: one")
+            raise ValueError(f"{len(kinds)} types of handles in a row; expected: one")
         self._numba_type_ = Row(kinds.pop())
 
 

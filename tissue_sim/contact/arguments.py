@@ -21,7 +21,7 @@ def finite(given: ArrayLike, count: int, name: str) -> Floats:
         values = np.zeros(0)
     if values.shape != (count,) or not np.all(np.isfinite(values)):
         wanted = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise UserError(f"{name} is {shown(repr(given))}; wanted: {wanted}")
+        raise UserError(f"{name} is {shown(repr(given))}; expected: {wanted}")
     return values
 
 
@@ -51,5 +51,5 @@ def number_of(given: int | str, names: Sequence[str], what: str) -> int:
         number, hint = operator.index(given), ""
         if -len(names) <= number < len(names):
             return number % len(names)
-    there = f"there are {', '.join(names)}" if names else "there are none"
+    there = f"choose {'one of ' if len(names) > 1 else ''}{', '.join(names)}" if names else "there are none"
     raise UserError(f"no {what} {shown(repr(given))}{hint or f'; {there}'}")

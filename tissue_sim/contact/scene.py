@@ -326,5 +326,5 @@ def _factors(stiffness: Sequence[float], count: int) -> list[float]:
         return [1.0] * count
     factors = finite(stiffness, count, "stiffness")
     if np.any(factors <= 0.0):
-        raise UserError(f"stiffness is {factors.tolist()}; wanted: factors greater than 0")
+        raise UserError(f"stiffness is {factors.tolist()}; expected: factors greater than 0")
     return factors.tolist()

@@ -263,7 +263,7 @@ def _volume(voxels: NDArray[Any], name: str, given: Mapping[str, Any]) -> Volume
         raise UserError("voxels need a spacing: the distance, mm, of their centres along x, y and z")
     steps = _triple(given["spacing"], "spacing")
     if np.any(steps <= 0.0):
-        raise UserError(f"spacing is {steps.tolist()}; wanted: three numbers greater than 0, mm")
+        raise UserError(f"spacing is {steps.tolist()}; expected: three numbers greater than 0, mm")
     return Volume(np.ascontiguousarray(voxels.transpose(2, 1, 0)), steps, np.zeros(3), np.eye(3), name)
 
 
@@ -288,7 +288,7 @@ def _triple(given: ArrayLike, name: str) -> Floats:
     except (TypeError, ValueError):
         values = np.empty(0)
     if values.shape != (3,) or not np.all(np.isfinite(values)):
-        raise UserError(f"{name} is {given!r}; wanted: three finite numbers")
+        raise UserError(f"{name} is {given!r}; expected: three finite numbers")
     return values
 
 

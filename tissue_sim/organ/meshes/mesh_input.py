@@ -131,7 +131,7 @@ def mesh_of(
     """
     for what, array in (("positions", positions), ("triangles", triangles)):
         if array.ndim != 2 or array.shape[1] != 3 or not len(array) or array.dtype.kind not in "fiu":
-            raise UserError(f"surface {name}: {what} has shape {array.shape}; wanted: numbers (n, 3)")
+            raise UserError(f"surface {name}: {what} has shape {array.shape}; expected: numbers (n, 3)")
     if triangles.dtype.kind == "f":
         raise UserError(f"surface {name}: triangles must be whole numbers, indices of positions")
     piece = Piece(name, positions.astype(np.float64), triangles.astype(np.int64))
