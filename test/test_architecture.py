@@ -221,6 +221,13 @@ def test_a_circle_is_found():
         TopologicalSorter({"a": {"b"}, "b": {"a"}}).prepare()
 
 
+def test_programs_that_are_started_by_name_exist():
+    """A benchmark doesn't notice when one that only listens has failed to start."""
+    started = {name for path in SOURCES for name in re.findall(r'\.start\("([a-z_.]+)"', path.read_text())}
+    assert "probes.marker_subscriber" in started
+    assert not [name for name in started if not (PACKAGE / "ros" / f"{name.replace('.', '/')}.py").exists()]
+
+
 def crossings(path: Path) -> list[str]:
     """Imports of a test or helper that are relative, or of another test module, as `file:line: what`."""
     found = []

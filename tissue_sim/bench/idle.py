@@ -61,7 +61,7 @@ def measure(organ_file: str, seconds: float) -> dict[str, Any]:
             children = {
                 SERVED: served,
                 SENDING: graph.start("probes.sender", "/sender/surface", "surface", str(surface), str(RATE)),
-                BARE: graph.start("probes.sleeper", str(RATE)),
+                BARE: graph.start("probes.idle_loop", str(RATE)),
             }
             graph.enter_context(Viewer(own, "/sender/surface")).wait()
             graph.enter_context(Viewer(own, "/diagnostics", "/left/servo_cf"))

@@ -78,7 +78,7 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
         settings = f"rate:={RATE}", f"realtime_priority:={priority}", "marker_rate:=60.0", f"left.radius:={RADIUS}"
         served = graph.start_node(path, *settings)
         graph.start("probes.echo", str(below(priority)))
-        graph.start("probes.listener", NODE)
+        graph.start("probes.marker_subscriber", NODE)
         ticks(served)
         own = graph.enter_context(client_node("latency_probe", NODE))
         probe = Probe(own, NODE, organ, RATE)

@@ -80,7 +80,7 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
 
         settings = f"rate:={RATE}", f"realtime_priority:={priority}", "marker_rate:=60.0", f"left.radius:={RADIUS}"
         served = graph.start_node(path, *settings)
-        graph.start("probes.listener", NODE)
+        graph.start("probes.marker_subscriber", NODE)
         ticks(served)
         own = graph.enter_context(client_node("busy_probe", NODE))
         hand = PokeProbe(own, NODE, Organ.load(path), rate=RATE, priority=below(below(priority)))

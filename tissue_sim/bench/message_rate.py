@@ -53,7 +53,7 @@ def behind_link(organ_file: str, loss: float, seconds: float) -> dict[str, Any]:
         # Few ticks, because the link is measured here and not the machine.
         settings = UNDAMPED, "integrator:=implicit", "rate:=100.0", f"marker_rate:={LINK_RATE}"
         ticks(graph.start_node(organ_file, *settings, within=here))
-        told(graph.start("probes.hand", organ_file, within=here))
+        told(graph.start("probes.tool_driver", organ_file, within=here))
         message = Path(folder, "surface")
         message.write_bytes(CloudTemplate("organ", Organ.load(organ_file).n_surface, ("x", "y", "z")).message(0))
         graph.start("probes.sender", f"/{SENDER}/surface", "surface", str(message), str(LINK_RATE), within=here)
@@ -95,7 +95,7 @@ def of_large_organ(points: int, seconds: float) -> dict[str, Any]:
         # Soft tissue needs fewer substeps, because the sending is measured here.
         settings = UNDAMPED, "stiffness_scale:=0.02", f"marker_rate:={LARGE_RATE}"
         ticks(graph.start_node(organ_file, *settings))
-        told(graph.start("probes.hand", organ_file))
+        told(graph.start("probes.tool_driver", organ_file))
         own = graph.enter_context(client_node("bench", NODE))
         topics = {kind: f"/{NODE}/{kind}" for kind in ("markers", "surface")}
         with Viewer(own, *topics.values()) as viewer:

@@ -87,8 +87,8 @@ def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) 
         node = graph.serve(f"scene_file:={carried(scene, Path(folder))}")
         ticks(node)
         page = graph.start_command("view", "--host", host, "--port", str(free_port()), "--node", NODE)
-        children = {PAGE: page, SERVED: node, BARE: graph.start("probes.sleeper", str(LEAST))}
-        watcher = graph.start("probes.page_watcher", served_at(page), str(seconds), within=within)
+        children = {PAGE: page, SERVED: node, BARE: graph.start("probes.idle_loop", str(LEAST))}
+        watcher = graph.start("probes.websocket_counter", served_at(page), str(seconds), within=within)
         first_within(lambda: watcher.output or watcher.exit_code is not None, START_TIME, "no picture arrived")
         own = graph.enter_context(client_node("bench", NODE))
         topic = f"/{NODE}/{scene.names[0]}/surface"

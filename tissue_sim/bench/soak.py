@@ -102,7 +102,7 @@ def measure(
 
         parameters = f"rate:={RATE}", f"realtime_priority:={priority}", "marker_rate:=60.0"
         served = graph.start_node(path, *parameters, "record:=true", f"record_folder:={folder}")
-        graph.start("probes.listener", NODE)
+        graph.start("probes.marker_subscriber", NODE)
         ticks(served)
         own = graph.enter_context(client_node("soak", NODE))
         watch = Watch(own, NODE, served.pid)

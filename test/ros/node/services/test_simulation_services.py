@@ -223,7 +223,7 @@ def test_the_state_of_an_entity_is_its_pose_in_its_frame(call):
     assert call.code("get_entity_state", entity="nobody") == result.RESULT_NOT_FOUND
     assert "left, right" in call.line
     assert call.code("get_entity_state", entity="right") == result.RESULT_OPERATION_FAILED
-    assert "no pose" in call.line
+    assert "not received a pose" in call.line
     client.ask((0.3, 0.01, 0.02))
     assert client.spin_until(lambda: client.ask((0.3, 0.01, 0.02)) or int(client.report()["left.poses"]) > 0)
     answer = call("get_entity_state", entity="left")
