@@ -228,6 +228,41 @@ def test_programs_that_are_started_by_name_exist():
     assert not [name for name in started if not (PACKAGE / "ros" / f"{name.replace('.', '/')}.py").exists()]
 
 
+PARAMETERS = re.compile(r"^Parameters\n-+\n(.*?)(?=^\w[^\n]*\n-{3,}\n|\Z)", re.MULTILINE | re.DOTALL)
+STALE = '''
+def f(a):
+    """Do it.
+
+    Parameters
+    ----------
+    b : int
+        It.
+    """
+'''
+
+
+def undefined_parameters(source: str) -> list[str]:
+    """Return the names that a docstring's Parameters section describes, and its function or class doesn't have."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            continue
+        section = PARAMETERS.search(ast.get_docstring(node) or "")
+        lines = section[1].splitlines() if section else []
+        told = {name.strip(" *") for line in lines if line and line[0] != " " for name in line.split(":")[0].split(",")}
+        # Of a class: those of its constructor, or its fields.
+        own = {one.arg for one in ast.walk(node) if isinstance(one, ast.arg)}
+        own |= {one.target.id for one in ast.walk(node) if isinstance(one, ast.AnnAssign) and hasattr(one.target, "id")}
+        found += [f"{node.name}: {name}" for name in sorted(told - own)]
+    return found
+
+
+def test_docstrings_describe_parameters_that_exist():
+    found = [(path.name, one) for path in SOURCES for one in undefined_parameters(path.read_text(encoding="utf-8"))]
+    assert not found
+    assert undefined_parameters(STALE) == ["f: b"]
+
+
 def crossings(path: Path) -> list[str]:
     """Imports of a test or helper that are relative, or of another test module, as `file:line: what`."""
     found = []

@@ -164,7 +164,7 @@ class Trial(NamedTuple):
 
     @property
     def swings(self) -> bool:
-        """Whether it neither rests in the end nor is about to: a limit cycle, or thrown off."""
+        """Whether the device ends in a limit cycle or is thrown off, instead of coming to rest."""
         before, last = quarters(self.places)
         return bool(self.places[-1] > FAR) or (last > QUANTA * self.finest and last > KEPT * before)
 

@@ -150,7 +150,7 @@ class Pressed(NamedTuple):
 
     @property
     def is_lost(self) -> bool:
-        """Whether the output is nearly zero although it should not be."""
+        """Whether the press failed: its force is nearly zero, unlike that of the slow press."""
         return bool(np.linalg.norm(self.felt) < LOST * np.linalg.norm(self.slow))
 
     @property

@@ -11,7 +11,7 @@ from typing import TypedDict, Unpack
 
 from tissue_sim.calibration import calibrate as calibration
 from tissue_sim.calibration.checkpoint import Checkpoint
-from tissue_sim.calibration.coarseness import coarseness
+from tissue_sim.calibration.coarseness import accuracy_warning
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
@@ -73,8 +73,8 @@ def calibrate(
         raise TypeError(f"calibrate() got an unexpected keyword argument '{unknown[0]}'")
     settings = Settings(**options)
     given = organ if isinstance(organ, Organ) else Organ.load(organ)
-    if coarse := coarseness(given):
-        warnings.warn(coarse, stacklevel=2)
+    if warning := accuracy_warning(given):
+        warnings.warn(warning, stacklevel=2)
     inputs = {"organ": given.digest(), "version": __version__, **asdict(settings)}
     with tempfile.TemporaryDirectory() as folder:
         kept = Checkpoint(Path(checkpoint or folder), inputs)

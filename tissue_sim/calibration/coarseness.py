@@ -38,10 +38,15 @@ class Coarse(NamedTuple):
 def check_coarseness(organ: Organ) -> None:
     """Raise UserError, with what to build the organ with, where it is too thin for its triangles to be calibrated.
 
-    Large triangles at thin rims or beside the clamp cost accuracy there: `coarseness` says so, and callers warn.
+    Large triangles at thin rims or beside the clamp cost accuracy there, see `accuracy_warning`.
     """
     if _in_thin_tissue(organ) is not None:
         raise UserError(str(coarseness(organ)))
+
+
+def accuracy_warning(organ: Organ) -> str | None:
+    """Return what limits the accuracy of an organ that can be calibrated; None where nothing does, or it is refused."""
+    return coarseness(organ) if _in_thin_tissue(organ) is None else None
 
 
 def coarseness(organ: Organ) -> str | None:

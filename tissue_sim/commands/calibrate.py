@@ -15,7 +15,7 @@ from tissue_sim import progress
 from tissue_sim.calibration.calibrate import calibrate
 from tissue_sim.calibration.calibration_report import lines, write_pictures
 from tissue_sim.calibration.checkpoint import Checkpoint
-from tissue_sim.calibration.coarseness import check_coarseness, coarseness
+from tissue_sim.calibration.coarseness import accuracy_warning
 from tissue_sim.calibration.stiffness import INTERIOR_FRACTION, METHODS, Settings
 from tissue_sim.commands.calibrate_many import (
     add_cluster,
@@ -108,9 +108,8 @@ def run(args: argparse.Namespace) -> int:
     if args.report and importlib.util.find_spec("matplotlib") is None:
         raise UserError("--report needs matplotlib: pip install 'tissue_sim[calibration]'")
     organ = Organ.load(args.organ[0])
-    check_coarseness(organ)
-    if coarse := coarseness(organ):
-        print(f"warning: {coarse}")
+    if warning := accuracy_warning(organ):
+        print(f"warning: {warning}")
     started = time.perf_counter()
     folder = out.with_name(f".{out.name}.calibration")
     checkpoint = Checkpoint(folder, {"organ": organ.digest(), "version": __version__, **asdict(settings)})

@@ -190,19 +190,14 @@ class Found(NamedTuple):
 def points_near(near: Any, number: Any, search: Any, seen: Any, found: Any, count: int) -> int:
     """Find the points of triangles that lie within reach of a body: corners, and those of their lattices.
 
-    number (t,): which triangles they are. The points are written after the first `count` as far as there is room;
-    returns how many there are now. seen (n,): room, zero outside this function.
-
     Parameters
     ----------
-    position : Any, shape (n, 3), m
-        Positions of the nodes, surface first.
     near : Any, shape (t, 3)
         Triangles.
     number : Any, shape (t,)
         Their indices.
     search : Any
-        The query.
+        The query, with the positions of the nodes, (n, 3) m.
     seen : Any, shape (n,)
         Buffer, zero outside this function.
     found : Any

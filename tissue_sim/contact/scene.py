@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tissue_sim.arguments import finite, number_of
 from tissue_sim.array_types import Floats
-from tissue_sim.contact.arguments import finite, number_of
 from tissue_sim.contact.attachments import Attachment, Breathing
 from tissue_sim.contact.contact_organ import ContactOrgan
 from tissue_sim.contact.coupling_setup import join

@@ -10,8 +10,8 @@ import fcl
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue_sim.arguments import number_of
 from tissue_sim.array_types import Floats
-from tissue_sim.contact.arguments import number_of
 from tissue_sim.contact.gripper import Jaws, jaw_poses
 from tissue_sim.errors import UserError
 from tissue_sim.model.contact.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes

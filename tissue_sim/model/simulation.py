@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tissue_sim.arguments import floats_of
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.handles import handle
@@ -308,7 +309,7 @@ class Simulation:
     def _at_nodes(self, nodes: ArrayLike, given: ArrayLike, name: str) -> tuple[NDArray[np.int64], Floats]:
         """Check and return nodes (k,) and the given vectors (k, 3), one at each."""
         index = np.atleast_1d(np.asarray(nodes, dtype=np.int64))
-        values = np.asarray(given, dtype=np.float64)
+        values = floats_of(given)
         if values.size != 3 * len(index) or values.shape[-1] != 3:
             raise UserError(f"{name} has shape {values.shape}, expected ({len(index)}, 3) for {len(index)} nodes")
         values = np.ascontiguousarray(values.reshape(len(index), 3))
@@ -515,10 +516,7 @@ def acceleration_of(given: ArrayLike, name: str) -> Floats:
     UserError
         When it is not three finite numbers of at most MOST_GRAVITY together.
     """
-    try:
-        values = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        values = np.zeros(0)
+    values = floats_of(given)
     if values.shape != (3,) or not np.all(np.isfinite(values)) or np.linalg.norm(values) > MOST_GRAVITY:
         raise UserError(f"{name} {given!r} is not three numbers, m/s^2, with a norm of at most {MOST_GRAVITY:g}")
     return values

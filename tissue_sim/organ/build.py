@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tissue_sim.array_types import Floats
+from tissue_sim.arguments import finite
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.inclusions import Inclusion, check_stiffness
@@ -185,7 +185,7 @@ def make(kind: str, source: Any, request: Request, given: Mapping[str, Any], pro
     with progress.stage("read"):
         image = _image(source, request.name, given)
     voxel = given.get("seed_voxel")
-    seed = _triple(given["seed"], "seed") if voxel is None else image.to_points(_triple(voxel, "seed_voxel"))
+    seed = finite(given["seed"], 3, "seed") if voxel is None else image.to_points(finite(voxel, 3, "seed_voxel"))
     parameters = SegmentationParameters(**given.get("segmentation", {}))
     return organ_from_image(image, seed, request, parameters, progress=progress)
 
@@ -261,7 +261,7 @@ def _volume(voxels: NDArray[Any], name: str, given: Mapping[str, Any]) -> Volume
 
     if "spacing" not in given:
         raise UserError("voxels need a spacing: the distance, mm, of their centres along x, y and z")
-    steps = _triple(given["spacing"], "spacing")
+    steps = finite(given["spacing"], 3, "spacing")
     if np.any(steps <= 0.0):
         raise UserError(f"spacing is {steps.tolist()}; expected: three numbers greater than 0, mm")
     return Volume(np.ascontiguousarray(voxels.transpose(2, 1, 0)), steps, np.zeros(3), np.eye(3), name)
@@ -280,16 +280,6 @@ def _surrounded(parts: Sequence[Volume], wanted: Mapping[str, float], progress: 
         if specks:
             progress.say(f"omitted {specks} specks of label {label}")
     return tuple(found)
-
-
-def _triple(given: ArrayLike, name: str) -> Floats:
-    try:
-        values = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        values = np.empty(0)
-    if values.shape != (3,) or not np.all(np.isfinite(values)):
-        raise UserError(f"{name} is {given!r}; expected: three finite numbers")
-    return values
 
 
 # what is said of a source -----------------------------------------------------------------------------

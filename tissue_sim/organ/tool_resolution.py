@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.surfaces.sizing import local_edges, relative_edges
+from tissue_sim.organ.surfaces import sizing
 
 FINE, FINE_WITHIN = 1.0, 8.0  # mean edges, %
 FAIR, FAIR_WITHIN = 0.5, 15.0
@@ -38,16 +38,19 @@ def mean_edge(organ: Organ) -> float:
     float, m
         The mean over all edges of all triangles.
     """
-    corner = organ.surface_positions[organ.surface_triangles]
-    return float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).mean())
+    return sizing.mean_edge(organ.surface_positions, organ.surface_triangles)
 
 
 def usual_edge(organ: Organ) -> float:
     """Return the mean edge of an organ's surface, m; of a graded one that of its coarser half."""
     positions, triangles = organ.surface_positions, organ.surface_triangles
-    size = relative_edges(positions, triangles)
+    size = sizing.relative_edges(positions, triangles)
     coarser = size >= np.median(size)
-    return mean_edge(organ) if size.min() == size.max() else float(local_edges(positions, triangles)[coarser].mean())
+    return (
+        mean_edge(organ)
+        if size.min() == size.max()
+        else float(sizing.local_edges(positions, triangles)[coarser].mean())
+    )
 
 
 def points_for(organ: Organ, radius: float, edges: float = FAIR) -> int:

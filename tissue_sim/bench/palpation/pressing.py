@@ -13,13 +13,13 @@ from tissue_sim.organ.organ import Organ
 
 CLEAR = 0.002  # m between ball and organ at the start
 SPEED = 0.002  # m/s: so slow that an organ that bends at 1 Hz is not swung, and sticks where a still one would
-HOLDING, LONGEST = 0.2, 5.0  # s between two looks at the force at a depth, and at the most
+HOLDING, LONGEST = 0.2, 5.0  # s between two readings of the force at a depth, and at most
 STILL = 1e-3  # of the force, by which it has changed since the last look
 FRICTION = 10.0  # at which nothing slips
 
 
 class Press(NamedTuple):
-    """Where a ball presses, and which way."""
+    """Point at which a sphere presses, and its direction."""
 
     place: Floats  # (3,) m, of the ball's middle where it touches
     way: Floats  # (3,) inwards

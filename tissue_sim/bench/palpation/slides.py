@@ -99,7 +99,7 @@ def slides(organ: Organ, radii: Sequence[float], places: Sequence[Sequence[Press
 
 
 class Slide(NamedTuple):
-    """What is found after the run-in of a slide on a track."""
+    """Force and carried distance along a track, after the run-in of a slide."""
 
     force: Floats  # (k,) N along the normal, at each tick
     carried: Floats  # (3,) m, by which the tissue that touches is displaced, in the mean of its force

@@ -237,16 +237,8 @@ def change_region(world: Any) -> None:
 
     Parameters
     ----------
-    model : Any
-        Constants of the model.
-    state : Any
-        State of the simulation; updated.
-    shapes : Any
-        Shapes of the bodies.
-    settings : Any
-        Settings of the simulation.
-    scratch : Any
-        Working memory; updated.
+    world : Any
+        Model, state, shapes, settings and working memory; updated.
     """
 
 

@@ -39,7 +39,7 @@ from tissue_sim.model.regions.active_region import (
     prepare_region,
     region_forces,
 )
-from tissue_sim.model.stepping.guard import check_cells, guard
+from tissue_sim.model.stepping.guard import check_cells, guard, is_sound
 from tissue_sim.model.stepping.inputs import unload_nodes
 from tissue_sim.model.stepping.integrators import (
     explicit_euler,
@@ -61,16 +61,8 @@ def tick(world: Any) -> None:
 
     Parameters
     ----------
-    model : Any
-        Constants of the model.
-    state : Any
-        State of the simulation; updated.
-    shapes : Any
-        Shapes of the bodies.
-    settings : Any
-        Settings of the simulation.
-    scratch : Any
-        Working memory; updated.
+    world : Any
+        Model, state, shapes, settings and working memory; updated.
     """
     lead_return_springs(world.model, world.state)
     plan = world.scratch.plan
@@ -140,16 +132,8 @@ def begin_tick(world: Any) -> None:
 
     Parameters
     ----------
-    model : Any
-        Constants of the model.
-    state : Any
-        State of the simulation; updated.
-    shapes : Any
-        Shapes of the bodies.
-    settings : Any
-        Settings of the simulation.
-    scratch : Any
-        Working memory; updated.
+    world : Any
+        Model, state, shapes, settings and working memory; updated.
     """
     state, settings, scratch = world.state, world.settings, world.scratch
     status, plan = state.status, scratch.plan
@@ -198,16 +182,8 @@ def end_tick(world: Any) -> None:
 
     Parameters
     ----------
-    model : Any
-        Constants of the model.
-    state : Any
-        State of the simulation; updated.
-    shapes : Any
-        Shapes of the bodies.
-    settings : Any
-        Settings of the simulation.
-    scratch : Any
-        Working memory; updated.
+    world : Any
+        Model, state, shapes, settings and working memory; updated.
     """
     model, state, shapes = world.model, world.state, world.shapes
     settings, scratch = world.settings, world.scratch
@@ -235,8 +211,7 @@ def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Ca
 
 @kernel
 def _if_sound(model: Any, state: Any, settings: Any, scratch: Any) -> bool:
-    status = state.status
-    if status.region != Region.WHOLE or status.turned > 0 or status.backoff > 1 or status.shivering > 0:
+    if not is_sound(state.status):
         return False
     predict(state.position, state.velocity, model.moving, settings.tick_time / settings.substeps, scratch.predicted)
     whole_forces(model, scratch.predicted, settings, scratch)

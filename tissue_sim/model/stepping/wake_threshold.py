@@ -54,8 +54,8 @@ def wake_threshold_of(models: Sequence[Model], links: Links, ways: Floats, most:
 
     Parameters
     ----------
-    simulations : Sequence[Simulation]
-        Simulations of the organs.
+    models : Sequence[Model]
+        Models of the organs.
     links : Links
         Links between them.
     ways : Floats, shape (k, 3)

@@ -188,14 +188,10 @@ def segment_crop(
         Image on the working grid.
     inside : Mask, shape (nz, ny, nx)
         Which voxels lie in the image.
-    point : NDArray[np.float64], shape (3,), mm
-        Seed point.
+    start : Seed
+        Seed point, with the first mean of the organ and the deviation there, HU.
     p : SegmentationParameters
         Parameters of the segmentation.
-    mean : float, HU
-        First mean of the organ.
-    deviation : float, HU
-        Deviation at the seed.
     smoothed : tuple[Singles, Singles] | None, optional
         Result of `smooth_for`, when several windows are tried on one crop.
     largest : float, mL, optional

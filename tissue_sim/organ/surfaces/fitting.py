@@ -11,7 +11,7 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.organ.surfaces.remesh import flip_edges, relax, relax_sized, transport, transport_sized, vertex_normals
 from tissue_sim.organ.surfaces.resample import thicken, thin_out
-from tissue_sim.organ.surfaces.sizing import spread
+from tissue_sim.organ.surfaces.sizing import mean_edge, spread
 from tissue_sim.organ.surfaces.surface import Wall, corner_angles, intersecting_pairs
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 
@@ -167,25 +167,6 @@ def finish(
         if attempt > 0 and found is not None and found.warnings:
             size[:] = np.sqrt(size)
     return best
-
-
-def mean_edge(positions: Floats, triangles: Ints) -> float:
-    """Return the mean edge length of a closed surface, in the unit of its positions.
-
-    Parameters
-    ----------
-    positions : Floats, shape (n, 3)
-        Points of the surface.
-    triangles : Ints, shape (t, 3)
-        Corner indices, counter-clockwise seen from outside.
-
-    Returns
-    -------
-    float
-        The mean.
-    """
-    edges = positions[triangles] - positions[np.roll(triangles, 1, axis=1)]
-    return float(np.linalg.norm(edges, axis=2).mean())
 
 
 def _judged(positions: Floats, triangles: Ints, reference: tuple[Floats, Ints]) -> Finished | None:

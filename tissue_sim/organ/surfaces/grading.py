@@ -10,7 +10,7 @@ from tissue_sim.organ.surfaces.fitting import flip, settle
 from tissue_sim.organ.surfaces.intersections import intersecting_pairs
 from tissue_sim.organ.surfaces.remesh import relax_sized, transport_sized
 from tissue_sim.organ.surfaces.resample import split_long
-from tissue_sim.organ.surfaces.sizing import Wanted
+from tissue_sim.organ.surfaces.sizing import Wanted, mean_edge
 from tissue_sim.organ.surfaces.surface import Wall
 
 _LONG = 4.0 / 3.0  # an edge is split when it is so many times as long as wanted: the halves are then nearer to it
@@ -41,7 +41,7 @@ def graded(positions: Floats, triangles: Ints, wall: Wall, wanted: Wanted, most:
         when it would have more than `most` points
 
     """
-    edge = float(np.linalg.norm(positions[triangles] - positions[np.roll(triangles, 1, axis=1)], axis=2).mean())
+    edge = mean_edge(positions, triangles)
     found = _split(positions, triangles, wall, wanted, edge, most)
     size = np.minimum(wanted(found[0]), edge)
     laid = found[0].copy(), found[1].copy()

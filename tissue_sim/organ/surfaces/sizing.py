@@ -16,6 +16,25 @@ _CHUNK = 512  # points at once
 _EVEN = 2.0  # between the longest and the shortest twentieth of the edges, smoothed: more, and a surface is graded
 
 
+def mean_edge(positions: Floats, triangles: Ints) -> float:
+    """Return the mean edge length of a closed surface, in the unit of its positions.
+
+    Parameters
+    ----------
+    positions : Floats, shape (n, 3)
+        Points of the surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    float
+        The mean.
+    """
+    edges = positions[triangles] - positions[np.roll(triangles, 1, axis=1)]
+    return float(np.linalg.norm(edges, axis=2).mean())
+
+
 def local_edges(positions: Floats, triangles: Ints) -> Floats:
     """Return the mean length of the edges at each point of a closed surface, (n,), in the unit of its positions."""
     n = len(positions)

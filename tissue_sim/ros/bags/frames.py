@@ -21,7 +21,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.comparison import Shown
 from tissue_sim.ros.bags.player import replay
 from tissue_sim.ros.bags.reading import Bag
-from tissue_sim.ros.shared.appearance import FULL_DISPLACEMENT, shades, tissue_colour
+from tissue_sim.ros.shared.appearance import shade_of, shades, tissue_colour
 
 STEEL = (190, 195, 200)  # a tool's colour
 MOST_FRAMES = 10_000
@@ -90,9 +90,9 @@ def frames_of(bag: Bag, every: int) -> list[Frame]:
 def _organ_part(name: str, organ: Organ, surface: NDArray[np.float32], scale: Floats) -> Part:
     positions = surface.astype(np.float64)
     moved = positions - organ.surface_positions
-    shade = np.linalg.norm(moved, axis=1) / FULL_DISPLACEMENT * (len(scale) - 1)
-    colours = scale[np.minimum(shade, len(scale) - 1).astype(np.int64)].astype(np.uint8)
-    return Part(name, positions, organ.surface_triangles, {"displacement_m": moved}, colours)
+    return Part(
+        name, positions, organ.surface_triangles, {"displacement_m": moved}, shade_of(moved, scale).astype(np.uint8)
+    )
 
 
 class _ShownTool:

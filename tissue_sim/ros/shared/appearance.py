@@ -43,6 +43,13 @@ def tissue_colour(name: str) -> Colour:
     return next((colour for word, colour in BASE.items() if word in name.lower()), TISSUE)
 
 
+def shade_of(displacement: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the colours (n, 3) of a scale at displacements (n, 3) m."""
+    share = np.linalg.norm(displacement, axis=1) / FULL_DISPLACEMENT
+    place = (np.minimum(share, 1.0) * (len(scale) - 1)).astype(np.int64)
+    return np.asarray(scale[place])
+
+
 _AT = np.array([0.0, *(level for level, _ in SCALE)]) / SCALE[-1][0]
 _N_SHADES = 256
 

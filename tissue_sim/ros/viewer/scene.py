@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.organ.mean_value import mean_value_weights
-from tissue_sim.ros.shared.appearance import FULL_DISPLACEMENT, LIGAMENT, Colour, shades, tissue_colour
+from tissue_sim.ros.shared.appearance import LIGAMENT, Colour, shade_of, shades, tissue_colour
 from tissue_sim.ros.shared.organ_topics import path_of
 from tissue_sim.ros.viewer.coloured_surface import ColouredSurface, light_of
 
@@ -170,10 +170,8 @@ class OrganView:
         moved = positions - self.rest
         if self._is_carried:  # by the breath: as most of it is
             moved = moved - np.median(moved, axis=0)
-        share = np.linalg.norm(moved, axis=1) / FULL_DISPLACEMENT
-        place = (np.minimum(share, 1.0) * (len(self._shades) - 1)).astype(np.int64)
         new = self._hidden.pop(0)
-        new.glb_data = self._surface.message(positions, self._shades[place], eye)
+        new.glb_data = self._surface.message(positions, shade_of(moved, self._shades), eye)
         self._sent.append((self._turns + LATER, new))
 
     def set_opacity(self, opacity: float) -> bool:

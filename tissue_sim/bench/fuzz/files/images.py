@@ -351,7 +351,7 @@ def changed_field(rng: Rng, data: bytes, name: str, at: int) -> tuple[bytes, str
     Parameters
     ----------
     rng, data : draws what is changed, and the whole file
-    name : of the field, for who is told what was changed
+    name : of the field, for the report of the mutation
     at : where its tag begins, bytes
     """
     made = bytearray(data)

@@ -322,7 +322,7 @@ def _vtp() -> bytes:
 
 @lru_cache(maxsize=1)
 def _vtu() -> bytes:
-    """Of tetrahedra: a fan around the middle."""
+    """Return the mesh as tetrahedra that share its middle."""
     points, triangles = _ball()
     points = np.vstack([points, [0.0, 0.0, 0.0]])
     cells = np.insert(triangles, 0, len(points) - 1, axis=1).astype(np.int32)

@@ -132,7 +132,7 @@ def _described(kind: str, shape: tuple[int, ...]) -> Dataset:
 
 
 def _of_frame(segment: int, z: int) -> Dataset:
-    """Where a frame lies, and whose it is; segment 0: of all."""
+    """Return the functional groups of a frame: its position, and its segment; segment 0 stands for all."""
     found = _item(PlanePositionSequence=[_item(ImagePositionPatient=[10.0, 20.0, 30.0 + 3.0 * z])])
     if segment:
         found.SegmentIdentificationSequence = [_item(ReferencedSegmentNumber=segment)]

@@ -1,4 +1,4 @@
-"""What a script gives: numbers that must be finite, and things that are named or numbered."""
+"""Checks of arguments from scripts: numbers that must be finite, and items that are given by name or number."""
 
 from __future__ import annotations
 
@@ -13,12 +13,17 @@ from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError, shown
 
 
+def floats_of(given: ArrayLike) -> Floats:
+    """Return given numbers as an array of their shape, an empty one for what is no number."""
+    try:
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.zeros(0)
+
+
 def finite(given: ArrayLike, count: int, name: str) -> Floats:
     """Return given numbers as an array (count,). Raises UserError, with their name, unless all are finite."""
-    try:
-        values = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        values = np.zeros(0)
+    values = floats_of(given)
     if values.shape != (count,) or not np.all(np.isfinite(values)):
         wanted = "a finite number" if count == 1 else f"{count} finite numbers"
         raise UserError(f"{name} is {shown(repr(given))}; expected: {wanted}")
