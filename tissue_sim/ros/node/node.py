@@ -136,7 +136,7 @@ class TissueNode(GuardedNode):
         freshness = [port.pose_freshness for port in self.ports]
         self.live = LiveSettings(self.scene, values, self._post_settings, freshness)
         self.namesakes = DuplicateNodes(self)
-        self.pausing = Pausing(self, self.loop, self.sim_clock, lambda: values["step_ticks"])
+        self.pausing = Pausing(self, self.loop, self.sim_clock, lambda: values["step_ticks"], self.contacts)
         if simulation_services.installed():
             entities = Entities(self, values, self.served, self.ports)
             simulation_services.SimulationServices(self, self.loop, self.pausing, entities)

@@ -117,3 +117,22 @@ def test_a_search_that_fails_is_told_once_and_forgotten_when_one_succeeds(scene,
     report = report_of(scene.worker)
     assert report.problems["contact_search_failures"] >= 5, "what happened is still counted"
     assert report.values["contact_sets"] > 0
+
+
+def test_who_catches_up_waits_for_a_search_that_began_afterwards(scene, monkeypatch):
+    """However long one takes: the one in progress has the pose from before."""
+    find, posted, may_go, is_finding = scene.finder.find, [], threading.Event(), threading.Event()
+
+    def when_allowed(*words):
+        is_finding.set()
+        assert may_go.wait(30.0)
+        return find(*words)
+
+    monkeypatch.setattr(scene.finder, "find", when_allowed)
+    monkeypatch.setattr(scene.physics, "post_contacts", lambda found: posted.append(found) or len(posted))
+    scene.worker.start()
+    assert is_finding.wait(30.0)
+    assert not scene.worker.catch_up(0.05), "none ended"
+    threading.Timer(0.1, may_go.set).start()
+    assert scene.worker.catch_up(30.0)
+    assert len(posted) >= 2

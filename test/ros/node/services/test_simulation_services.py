@@ -234,7 +234,10 @@ def test_the_state_of_an_entity_is_its_pose_in_its_frame(call):
 
 
 def test_a_tool_without_a_bridge_is_placed_and_presses_with_the_steps(call):
-    """In the world's frame, while the node is paused; nobody publishes poses of the right one."""
+    """In the world's frame, while the node is paused; nobody publishes poses of the right one.
+
+    It goes its way in the ticks between two poses, whatever time the caller takes for them.
+    """
     result, of = call.msg.Result, call.msg.SimulationState
     organ = shipped()
     points = organ.surface_positions
@@ -245,6 +248,7 @@ def test_a_tool_without_a_bridge_is_placed_and_presses_with_the_steps(call):
         where = points[node] + np.array(BASE) + (0.005 - depth) * np.array([1.0, 0.0, 0.0])
         state = call.placed(where, frame="" if depth < 0.0 else "world")
         assert call.code("set_entity_state", entity="right", state=state, set_pose=True) == result.RESULT_OK, call.line
+        call.client.spin(0.05)
         assert call.code("step_simulation", steps=10) == result.RESULT_OK
     answer = call("get_entity_state", entity="right")
     position = answer.state.pose.position

@@ -32,6 +32,8 @@ class ContactWorker:
         self._searches, self._pairs, self._ports, self._woken = list(searches), pairs, list(ports), woken
         self._trouble = RepeatedFailure("contact search", warn)
         self._stop = threading.Event()
+        self._passes_begun = self._passes_ended = 0
+        self._pass_ended = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="contact", daemon=True)
         self._idle = self._organs_move = False
 
@@ -45,6 +47,24 @@ class ContactWorker:
         self._woken.set()
         if self._thread.is_alive():
             self._thread.join(timeout=0.5)
+
+    def catch_up(self, timeout: float) -> bool:
+        """Wait for a whole search that begins after this call, so that its sets are posted.
+
+        Parameters
+        ----------
+        timeout : float, s
+            How long to wait at most.
+
+        Returns
+        -------
+        bool
+            whether it ended in time
+        """
+        with self._pass_ended:
+            wanted = self._passes_begun + 1
+            self._woken.set()
+            return self._pass_ended.wait_for(lambda: self._passes_ended >= wanted, timeout)
 
     def report(self, report: Report) -> None:
         """Add what was found, what was skipped, and how long it took.
@@ -81,9 +101,14 @@ class ContactWorker:
             wait = 1.0 / self.rate if moves else IDLE_WAIT if self._idle and self._pairs is None else BUSY_WAIT
             self._woken.wait(timeout=wait)
             self._woken.clear()
+            with self._pass_ended:
+                self._passes_begun += 1
             begun = time.monotonic()
             with self._trouble.noted():  # after an error the node goes on with the last sets
                 self._refresh(begun)
+            with self._pass_ended:
+                self._passes_ended = self._passes_begun
+                self._pass_ended.notify_all()
             rest = 1.0 / self.rate - (time.monotonic() - begun)
             if rest > 0.0:
                 time.sleep(rest)

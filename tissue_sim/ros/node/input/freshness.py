@@ -49,6 +49,10 @@ class Freshness:
         self._delay += NEW * ((age if 0.0 <= age <= LONGEST_DELAY else 0.0) - self._delay)
         self._came, self._stamp = now, stamp
 
+    def arrival_stamp(self) -> int:
+        """Return the stamp, ns, of a message without one that comes now, see `SimClock.arrival_stamp`."""
+        return self._clock.arrival_stamp()
+
     @property
     def age(self) -> float:
         """Time since the newest message, s; infinite when there was none."""

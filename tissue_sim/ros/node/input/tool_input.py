@@ -80,7 +80,7 @@ class ToolInput:
         self._pose_freshness, self._force_freshness = freshness
         self._pose_gate, self._force_gate = InputThrottle(backlog), InputThrottle(backlog)
         self._pose_came, self._force_came = pose_came, force_came
-        self._log, self._clock, self._count_publishers = node.get_logger(), node.get_clock(), node.count_publishers
+        self._log, self._count_publishers = node.get_logger(), node.count_publishers
         self.newest, self._angle = tool.nowhere, 0.0  # rad between a gripper's jaws
         self._newest_force: tuple[int, bytes] = (0, b"")
         self.poses = 0
@@ -261,7 +261,7 @@ class ToolInput:
         return to_organ.is_identity and message.frame_id == self._tool.organ_frame and message.stamp != UNSTAMPED
 
     def _stamp(self, message: Stamped) -> int:
-        return message.stamp if message.stamp != UNSTAMPED else int(self._clock.now().nanoseconds)
+        return message.stamp if message.stamp != UNSTAMPED else self._pose_freshness.arrival_stamp()
 
     @staticmethod
     @contextmanager

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from std_srvs.srv import SetBool, Trigger
 
 from tissue_sim.errors import UserError
+from tissue_sim.ros.node.contact.contact_worker import ContactWorker
 from tissue_sim.ros.node.shared.deferred_service import DeferredService, Work
 from tissue_sim.ros.node.shared.guarded_node import GuardedNode
 from tissue_sim.ros.node.shared.sim_clock import SimClock
@@ -17,6 +18,7 @@ from tissue_sim.ros.shared.report import Report
 
 BY_CLOCK = "use_sim_time is set: ticks follow /clock, so pause and step at its publisher"
 NEXT_TICK = "the node is paused: the organs return to rest with the next tick"
+LONGEST_SEARCH = 1.0  # s that a step waits for contacts before it takes its next ticks without them
 PAUSED = "paused: no ticks and no forces until ~/pause is called with data: false"
 
 
@@ -35,6 +37,8 @@ class Pausing:
         The clock that ticks follow.
     step_ticks : Callable[[], int]
         Returns how many ticks ~/step takes.
+    contacts : ContactWorker
+        Finds contacts beside the ticks.
 
     Attributes
     ----------
@@ -42,8 +46,15 @@ class Pausing:
         Whether it was paused by a reset to the start, and has not been stepped since.
     """
 
-    def __init__(self, node: GuardedNode, loop: Loop, clock: SimClock, step_ticks: Callable[[], int]) -> None:
-        self._loop, self._clock, self._log = loop, clock, node.get_logger()
+    def __init__(
+        self,
+        node: GuardedNode,
+        loop: Loop,
+        clock: SimClock,
+        step_ticks: Callable[[], int],
+        contacts: ContactWorker,
+    ) -> None:
+        self._loop, self._clock, self._log, self._contacts = loop, clock, node.get_logger(), contacts
         self._step_ticks = step_ticks
         self.stopped = False
         self._cancelled = threading.Event()  # the step that is being taken
@@ -120,7 +131,8 @@ class Pausing:
     def take(self, ticks: int) -> int:
         """Take the ticks of the step that was begun, no faster than the clock.
 
-        Contacts are found beside the ticks as often as in a node that runs.
+        Contacts are found as often as in a node that runs, but the ticks wait for them: what a step does must not
+        depend on how busy the machine is.
 
         Parameters
         ----------
@@ -140,6 +152,8 @@ class Pausing:
         try:
             due = time.monotonic()
             for taken in range(ticks):
+                if taken % max(1, round(1.0 / (self._contacts.rate * self._loop.tick_time))) == 0:
+                    self._contacts.catch_up(LONGEST_SEARCH)
                 if self._cancelled.is_set() or not self._loop.hold.step():
                     return taken
                 due += self._loop.tick_time

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from rclpy.clock import ClockChange, JumpThreshold, TimeJump
@@ -45,6 +46,20 @@ class SimClock:
             s
         """
         return 1e-9 * self._clock.now().nanoseconds if self.active else self._loop.hold.now()
+
+    def arrival_stamp(self) -> int:
+        """Return the stamp of a message without one that comes now, without the time for which the loop was held.
+
+        A tool takes as long for its way as the stamps of its poses are apart. A pause is no part of that: who places a
+        tool and takes ten ticks, again and again, has it move in these ten.
+
+        Returns
+        -------
+        int, ns
+            by ROS's clock
+        """
+        now = int(self._clock.now().nanoseconds)
+        return now if self.active else now - round(1e9 * (time.monotonic() - self._loop.hold.now()))
 
     def age_of(self, stamp: int) -> float:
         """Return the time since a stamp, by ROS's clock; negative for one of a clock that is ahead.
