@@ -257,6 +257,7 @@ def undefined_parameters(source: str) -> list[str]:
     return found
 
 
+@pytest.mark.extended
 def test_docstrings_describe_parameters_that_exist():
     found = [(path.name, one) for path in SOURCES for one in undefined_parameters(path.read_text(encoding="utf-8"))]
     assert not found
@@ -280,6 +281,7 @@ def crossings(path: Path) -> list[str]:
     return found
 
 
+@pytest.mark.extended
 def test_tests_share_only_named_helpers():
     assert not [line for path in TESTS for line in crossings(path)]
     are_tests = {path for path in TESTS if path.name.startswith("test_") or path.name == "conftest.py"}

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 MAKEFILE = (ROOT / "Makefile").read_text()
 # What only finite elements, peers, images, plots and checks need.
@@ -33,6 +35,7 @@ def test_demo_installs_what_it_needs_and_no_more():
     assert set(extras("EXTRAS")) == {"image", "calibration", "cluster", "bench", "test"}
 
 
+@pytest.mark.extended
 def test_node_loads_without_any_extra_and_programs_of_the_demo_without_the_others():
     """In one process, as rclpy takes a second to load: the viewer's library comes once the node is there."""
     code = (

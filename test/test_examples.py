@@ -54,6 +54,7 @@ def test_a_press_pushes_the_hand_out(tmp_path):
     assert 0.4 < force < 1.2
 
 
+@pytest.mark.extended
 def test_a_bag_is_listed_with_shapes_and_units(tmp_path):
     text = run("bag_arrays", tmp_path)
     assert re.search(r"left/force +\(\d+, 3\) +N\n", text)

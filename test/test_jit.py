@@ -57,6 +57,7 @@ def test_second_process_finds_the_first_ones_kernels(tmp_path):
     assert kernels() == first
 
 
+@pytest.mark.extended
 def test_what_two_processes_need_at_once_is_compiled_by_one(tmp_path):
     """The second waits for the first, and loads what that has compiled."""
     code = (

@@ -130,6 +130,7 @@ def test_contributions_are_under_the_licence_and_signed_off():
     assert "https://developercertificate.org/" in text
 
 
+@pytest.mark.extended
 def test_package_xml_names_every_ros_package_that_is_imported():
     package = ElementTree.parse(ROOT / "package.xml").getroot()
     named = {element.text for element in package.findall("exec_depend")}
@@ -179,6 +180,7 @@ def imports_of(path: Path) -> set[str]:
 # executables
 
 
+@pytest.mark.extended
 def test_node_explains_itself():
     pytest.importorskip("rclpy")
     answer = run("tissue_node", "--help")

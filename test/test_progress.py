@@ -113,6 +113,7 @@ def test_shares_and_unknown_lengths(clock, capsys):
     assert lines(capsys) == ["wall 40 %; 00:04, about 00:06 left", "wall 40 %: inner; 1:02:03"]
 
 
+@pytest.mark.extended
 def test_a_process_says_how_far_it_is_while_a_step_lasts():
     """Until it has: the step ends when it has said so three times."""
     environment = os.environ | {progress.SETTING: "0.05"}
@@ -186,6 +187,7 @@ def test_no_thread_runs_beside_what_is_timed(monkeypatch):
 # on a terminal --------------------------------------------------------------------------------------
 
 
+@pytest.mark.extended
 def test_a_bar_moves_on_a_terminal_while_a_step_lasts():
     """Above it stays what was printed, and nothing of it is left at the end."""
     program = SLOW_INFO.replace("one.advance(2", "print('a line'); one.advance(2")
@@ -251,6 +253,7 @@ def test_kernels_of_others_are_not_told(clock, capsys):
 # Ctrl-C ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.extended
 def test_ctrl_c_in_a_benchmark_prints_the_rows_that_there_are():
     """Of the process alone: the one that measures for it is stopped by it, and hands over what it has."""
     # A job in the background is started without the signal, and hands that down.

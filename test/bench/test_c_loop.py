@@ -12,6 +12,8 @@ from tissue_sim.bench.organs import patch_load
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.cell_mesh import with_cells
 
+pytestmark = pytest.mark.extended
+
 needs_compiler = pytest.mark.skipif(not shutil.which(c_loop.COMPILER), reason="no C compiler")
 
 

@@ -68,6 +68,7 @@ def test_what_goes_wrong_there_is_raised_here(tmp_path):
         reference.stop()
 
 
+@pytest.mark.extended
 def test_groups_are_the_same_bits_whichever_process_settles_them(tmp_path, monkeypatch):
     """One process settles both groups, or this one takes the last while the other is kept waiting."""
     from threadpoolctl import threadpool_limits

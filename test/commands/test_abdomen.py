@@ -53,6 +53,7 @@ def test_the_right_kidney_is_the_left_ones_mirror_image_lower(masks):
     np.testing.assert_array_equal(right.array[:-lower], left.array[lower:, :, ::-1])
 
 
+@pytest.mark.extended
 def test_the_scene_is_read_again_and_breathes(folder):
     said = SceneFile.read(folder / "abdomen.yaml")
     assert said.names == tuple(part.name for part in PARTS)

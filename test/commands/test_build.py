@@ -136,6 +136,7 @@ def egg(folder, inward=False):
     return str(folder / "egg.ply"), mesh
 
 
+@pytest.mark.extended
 def test_a_surface_keeps_its_points(tmp_path, capsys):
     path, mesh = egg(tmp_path)
     kept, text = build(capsys, "--surface", path, "--unit", "mm", "--keep-points", out=tmp_path / "k.npz")
@@ -248,6 +249,7 @@ def test_help_names_every_option(capsys):
     assert "None" not in text
 
 
+@pytest.mark.extended
 def test_without_the_image_libraries_help_is_whole_and_a_build_names_what_to_install():
     blocked = "import sys\nsys.modules.update(dict.fromkeys(('SimpleITK', 'skimage')))\n"
     code = blocked + "from tissue_sim.cli import main\nsys.exit(main(['build', *sys.argv[1:]]))"

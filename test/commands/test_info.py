@@ -82,6 +82,7 @@ def test_a_damaged_file_is_refused_in_one_line(path, tmp_path, capsys, damage):
     assert "bad.npz" in captured.err
 
 
+@pytest.mark.extended
 def test_needs_no_image_libraries(path):
     code = (
         "import sys\nsys.modules.update(dict.fromkeys(('SimpleITK', 'skimage', 'matplotlib')))\n"

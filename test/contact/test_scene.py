@@ -42,7 +42,7 @@ def poke(gap, period):
     return np.linalg.norm(forces, axis=1)
 
 
-@pytest.mark.parametrize("period", [400, 1000])
+@pytest.mark.parametrize("period", [pytest.param(400, marks=pytest.mark.extended), 1000])
 def test_poses_that_come_late_change_the_highest_force_by_a_tenth_at_most(period):
     undisturbed = poke(0, period).max()
     for gap in (10, 30, 45):
@@ -220,7 +220,7 @@ def push_through_the_middle(organ, radius, number, travel=0.004):
 
 
 @pytest.mark.parametrize("radius", [0.003, 0.0015])
-@pytest.mark.parametrize("number", [3, 20, 45])
+@pytest.mark.parametrize("number", [20, *(pytest.param(number, marks=pytest.mark.extended) for number in (3, 45))])
 def test_tool_much_smaller_than_a_triangle_is_held_by_its_middle(radius, number):
     """Edges of 17 mm, a ball of 3 to 6 mm across."""
     force, above = push_through_the_middle(ball(1), radius, number)
@@ -228,7 +228,7 @@ def test_tool_much_smaller_than_a_triangle_is_held_by_its_middle(radius, number)
     assert above > 0.0
 
 
-@pytest.mark.parametrize("radius", [0.0005, 0.001])
+@pytest.mark.parametrize("radius", [0.0005, pytest.param(0.001, marks=pytest.mark.extended)])
 def test_needle_finer_than_the_contact_points_is_held_too(radius):
     """The finest tool that is allowed does not slip between two contact points."""
     force, above = push_through_the_middle(ball(2), radius, 40, travel=0.002)
@@ -246,7 +246,10 @@ def test_needle_finer_than_the_contact_points_is_held_too(radius):
     ],
     ids=lambda tool: f"{tool.shape} {tool.radius:g}",
 )
-@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.2), (0.0, 0.1, 1.0)])
+@pytest.mark.parametrize(
+    "direction",
+    [(1.0, 0.0, 0.0), *(pytest.param(way, marks=pytest.mark.extended) for way in ((0.0, -1.0, 0.2), (0.0, 0.1, 1.0)))],
+)
 def test_tool_at_one_metre_a_second_does_not_pass_through(tool, direction):
     """A pose a millisecond, a contact set every fourth, 8 mm into the kidney: it stays outside of the surface."""
     organ = kidney()
@@ -266,7 +269,9 @@ def test_tool_at_one_metre_a_second_does_not_pass_through(tool, direction):
 
 
 # release ---------------------------------------------------------------------------------------
-@pytest.mark.parametrize("region", ["off", pytest.param("frozen", marks=pytest.mark.extended), "auto"])
+@pytest.mark.parametrize(
+    "region", ["auto", *(pytest.param(region, marks=pytest.mark.extended) for region in ("off", "frozen"))]
+)
 def test_force_is_exactly_nothing_after_the_tool_has_left(region):
     organ = kidney()
     scene = Scene(organ, [PROBE], local_region=region)
@@ -308,7 +313,7 @@ def pressed_and_dragged(scene, speed, ticks=120):
     return lead(scene, 0, line(at, at + [speed * ticks * 1e-3, 0.0, 0.0], ticks))
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.2, 0.6])
+@pytest.mark.parametrize("friction", [0.0, pytest.param(0.2, marks=pytest.mark.extended), 0.6])
 def test_tangential_force_stays_in_the_friction_cone(tmp_path, friction):
     scene = Scene(ball(2), [plate(tmp_path)])
     scene.simulation.settings.friction = friction

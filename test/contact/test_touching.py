@@ -93,7 +93,9 @@ def test_what_is_pressed_gives_way_and_is_not_entered_and_not_after_a_fault_eith
     assert deepest(scene) < 5e-4
 
 
-@pytest.mark.parametrize("what", ["sound", "faulted", "snapped"])
+@pytest.mark.parametrize(
+    "what", ["sound", *(pytest.param(what, marks=pytest.mark.extended) for what in ("faulted", "snapped"))]
+)
 def test_organs_that_were_driven_through_each_other_are_let_go_until_they_are_out(what):
     """After a fault, which tells that no force leads out, or when one is led back; else they press."""
     scene = Scene([ball(2), placed(ball(2), [2.0 * RADIUS + 0.001, 0.0, 0.0])], TOOL)

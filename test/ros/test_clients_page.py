@@ -10,6 +10,8 @@ from helpers.paths import ROOT
 from helpers.patience import LIMIT
 from helpers.ros.processes import UNHURRIED, running_node
 
+pytestmark = pytest.mark.extended
+
 PAGE = (ROOT / "docs" / "clients.md").read_text()
 BLOCKS = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 

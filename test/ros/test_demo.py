@@ -48,6 +48,7 @@ def test_it_runs_its_seconds_and_names_its_bag(tmp_path):
     assert "Traceback" not in process.text()
 
 
+@pytest.mark.extended
 def test_ctrl_c_ends_it_with_0_and_leaves_no_child(tmp_path):
     process = start_demo(tmp_path, "--no-viewer")
     process.wait_for("1000 Hz | tick p50  210 us, p99   480 us | overruns    3 | active nodes  642 | contacts   7")

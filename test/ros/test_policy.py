@@ -141,6 +141,7 @@ def node(tmp_path_factory):
         yield process
 
 
+@pytest.mark.extended
 def test_the_nodes_that_ship_do_what_the_policy_allows_and_nothing_else(node, tmp_path, graph):
     # tf and simulation_interfaces aren't among the wheels, and nobody has asked for the simulation's clock.
     here = {"/tf", "/tf_static"}
@@ -153,6 +154,7 @@ def test_the_nodes_that_ship_do_what_the_policy_allows_and_nothing_else(node, tm
     assert bridge.stop() == 0, bridge.text()
 
 
+@pytest.mark.extended
 def test_a_viewer_does_what_the_policy_allows_and_nothing_else(node, graph, open_page):
     pytest.importorskip("viser")
     nodes = ("/viewer", "/viewer_parameters", "/viewer_services")

@@ -66,6 +66,7 @@ def served(request, tmp_path_factory):
         yield request.param, node
 
 
+@pytest.mark.extended
 def test_a_bridge_feels_the_kidney(served, tmp_path):
     """It reaches the node, is pushed out along its own axes, and feels nothing once its poses are invalid or stop.
 

@@ -29,6 +29,7 @@ def beside(pressed):
     return lambda *_: np.array([one.ours for one in pressed])
 
 
+@pytest.mark.extended
 @pytest.mark.usefixtures("shallow")
 def test_small_balls_are_worse_when_tissue_gives_way_to_them_as_to_jaws(organ, places, monkeypatch):
     good = list(presses.presses(organ, [SMALL], places, one_newton))

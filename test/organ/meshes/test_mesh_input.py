@@ -196,6 +196,7 @@ def test_parts_have_the_names_of_the_file(tmp_path, egg):
     assert read_mesh(tmp_path / "two.glb", part="spleen").positions[:, 0].min() > 0.05
 
 
+@pytest.mark.extended
 def test_overlapping_parts_are_joined(tmp_path, egg):
     ball = trimesh.creation.icosphere(subdivisions=3, radius=16.0).apply_translation([24.0, 0.0, 0.0])
     both = export(tmp_path / "both.ply", egg, ball)

@@ -20,6 +20,8 @@ from tissue_sim.organ.reporting.page import report_page, write_report
 from tissue_sim.organ.request import Request
 from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
 
+pytestmark = pytest.mark.extended
+
 NAME = 'kidney <b onmouseover="x">&amp;'
 
 
@@ -44,7 +46,6 @@ def page(record):
     return report_page(told, "kidney.npz")
 
 
-@pytest.mark.extended
 def test_the_page_is_complete_in_itself(page):
     parsed = Page(page)
     assert not {"script", "link", "iframe", "object"} & set(parsed.tags)

@@ -56,6 +56,7 @@ def test_any_seed_inside_gives_the_same_kidney(small, small_kidney, offset):
     assert dice(other.mask, small_kidney.mask) >= 0.97
 
 
+@pytest.mark.extended
 def test_progress_runs_up(small_kidney, told):
     shares = [share for _, share in told]
     assert shares == sorted(shares)
@@ -118,6 +119,7 @@ def test_voxel_indices_given_as_millimetres_get_a_hint(phantom):
         segment(phantom.ct, np.array([150.0, 95.0, 40.0]))
 
 
+@pytest.mark.extended
 def test_an_organ_cut_by_the_image_is_refused(small):
     index = np.round(small.ct.to_index(small.seed_point)).astype(int)
     lower = small.ct.crop((0, 0, 0), (*small.ct.size[:2], index[2] + 5))
@@ -151,6 +153,7 @@ def test_the_same_patient_saved_sideways(small, small_kidney):
     assert dice(again.mask, small_kidney.mask) > 0.999
 
 
+@pytest.mark.extended
 def test_the_same_patient_saved_obliquely(coarse, small, small_kidney):
     """Resampled along axes turned by 20 degrees: the wall stays within half a voxel."""
     angle = np.deg2rad(20.0)

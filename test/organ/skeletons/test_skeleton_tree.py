@@ -153,6 +153,7 @@ def test_branches_off_gives_the_longest_chain():
     assert skeleton.length == pytest.approx(110.0, abs=8.0)
 
 
+@pytest.mark.extended
 def test_few_atoms_many_atoms_and_unknown_choices():
     wall = make_wall(vessels.mask_of(vessels.vessel_tree(), COARSE))
     with pytest.raises(UserError, match="--atoms 7 is too few for a skeleton of 7 branches; use 8 or more"):

@@ -62,6 +62,7 @@ def test_a_bound_that_is_a_link_holds_where_it_leads(places):
         bound.inside("bags")
 
 
+@pytest.mark.extended
 def test_a_node_makes_no_bag_elsewhere(places):
     with running_node(places, "rate:=100.0", "record_folder:=bags") as node:
         client = Client()

@@ -11,6 +11,8 @@ from helpers.ros.processes import running_node
 from tissue_sim.cli import main
 from tissue_sim.ros.bags.recording import Recording
 
+pytestmark = pytest.mark.extended
+
 BAG = ROOT / "bags" / "poke"
 LOOSE = ("--live-force-tolerance", "0.5", "--live-position-tolerance", "1e-3")  # a busy machine hands over late
 
@@ -29,7 +31,6 @@ def node(tmp_path_factory):
         yield process
 
 
-@pytest.mark.extended
 def test_a_node_with_the_same_organ_shows_the_same(node):
     command = [sys.executable, "-m", "tissue_sim", *WORDS, *LOOSE]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT, check=False)

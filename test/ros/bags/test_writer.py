@@ -58,7 +58,9 @@ def cut(broken, tmp_path, size, tail=b""):
     return path
 
 
-@pytest.mark.parametrize("beyond", ["half a chunk less", -1, 0, 3, 20, 400])
+@pytest.mark.parametrize(
+    "beyond", ["half a chunk less", *(pytest.param(more, marks=pytest.mark.extended) for more in (-1, 0, 3, 20)), 400]
+)
 def test_a_bag_cut_anywhere_is_completed_and_replays(broken, tmp_path, capsys, beyond):
     before, whole = broken[1][-3:-1]
     is_less = isinstance(beyond, str)

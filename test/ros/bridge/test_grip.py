@@ -148,6 +148,7 @@ def test_a_node_without_a_gripper_is_told(values, words, message):
         chosen(values, "--script", "grip", *words)
 
 
+@pytest.mark.extended
 def test_a_node_without_a_gripper_is_one_line_and_exit_code_2(tmp_path, capfd):
     node = Process([STAND_IN], tmp_path / "node.log")
     try:

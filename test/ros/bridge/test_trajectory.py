@@ -111,6 +111,7 @@ def test_jaws_face_each_other_and_squeeze(planned):
     assert (lifted - closed)[:, 2].min() > 0.0
 
 
+@pytest.mark.extended
 def test_the_nip_lifts_the_kidney():
     """Tick by tick, without a node: what is between the jaws comes along, and they still hold it at the end."""
     organ = Organ.load(shipped_organ())

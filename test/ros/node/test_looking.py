@@ -21,6 +21,8 @@ from tissue_sim.ros.node.output.markers import OrganMarkers
 from tissue_sim.ros.shared.appearance import MOVING, SHADES, TISSUE
 from tissue_sim.ros.shared.client import cloud_array
 
+pytestmark = pytest.mark.extended
+
 
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
@@ -63,7 +65,6 @@ def test_who_comes_late_gets_the_organ_although_nothing_moves(client):
             client.node.destroy_subscription(subscription)
 
 
-@pytest.mark.extended
 def test_markers_are_coloured_by_what_is_asked_for(client, tmp_path):
     markers = []  # as bytes: to take each apart would take longer than the next one needs to come
     client.node.create_subscription(MarkerArray, "/tissue_sim/markers", markers.append, LATCHED, raw=True)

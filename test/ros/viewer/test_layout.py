@@ -63,6 +63,7 @@ def ward(tmp_path_factory):
         yield node
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", LAYOUTS)
 def test_it_names_what_a_node_in_a_namespace_has(kind, ward, client, printed):
     text = printed(kind, "/ward/tissue_sim").out
@@ -77,6 +78,7 @@ def test_it_names_what_a_node_in_a_namespace_has(kind, ward, client, printed):
         assert re.search(r"^ +probe: true$", text, re.MULTILINE)
 
 
+@pytest.mark.extended
 def test_without_an_answer_it_says_what_it_takes_for_granted(monkeypatch, printed):
     monkeypatch.setattr(layout, "WAIT", 0.3)
     said = printed("foxglove", "ward/nobody")

@@ -54,6 +54,7 @@ def test_a_link_has_the_nodes_names_and_qos():
 
 
 # over ROS --------------------------------------------------------------------------------------
+@pytest.mark.extended
 def test_a_node_without_these_parameters_tells_none(tmp_path, graph):
     node = Process([STAND_IN], tmp_path / "node.log")
     reader = NodeParameters(graph, "tissue_sim")
@@ -83,11 +84,13 @@ def node(tmp_path_factory):
 
 
 # One of them shows that the page holds a tool in a frame that is turned; that poses of every type come back, is above.
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", [KINDS[0], *(pytest.param(kind, marks=pytest.mark.extended) for kind in KINDS[1:])])
 def test_a_tool_of_any_type_can_be_poked_with(kind, node, open_page):
     open_page(kind).press_and_let_go()
 
 
+@pytest.mark.extended
 def test_an_organ_that_is_registered_anew_is_poked_where_it_is_now(node, open_page):
     page, participant = open_page(KINDS[0]), Participant("surgeon")
 
@@ -105,6 +108,7 @@ def test_an_organ_that_is_registered_anew_is_poked_where_it_is_now(node, open_pa
         participant.close()
 
 
+@pytest.mark.extended
 def test_another_frame_has_the_tool_let_go(graph):
     tool = PokedTool(graph, "left")
     link = ToolLink.told(values(), "left", "tissue_sim")
