@@ -89,7 +89,7 @@ class Shallow(NamedTuple):
         return self.radii * self.radius
 
 
-EXTENDED = ("sphere, 5 mm",)  # between the small sphere and the gripper
+EXTENDED = ("sphere, 5 mm", "capsule, 3 mm", "gripper, 3 mm")  # larger than the small sphere
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,7 @@ def test_the_scene_is_read_again_and_breathes(folder):
         assert organ.volume > 0.9e-6 * VOLUMES[organ.name][0] * 0.9, organ.name
 
 
+@pytest.mark.extended
 def test_info_tells_it(folder, capsys):
     assert main(["info", str(folder / "abdomen.yaml")]) == 0
     told = capsys.readouterr().out
