@@ -28,7 +28,7 @@ def cell(axis="force_patch", value=1.0, integrator="symplectic", region="off"):
 # cells -----------------------------------------------------------------------------------------
 def test_every_axis_is_crossed_with_every_integrator_and_region():
     cells = cells_of(list(AXES), SMALL_ORGAN, quick=False)
-    values = sum(2 * len(axis.values) + len(axis.quick) for axis in AXES.values())
+    values = sum(len(axis.values) + len(axis.quick) for axis in AXES.values())
     assert len(set(cells)) == len(cells) == len(LOCAL_REGIONS) * values
     assert {(c.integrator, c.local_region) for c in cells} == {(i, r) for i in INTEGRATORS for r in LOCAL_REGIONS}
     quick = {(c.axis, c.value) for c in cells_of(list(AXES), SMALL_ORGAN, quick=True)}
@@ -61,7 +61,6 @@ def test_force_names_every_kind_of_force():
 
 def test_what_is_expected_to_fail_is_not_judged():
     assert cell().judged
-    assert cell(integrator="implicit").judged
     assert not cell(integrator="explicit").judged
     assert not cell("step", 0.5).judged
 
@@ -146,13 +145,6 @@ def test_probe_through_a_part_of_the_organ_comes_back():
     assert record.outcome == "stable"
     assert record.peak > 0.04 * 0.05, "m, less what lies between nodes gives"
     assert record.newtons == 0.0
-
-
-@pytest.mark.extended
-def test_stiff_organ_gains_no_energy_of_an_implicit_step():
-    record = run_cell(cell("stiffness", 1e3, "implicit"))
-    assert record.problems == ()
-    assert record.energy_gain < 1e-3
 
 
 @pytest.mark.extended

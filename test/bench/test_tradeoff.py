@@ -148,7 +148,7 @@ def test_growth_is_that_of_the_calibrated_organ():
 def test_every_model_and_peer_has_a_row():
     names = [row.name for row in rows_of(NONE, [], own=True, quick=False)]
     assert len(set(names)) == len(names)
-    wanted = ("surface", "volume", "hybrid, uncalibrated", "hybrid, by groups", CALIBRATED, f"{CALIBRATED}, implicit")
+    wanted = ("surface", "volume", "hybrid, uncalibrated", "hybrid, by groups", CALIBRATED)
     wanted += (
         "hybrid, by groups, frozen region",
         f"{CALIBRATED}, modal region",

@@ -130,7 +130,7 @@ def test_an_attachment_that_can_not_be_is_named(attachment, told):
         ({"breathing": Breathing(15.0, [0, 0, 9.0])}, "three numbers"),
         ({"breathing": Breathing(15.0, [0, 0, 0.01]), "breathes": [1.0]}, "1 numbers for 2 organs"),
         ({"local_region": "modal", "attachments": [Attachment((0, 1), 1.0, within=0.01)]}, "local region off"),
-        ({"integrator": "implicit", "attachments": [Attachment((0, 1), 1.0, within=0.01)]}, "symplectic"),
+        ({"integrator": "explicit", "attachments": [Attachment((0, 1), 1.0, within=0.01)]}, "symplectic"),
     ],
 )
 def test_what_does_not_fit_together_is_told(options, told):

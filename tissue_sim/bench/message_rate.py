@@ -51,7 +51,7 @@ def behind_link(organ_file: str, loss: float, seconds: float) -> dict[str, Any]:
 
         here, there = (("ip", "netns", "exec", end) for end in ends)
         # Few ticks, because the link is measured here and not the machine.
-        settings = UNDAMPED, "integrator:=implicit", "rate:=100.0", f"marker_rate:={LINK_RATE}"
+        settings = UNDAMPED, "rate:=100.0", f"marker_rate:={LINK_RATE}"
         ticks(graph.start_node(organ_file, *settings, within=here))
         told(graph.start("probes.tool_driver", organ_file, within=here))
         message = Path(folder, "surface")

@@ -27,7 +27,6 @@ from tissue_sim.model.elasticity.hop_distances import hop_table
 from tissue_sim.model.regions.reduction import reduce_model
 from tissue_sim.model.stepping.critical_step import LONGEST_OF_CELLS, SAFETY, model_step, substeps_for
 from tissue_sim.model.stepping.equilibrium import residuals, settle
-from tissue_sim.model.stepping.implicit import make_factor, write_factor
 from tissue_sim.model.stepping.scratch import make_scratch
 from tissue_sim.model.stepping.state_check import check_state
 from tissue_sim.model.stepping.tick import tick
@@ -86,8 +85,7 @@ class Simulation:
         implies. The latter is computed once a tick and without a reaction on the skeleton, so it suits soft return
         springs; it excludes a modal region, whose modes are those about rest.
     integrator : str, optional
-        symplectic (Euler with implicit nodal damping), explicit (the paper's forward Euler: short steps) or implicit
-        (stable at any step; prefactored). The nodes of a local region are never stepped implicitly.
+        symplectic (Euler with implicit nodal damping) or explicit (the paper's forward Euler: short steps).
     substeps : int | None, optional
         Number in a tick, instead of the one from the critical step.
     gravity : ArrayLike, shape (3,), m/s^2, optional
@@ -141,7 +139,6 @@ class Simulation:
         self.integrator = integrator
         self.implied = return_target == "implied"
         self._fixed_substeps = substeps
-        self._made_for = [(0.0, 0.0, 0.0)] * 2  # step, stiffness and damping of the implicit factor in each slot
         self.settings = Settings.new()
         self.settings.tick_time = 1.0 / rate
         self.settings.friction = 0.6
@@ -372,11 +369,9 @@ class Simulation:
 
     @property
     def critical_step(self) -> float:
-        """Longest stable step of the integrator for the present stiffness and damping, s.
-
-        Infinite for the implicit integrator.
-        """
-        return self._longest_step(self.integrator)
+        """Longest stable step of the integrator for the present stiffness and damping, s."""
+        scale, damping = float(self.settings.stiffness_scale), float(self.settings.damping_scale)
+        return model_step(self.model, self.frequency, scale, damping, self.integrator)
 
     @property
     def energy(self) -> Energy:
@@ -387,35 +382,22 @@ class Simulation:
     def set_substeps(self) -> None:
         """Compute the substeps from the critical step, after the stiffness, the damping or the rate changed."""
         settings = self.settings
-        local = "explicit" if self.integrator == "explicit" else "symplectic"
-        settings.substeps, _ = self._substeps(self.integrator)
-        settings.region_substeps, longest = self._substeps(local)
+        longest = self.longest_step
+        settings.substeps = self._fixed_substeps or substeps_for(settings.tick_time, longest)
+        settings.region_substeps = settings.substeps
         settings.region_inertia = 1.0
-        if local == "symplectic" and settings.local_region in (LocalRegion.MODAL, LocalRegion.AUTO):
+        if self.integrator == "symplectic" and settings.local_region in (LocalRegion.MODAL, LocalRegion.AUTO):
             most = math.ceil(settings.tick_time / REGION_STEP)
             if settings.region_substeps > most and not self._fixed_substeps:
                 settings.region_substeps = most
                 settings.region_inertia = (settings.tick_time / (most * SAFETY * longest)) ** 2
-        if self.integrator == "implicit":
-            self._set_factor()
-
-    def _substeps(self, integrator: str) -> tuple[int, float]:
-        """Return the substeps in a tick, and the longest stable step from which they follow, s."""
-        longest = self._longest_step_taken(integrator)
-        return self._fixed_substeps or substeps_for(self.settings.tick_time, longest), longest
 
     @property
     def longest_step(self) -> float:
         """Longest substep allowed, s: the critical step, or what these tools allow however soft the organ is."""
-        return self._longest_step_taken(self.integrator)
-
-    def _longest_step_taken(self, integrator: str) -> float:
-        longest = self._longest_step(integrator)
-        if integrator == "implicit":
-            return longest
         blunt = np.isin(self.shapes.kind, (SPHERE, CAPSULE)) & (self.shapes.size[:, 0] >= FINE)
         allowed = LONGEST_OF_CELLS if self.variant == "cells" and np.all(blunt) else LONGEST_STEP
-        return min(longest, allowed / SAFETY)
+        return min(self.critical_step, allowed / SAFETY)
 
     def take_settings(self, settings: Settings) -> None:
         """Apply settings that were computed before, by a run that is repeated.
@@ -426,33 +408,6 @@ class Simulation:
             The settings.
         """
         words_of(self.settings)[:] = words_of(settings)
-        if self.integrator == "implicit":
-            made_for, slot = self._step_settings(), int(self.settings.factor_slot)
-            if made_for != self._made_for[slot]:
-                write_factor(self.model, slot, *made_for)
-                self._made_for[slot] = made_for
-
-    def _longest_step(self, integrator: str) -> float:
-        scale, damping = float(self.settings.stiffness_scale), float(self.settings.damping_scale)
-        return model_step(self.model, self.frequency, scale, damping, integrator)
-
-    def _step_settings(self) -> tuple[float, float, float]:
-        """Return the substep, s, and the factors on stiffness and damping."""
-        settings = self.settings
-        step = float(settings.tick_time / settings.substeps)
-        return step, float(settings.stiffness_scale), float(settings.damping_scale)
-
-    def _set_factor(self) -> None:
-        """Factorise the implicit matrix for the present settings, into the slot that is not in use."""
-        settings, made_for = self.settings, self._step_settings()
-        slot = int(settings.factor_slot)
-        if self.model.factor is None:
-            self.model = self.model._replace(factor=make_factor(self.model, *made_for))
-        elif made_for != self._made_for[slot]:
-            slot = 1 - slot
-            write_factor(self.model, slot, *made_for)
-            settings.factor_slot = slot
-        self._made_for[slot] = made_for
 
     def restore(self, fields: Mapping[str, NDArray[Any]]) -> None:
         """Continue from the fields of a state (state.fields_of).

@@ -219,16 +219,6 @@ def test_the_tick_that_finds_squeezed_cells_takes_more_substeps(share, factor):
     assert (MODEL.tissue.stiff[0] > 0) == (factor > 1)
 
 
-@pytest.mark.extended
-def test_cells_can_be_stepped_implicitly():
-    force = np.zeros((ORGAN.n_surface, 3))
-    force[np.argsort(-ORGAN.surface_positions[:, 2])[:7], 2] = -0.02
-    found = [
-        Simulation(ORGAN, model="cells", integrator=name).settle(force, 1e-5)[0] for name in ("symplectic", "implicit")
-    ]
-    assert np.abs(found[0] - found[1]).max() < 1e-4 * np.abs(found[0]).max()
-
-
 # some of them ----------------------------------------------------------------------------------
 def some_of(model, step=3):
     """The same tissue's every third block, the nodes of it, and which of the cells these are."""

@@ -78,13 +78,8 @@ def test_explicit_euler_gains_energy_where_nothing_damps():
     assert energies[60:140].min() > 1.5 * energies[0]
 
 
-@pytest.mark.parametrize(
-    ("organ", "options"),
-    [(free_ball(), {"integrator": "implicit"}), (ball(held=False), {}), (ball(held=False), {"integrator": "implicit"})],
-    ids=["implicit", "damped", "damped implicit"],
-)
-def test_energy_decays(organ, options):
-    energies = spinning(organ, **options)
+def test_energy_decays_where_it_is_damped():
+    energies = spinning(ball(held=False))
     assert energies.max() <= energies[0] * (1.0 + 1e-9)
     # Over twenty ticks none of the organ's swinging between speed and stretch is left to see.
     seen = energies[:-20] > 1e-9 * energies[0]
@@ -135,15 +130,3 @@ def test_node_pulled_through_the_organ_gives_back_no_more_than_was_put_in(organ)
             least, ticks = min(least, energy), ticks + 1
     assert ticks > 50
     assert energy < 1e-3 * first
-
-
-def test_implicit_energy_never_grows_either():
-    for force in (0.02, 0.3, 3.0):
-        simulation = Simulation(ball(2), integrator="implicit")
-        poke(simulation, 60, [0.2 * force, 0.0, -force])
-        first, energies = simulation.energy.total, []
-        for _ in range(300):
-            simulation.step()
-            energies.append(simulation.energy.total)
-        assert max(energies) <= first
-        assert energies[-1] < 1e-2 * first

@@ -56,10 +56,9 @@ def test_what_holds_the_organ_bears_its_weight(organ):
     np.testing.assert_allclose(held, -weight, atol=1e-4 * np.linalg.norm(weight))
 
 
-@pytest.mark.parametrize("integrator", ["symplectic", pytest.param("implicit", marks=pytest.mark.extended)])
-def test_shape_that_was_taken_under_gravity_rests_as_it_is(integrator):
+def test_shape_that_was_taken_under_gravity_rests_as_it_is():
     organ = ball_of_cells(2, 120)
-    simulation = Simulation(organ, gravity=DOWN, integrator=integrator)
+    simulation = Simulation(organ, gravity=DOWN)
     simulation.state.status.asleep = False
     for _ in range(10):
         simulation.step()

@@ -149,17 +149,9 @@ def test_an_organ_that_is_pulled_is_led_back_where_it_can_not_be_right_for_long(
         assert state.status.snapped == snapped
 
 
-@pytest.mark.parametrize(
-    ("organ", "integrator", "longest"),
-    [
-        (ball(2), "symplectic", 1000),
-        (ball(2), "implicit", 1000),
-        (kidney(), "symplectic", 1000),
-        (kidney(), "implicit", 2000),  # what is stiff in it swings longer, by micrometres
-    ],
-)
-def test_cap_pushed_through_the_organ_is_at_rest_soon(organ, integrator, longest):
-    simulation = awake(organ, integrator=integrator)
+@pytest.mark.parametrize("organ", [ball(2), kidney()], ids=["ball", "kidney"])
+def test_cap_pushed_through_the_organ_is_at_rest_soon(organ):
+    simulation = awake(organ)
     state, model = simulation.state, simulation.model
     middle = model.rest[model.moving].mean(axis=0)
     offset = model.rest - middle
@@ -167,7 +159,7 @@ def test_cap_pushed_through_the_organ_is_at_rest_soon(organ, integrator, longest
     assert 0.03 < cap.mean() < 0.4
     state.position[cap, 0] -= 2.0 * offset[cap, 0]
     state.good_position[:] = state.position
-    settles(simulation, longest)
+    settles(simulation, 1000)
 
 
 def test_inside_may_be_turned_for_a_moment_before_it_is_led_back():

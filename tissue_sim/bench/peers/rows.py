@@ -72,7 +72,6 @@ def rows_of(variants: Variants, tuning: Sequence[Load], *, own: bool, quick: boo
         yield ours("hybrid, by groups, frozen region", groups, model="hybrid", local_region="frozen")
     if thorough:
         yield ours(f"{CALIBRATED}, substeps x4", balanced, finer=4)
-        yield ours(f"{CALIBRATED}, implicit", balanced, integrator="implicit")
     shared = _Shared(plain, tuning, (1, 2) if thorough else (1,))
 
     def peer(name: str, make: Callable[..., tuple[Engine, str]], *arguments: Any) -> Row:

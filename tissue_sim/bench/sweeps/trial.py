@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import trimesh
-from scipy.sparse import csc_array
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.sweeps.cells import AXES, DEFAULT_RATE, NEWTONS_A_UNIT, SMALL_ORGAN, Cell
@@ -25,8 +24,6 @@ from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.elasticity.modes import lowest_modes
 from tissue_sim.model.simulation import NO_TOOLS, Simulation, sphere_tools
 from tissue_sim.model.stepping.critical_step import model_step
-from tissue_sim.model.stepping.implicit import bounding_stiffness
-from tissue_sim.model.stepping.tick import steps_implicitly
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
 
@@ -247,7 +244,6 @@ class _Watch:
         self.energy_gain = self.energy_caught = 0.0
         self._energy_at_release, self._least_energy = 0.0, math.nan
         self._faults = self._released = 0
-        self._implicit, self._plain_energy = False, 0.0
 
     def look(self) -> None:
         """Observe the state after a tick: whether it is finite, how far nodes went, what is inverted."""
@@ -277,15 +273,8 @@ class _Watch:
         if np.any(state.wrench) or status.snapped or status.collapsing:
             self._least_energy = math.nan  # a tool does work, and a recovery may pass through higher energy
             return
-        plain, implicit = (
-            self.simulation.energy.total,
-            steps_implicitly(self.simulation.model, state, self.simulation.settings, self.simulation.scratch),
-        )
-        energy, modal = plain + self._held_besides(implicit), status.region == Region.MODAL
-        if implicit != self._implicit:
-            # What the two kinds of steps keep can't be compared: E alone tells what the first step of a kind gains.
-            self._least_energy += energy - self._plain_energy
-        self._implicit, self._plain_energy = implicit, plain
+        energy = self.simulation.energy.total + self._held_besides()
+        modal = status.region == Region.MODAL
         if math.isnan(self._least_energy):
             self._least_energy, self._released = energy, int(status.tick)
             self._energy_at_release = max(self._energy_at_release, energy)
@@ -302,12 +291,11 @@ class _Watch:
             self.energy_gain = max(self.energy_gain, float(gain))
             self.gained = self.gained or gain > (MOST_MODAL_GAIN if modal else MOST_GAIN)
 
-    def _held_besides(self, implicit: bool) -> float:
+    def _held_besides(self) -> float:
         """Return what the integrator keeps besides kinetic and elastic energy where nothing is damped, J.
 
         Symplectic Euler keeps E + h/2 v.f (of a linear model exactly); E alone ripples by as much as the fastest modes
-        hold, which near the critical step is not growth. The implicit step with S in place of the stiffness K is
-        backward Euler of a body of the mass M + h^2 (S - K), whose oscillation holds energy, too.
+        hold, which near the critical step is not growth.
         """
         simulation, state = self.simulation, self.simulation.state
         nodes, velocity = simulation.model.moving, state.velocity
@@ -317,14 +305,8 @@ class _Watch:
             return 0.0
         step = 1.0 / (simulation.rate * max(1, state.status.substeps))
         push = self._push(state.position)
-        if implicit:
-            push = self._push(state.position + step * velocity) - push + step * (self._bound @ velocity)
         scale = float(simulation.settings.stiffness_scale)
         return 0.5 * step * scale * float(np.vdot(velocity[nodes], push[nodes]))
-
-    @cached_property
-    def _bound(self) -> csc_array:
-        return bounding_stiffness(self.simulation.model)
 
     def _push(self, position: Floats) -> Floats:
         """Return elastic forces (n, 3) N at a position, with the tissue's stiffness scaled by 1."""

@@ -72,17 +72,6 @@ class Reduction(NamedTuple):
     cell_slopes: Floats  # (b, SLOPES BLOCK) what cells.subtract_linear_cells takes
 
 
-class Factor(NamedTuple):
-    """Factor L D L' of the matrix of the implicit step, twice: one in use, one to be written."""
-
-    order: Ints  # (a,) moving nodes in the order of elimination
-    start: Ints  # (a + 1,) columns of L below its diagonal
-    row: Ints  # (l,)
-    value: Floats  # (2, l)
-    pivot: Floats  # (2, a) 1/kg, inverse of D
-    mobility: Floats  # (2, n) 1/kg, diagonal of the matrix' inverse
-
-
 class Model(NamedTuple):
     """Constants of one model variant, as the kernels read them. Shapes: n nodes, s springs, h angular springs."""
 
@@ -117,6 +106,5 @@ class Model(NamedTuple):
     borne: Floats  # (n, 3) N that holds the rest shape of cells against what they push there; (0, 3): nothing does
     shape_gravity: Floats  # (3,) m/s^2, that the rest shape is the shape under
     unloaded: Floats  # (n, 3) m, shape of the cells without it
-    factor: Factor | None  # None: never stepped implicitly
     tissue: Tissue | None  # of cells; None: springs
     work: Floats  # (9 BLOCK,) room for the force kernels

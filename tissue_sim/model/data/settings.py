@@ -10,7 +10,7 @@ from tissue_sim.model.data.records import Record
 class Integrator(IntEnum):
     """Time integration of the nodes."""
 
-    SYMPLECTIC, EXPLICIT, IMPLICIT = range(3)
+    SYMPLECTIC, EXPLICIT = range(2)
 
 
 class LocalRegion(IntEnum):
@@ -44,7 +44,6 @@ class Settings(Record):
     gravity_z: float
     substeps: int  # in a tick, from the critical step
     least_substeps: int  # that links require of all organs that they join
-    region_substeps: int  # in a tick of a local region, whose nodes are never stepped implicitly
+    region_substeps: int  # in a tick of a local region
     integrator: int  # Integrator
     local_region: int  # LocalRegion
-    factor_slot: int  # which of the implicit matrix' two factors is in use

@@ -158,7 +158,6 @@ def assemble(
             borne=np.zeros((0, 3)),
             shape_gravity=np.array(shape_gravity, dtype=np.float64),
             unloaded=rest,
-            factor=None,
             tissue=tissue_of(rest, organ.cell_nodes, organ.cell_mu, organ.cell_lambda) if by_cells else None,
             work=aligned(np.zeros(9 * BLOCK)),
         )

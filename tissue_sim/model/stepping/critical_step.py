@@ -15,9 +15,9 @@ def critical_step(frequency: float, damping_ratio: float, integrator: str = "sym
     """Return the longest stable step, s, for angular frequency w (rad/s) and damping ratio z.
 
     symplectic: symplectic Euler with implicit nodal damping, h = (2/w)(sqrt(1 + z^2) + z); explicit: forward Euler, h =
-    2 z/w, none without damping, and at most 1/(w z) of an overdamped oscillator; implicit: any.
+    2 z/w, none without damping, and at most 1/(w z) of an overdamped oscillator.
     """
-    if integrator == "implicit" or frequency == 0.0:
+    if frequency == 0.0:
         return math.inf
     if integrator == "symplectic":
         return 2.0 / frequency * (math.sqrt(1.0 + damping_ratio**2) + damping_ratio)

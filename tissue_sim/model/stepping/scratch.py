@@ -23,10 +23,8 @@ class Plan(Record):
     handled: bool  # a hand touches, pulls or leads nodes, not a link, another organ or the weight
     forced: bool  # anything pulls or leads nodes
     whole: bool  # the whole organ moves
-    implicit: bool  # implicitly
     regional: bool  # a region of cells moves
     looking: bool  # its last substep is checked for oscillation
-    eased: bool  # its substeps are longer than the last tick's
     coarse: bool  # its steps are coarse, with the larger masses that they need
 
 
@@ -39,11 +37,9 @@ class Scratch(NamedTuple):
     mobility: Any  # (n,) 1/kg
     push: Any  # (3n,) s/kg, and
     shrink: Any  # (3n,), of integrators.symplectic_euler_whole
-    mobility_key: Any  # (7,) settings that they were computed for
+    mobility_key: Any  # (5,) settings that they were computed for
     coarse: Any  # (n,) factors on the nodes' masses in coarse steps
     velocity_before: Any  # (n, 3) m/s, at the beginning of its last substep
-    predicted: Any  # (n, 3) m, of the implicit step
-    change: Any  # (a, 3) m/s, of the implicit step
     origin: Any  # (T, 3) m at the substep's end
     rotation: Any  # (T, 9)
     last_origin: Any  # (T, 3) at its beginning
@@ -152,11 +148,9 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         mobility=empty(n),
         push=empty(3 * n),
         shrink=empty(3 * n),
-        mobility_key=empty(7),
+        mobility_key=empty(5),
         coarse=np.ones(n),
         velocity_before=empty(n, 3),
-        predicted=model.rest.copy(),
-        change=empty(0 if model.factor is None else len(model.moving), 3),
         origin=empty(n_bodies, 3),
         rotation=empty(n_bodies, 9),
         last_origin=empty(n_bodies, 3),

@@ -84,7 +84,6 @@ def check_settings(settings: Settings) -> None:
         "region_substeps": (0, MOST_SUBSTEPS),
         "integrator": (0, len(Integrator) - 1),
         "local_region": (0, len(LocalRegion) - 1),
-        "factor_slot": (0, 1),
         "stiffness_scale": (0.0, MOST),
         "damping_scale": (0.0, MOST),
         "friction": (0.0, MOST),

@@ -6,7 +6,6 @@ substeps follow; positions are checked to be finite and bounded; wrenches are re
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from tissue_sim.handles import has
@@ -39,15 +38,9 @@ from tissue_sim.model.regions.active_region import (
     prepare_region,
     region_forces,
 )
-from tissue_sim.model.stepping.guard import check_cells, guard, is_sound
+from tissue_sim.model.stepping.guard import check_cells, guard
 from tissue_sim.model.stepping.inputs import unload_nodes
-from tissue_sim.model.stepping.integrators import (
-    explicit_euler,
-    implicit_euler,
-    predict,
-    symplectic_euler,
-    symplectic_euler_whole,
-)
+from tissue_sim.model.stepping.integrators import explicit_euler, symplectic_euler, symplectic_euler_whole
 from tissue_sim.model.stepping.oscillation import begin_oscillation_check, end_oscillation_check, is_oscillation_checked
 from tissue_sim.model.stepping.prescribed import count_prescribed, move_prescribed
 from tissue_sim.model.stepping.rest_recovery import sleep_if_at_rest, sleep_or_recover, step_recovery
@@ -112,14 +105,12 @@ def plan_tick(world: Any) -> bool:
     scratch.impulse[:] = 0.0
     # The first forces tell how stiff the cells are.
     plan.whole = status.region == Region.WHOLE
-    plan.implicit = steps_implicitly(model, state, settings, scratch)
-    if plan.whole and not plan.implicit:
+    if plan.whole:
         whole_forces(model, state.position, settings, scratch)
     plan.regional = is_region_of_cells(model, state)
     if plan.regional:
         region_forces(model, state, settings, scratch, False)
-    by_itself = settings.integrator == Integrator.IMPLICIT and not plan.implicit
-    wanted = settings.region_substeps if by_itself or not plan.whole else settings.substeps
+    wanted = settings.substeps if plan.whole else settings.region_substeps
     factor = caution(model, state, plan.whole or plan.regional)
     plan.substeps = wanted * status.backoff * factor
     plan.looking = plan.whole and is_oscillation_checked(model, state, plan.substeps) and factor == 1
@@ -137,10 +128,9 @@ def begin_tick(world: Any) -> None:
     """
     state, settings, scratch = world.state, world.settings, world.scratch
     status, plan = state.status, scratch.plan
-    plan.eased = plan.substeps < status.substeps
     carry_force(state, status.substeps, plan.substeps)
     status.substeps = plan.substeps
-    set_mobility(world, settings.tick_time / plan.substeps, plan.implicit)
+    set_mobility(world, settings.tick_time / plan.substeps)
     cull_contacts(state, world.shapes, settings, scratch)
 
 
@@ -149,29 +139,22 @@ def take_substep(world: Any, substep: int) -> None:
     """Advance by one substep of the plan: forces, integration and contact."""
     model, state, shapes = world.model, world.state, world.shapes
     settings, scratch, plan = world.settings, world.scratch, world.scratch.plan
-    substeps, implicit, first = plan.substeps, plan.implicit, substep == 0
+    substeps, first = plan.substeps, substep == 0
     if plan.looking and substep == substeps - 1:
         begin_oscillation_check(state, scratch)
-    # The last substep of a region has more to compute, and one that carries momentum over needs the forces at its own
-    # place.
-    known = first and (plan.whole or (plan.regional and substeps > 1)) and not (implicit and plan.eased)
-    eased = plan.eased and first
+    # The last substep of a region has more to compute.
+    known = first and (plan.whole or (plan.regional and substeps > 1))
     step = settings.tick_time / substeps
     couple_bodies(state, shapes, settings, scratch, step, 1.0 / (substeps - substep))
     if not known:
         if state.status.region != Region.WHOLE:
             region_forces(model, state, settings, scratch, substep == substeps - 1)
-        elif implicit and not eased:
-            predict(state.position, state.velocity, model.moving, step, scratch.predicted)
-            whole_forces(model, scratch.predicted, settings, scratch)
         else:
             whole_forces(model, state.position, settings, scratch)
     add_loads(model, state, settings, scratch.force)
-    if implicit and eased:
-        carry_momentum(model, state, scratch.force, step)
-    integrate(world, step, implicit)
+    integrate(world, step)
     move_prescribed(state, substep, substeps, step)
-    pushed = has_taken_impulses(state, settings, implicit)
+    pushed = has_taken_impulses(state, settings)
     state.status.touching = resolve_contacts(model, state, shapes, scratch.mobility, scratch, settings, step, pushed)
     keep_bodies(state, scratch)
 
@@ -202,45 +185,6 @@ def end_tick(world: Any) -> None:
         sleep_or_recover(model, state, settings, scratch)
     elif not plan.forced and status.touching == 0:
         sleep_if_at_rest(model, state, scratch)
-
-
-def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator for a function that is one kernel for implicit models and another for the others."""
-    return chosen(lambda model, *_: kernel if has(model, "factor") else without)
-
-
-@kernel
-def _if_sound(model: Any, state: Any, settings: Any, scratch: Any) -> bool:
-    if not is_sound(state.status):
-        return False
-    predict(state.position, state.velocity, model.moving, settings.tick_time / settings.substeps, scratch.predicted)
-    whole_forces(model, scratch.predicted, settings, scratch)
-    return not has_compressed_cells(model)
-
-
-@kernel
-def _never(model: Any, state: Any, settings: Any, scratch: Any) -> bool:
-    return False
-
-
-@_or(_if_sound, _never)
-def steps_implicitly(model: Any, state: Any, settings: Any, scratch: Any) -> Any:
-    """Return whether this tick is one of the implicit integrator; then scratch.force has its first forces.
-
-    It is none in a local region, after a fault, while nodes oscillate, and where cells are inverted or stiffer than the
-    matrix assumes, where its one step would gain energy.
-
-    Parameters
-    ----------
-    model : Any
-        Constants of the model.
-    state : Any
-        State of the simulation; updated.
-    settings : Any
-        Settings of the simulation.
-    scratch : Any
-        Working memory; updated.
-    """
 
 
 @kernel
@@ -278,70 +222,11 @@ def whole_forces(model: Any, position: Any, settings: Any, scratch: Any) -> None
 
 
 @kernel
-def carry_momentum(model: Any, state: Any, force: Any, step: float) -> None:
-    """Convert velocities to the force that gives them in a step, s: (M + h D + h^2 S) v+ = M v + h f.
-
-    For an implicit step S adds mass. Nodes that moved without it must not keep their speed with it: that would add
-    energy.
-    """
-    for index in range(len(model.moving)):
-        node = model.moving[index]
-        for c in range(3):
-            force[node, c] += state.velocity[node, c] / (model.inverse_mass[node] * step)
-            state.velocity[node, c] = 0.0
-
-
-@kernel
-def _implicitly(world: Any, step: float) -> None:
-    model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
-    add_contact_impulses(state, world.shapes, scratch, 1.0 / step, scratch.force)
-    implicit_euler(
-        state.position,
-        state.velocity,
-        scratch.force,
-        model.factor,
-        settings.factor_slot,
-        model.damping,
-        settings.damping_scale,
-        step,
-        scratch.change,
-    )
-
-
-@kernel
-def _not_at_all(world: Any, step: float) -> None:
-    """Raise nothing and do nothing: it is never called."""
-
-
-@chosen(lambda world, *_: _implicitly if has(world, "model", "factor") else _not_at_all)
-def integrate_implicitly(world: Any, step: float) -> None:
-    """Move the nodes by scratch.force and the last contact impulses for an implicit step, s."""
-
-
-@kernel
-def _implicit_mobility(model: Any, slot: int, node: int) -> float:
-    return model.factor.mobility[slot, node]
-
-
-@kernel
-def _no_mobility(model: Any, slot: int, node: int) -> float:
-    return 0.0
-
-
-@_or(_implicit_mobility, _no_mobility)
-def implicit_mobility(model: Any, slot: int, node: int) -> Any:
-    """Return the velocity that a unit impulse gives a node within an implicit step, 1/kg."""
-
-
-@kernel
-def integrate(world: Any, step: float, implicit: bool) -> None:
+def integrate(world: Any, step: float) -> None:
     """Move the nodes by scratch.force for a step, s."""
-    if implicit:
-        integrate_implicitly(world, step)
-        return
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     scale, inertia = damping_of(state, settings), inertia_of(state, settings)
-    if has_taken_impulses(state, settings, implicit):
+    if has_taken_impulses(state, settings):
         add_contact_impulses(state, world.shapes, scratch, 1.0 / step, scratch.force)
         size = state.position.size
         x, v, f = state.position.reshape(size), state.velocity.reshape(size), scratch.force.reshape(size)
@@ -374,36 +259,30 @@ def integrate(world: Any, step: float, implicit: bool) -> None:
 
 
 @kernel
-def has_taken_impulses(state: Any, settings: Any, implicit: bool) -> bool:
+def has_taken_impulses(state: Any, settings: Any) -> bool:
     """Return whether the last contact impulses move nodes too: while these persist, nothing is left to resolve."""
-    return implicit or (settings.integrator != Integrator.EXPLICIT and state.status.region == Region.WHOLE)
+    return settings.integrator != Integrator.EXPLICIT and state.status.region == Region.WHOLE
 
 
 @kernel
-def set_mobility(world: Any, step: float, implicit: bool) -> None:
+def set_mobility(world: Any, step: float) -> None:
     """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the integration's part of its mass.
 
     Only when settings have changed. The damping is implicit, so it acts on the contact's impulse too: 1 / (m + h d).
-    With 1/m alone a body at rest would press with a force short by h d/m. An implicit step adds the stiffness.
+    With 1/m alone a body at rest would press with a force short by h d/m.
     """
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
-    slot = float(settings.factor_slot) if implicit else -1.0
-    key, damping, scale = scratch.mobility_key, damping_of(state, settings), settings.stiffness_scale
-    inertia = inertia_of(state, settings)
+    key, damping, inertia = scratch.mobility_key, damping_of(state, settings), inertia_of(state, settings)
     changes, coarse = float(state.status.prescriptions), scratch.plan.coarse
     masses = 1.0 if coarse else 0.0
-    same = key[0] == step and key[1] == damping and key[2] == slot and key[3] == scale
-    if same and key[4] == inertia and key[5] == changes and key[6] == masses:
+    if key[0] == step and key[1] == damping and key[2] == inertia and key[3] == changes and key[4] == masses:
         return
-    key[0], key[1], key[2], key[3], key[4], key[5] = step, damping, slot, scale, inertia, changes
-    key[6] = masses
+    key[0], key[1], key[2], key[3], key[4] = step, damping, inertia, changes, masses
     mobility, moving, inverse_mass = scratch.mobility, model.moving, model.inverse_mass
     for index in range(len(moving)):
         node = moving[index]
         inverse = inverse_mass[node] / scratch.coarse[node] if coarse else inverse_mass[node]
-        if implicit:
-            mobility[node] = implicit_mobility(model, settings.factor_slot, node)
-        elif settings.integrator == Integrator.EXPLICIT:
+        if settings.integrator == Integrator.EXPLICIT:
             mobility[node] = inverse
         else:
             mobility[node] = inverse / inertia / (1.0 + step * inverse * damping * model.damping[node])

@@ -17,6 +17,8 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.shared.cdr import parse_cloud, parse_octets
 
+NO_LONGER = ("factor_slot",)  # settings of older bags that this version has no use for
+
 
 @dataclass
 class OrganRecording:
@@ -91,7 +93,8 @@ class OrganRecording:
 
 def settings_of(path: Path, recorded: np.ndarray) -> Settings:
     """Return settings from a record of them; raise UserError naming a field that one of both lacks."""
-    names, wanted = recorded.dtype.names or (), Settings.dtype.names or ()
+    names = [name for name in recorded.dtype.names or () if name not in NO_LONGER]
+    wanted = Settings.dtype.names or ()
     if differing := sorted(set(names) ^ set(wanted)):
         raise UserError(f"bag {path}: setting '{differing[0]}' is in the bag or in this version only; record it again")
     settings = Settings.new()

@@ -153,7 +153,7 @@ class PublishingThread:
         was_stuck = ladder.stuck
         look = degrade.Look(timing.load, timing.late_share, timing.dropped_ticks)
         if ladder.look(now, look, self._live.helps):
-            # Not here: factorising the implicit matrix takes a while, and fading wrenches must go on.
+            # Not here: new settings take a while, and fading wrenches must go on.
             threading.Thread(target=self._degrade, args=(ladder.level, look.words), daemon=True).start()
         elif ladder.stuck and not was_stuck:
             self._logger.warning(
