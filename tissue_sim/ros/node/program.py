@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 from contextlib import suppress
@@ -15,7 +14,6 @@ from tissue_sim.unexpected_errors import catch_all, tell
 def run() -> NoReturn:
     """Run the node and leave the process."""
     code, ending = 0, None
-    gc.disable()  # what is loaded stays: to look through it again and again takes an eighth of the start
     catch_all("tissue_node")
     try:
         ending = ShutdownHandler()  # from here on, and within, a signal raises Interrupted

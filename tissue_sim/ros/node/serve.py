@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import sys
 import threading
 
@@ -72,9 +71,6 @@ def serve(arguments: list[str], ending: ShutdownHandler) -> int:
             executor.add_node(node)
             node.start()
         progress.tell_by(None)  # nothing of it runs beside the loop
-        # What is loaded stays: no collection has to look through it again, while every thread but the loop waits.
-        gc.freeze()
-        gc.enable()
         ending.started()
         _go_on(node, executor, ending)
         return 0

@@ -269,10 +269,15 @@ def test_fewer_markers_help_only_where_there_are_more():
 
 
 @pytest.fixture
-def node(tmp_path):
-    ball_of_cells(4, 3000).save(tmp_path / "large.npz")
-    large = f"organ_file:={tmp_path / 'large.npz'}", "local_region:=off", "stiffness_scale:=0.05", "rate:=4000.0"
-    process = start_node(tmp_path, *large, "tools:=[left]", UNHURRIED, PUSHED, "marker_rate:=30.0")
+def large():
+    return ball_of_cells(4, 3000)
+
+
+@pytest.fixture
+def node(large, tmp_path):
+    large.save(tmp_path / "large.npz")
+    words = f"organ_file:={tmp_path / 'large.npz'}", "local_region:=off", "stiffness_scale:=0.05", "rate:=4000.0"
+    process = start_node(tmp_path, *words, "tools:=[left]", UNHURRIED, PUSHED, "marker_rate:=30.0")
     yield process
     process.child.kill()
 
@@ -286,9 +291,9 @@ def client(node):
 
 
 @pytest.mark.extended
-def test_node_with_an_impossible_load_degrades_in_order(client, node):
+def test_node_with_an_impossible_load_degrades_in_order(client, node, large):
     """4000 ticks a second of 15,000 soft cells are too many; their critical step allows fewer."""
-    touch, inward = poke_path(ball_of_cells(4, 3000), radius=0.0)
+    touch, inward = poke_path(large, radius=0.0)
 
     def push():
         client.send_pose(touch - 0.0055 * inward)  # the tip stays clear of the surface

@@ -153,8 +153,7 @@ class PublishingThread:
         was_stuck = ladder.stuck
         look = degrade.Look(timing.load, timing.late_share, timing.dropped_ticks)
         if ladder.look(now, look, self._live.helps):
-            # Not here: new settings take a while, and fading wrenches must go on.
-            threading.Thread(target=self._degrade, args=(ladder.level, look.words), daemon=True).start()
+            self._degrade(ladder.level, look.words)
         elif ladder.stuck and not was_stuck:
             self._logger.warning(
                 "the machine is too slow, and the work can't be reduced further: simulated time falls behind"
@@ -162,11 +161,10 @@ class PublishingThread:
 
     def _degrade(self, level: int, why: str) -> None:
         """Go to another level of degradation, and log it."""
-        with self._trouble.noted():
-            worse = level > self._live.level
-            self._live.update(level)
-            line = f"{self._live.describe()} ({why})"
-            if worse:
-                self._logger.warning(f"the machine is too slow: {line}")
-            else:
-                self._logger.info(f"the machine is fast enough again: {line}")
+        worse = level > self._live.level
+        self._live.update(level)
+        line = f"{self._live.describe()} ({why})"
+        if worse:
+            self._logger.warning(f"the machine is too slow: {line}")
+        else:
+            self._logger.info(f"the machine is fast enough again: {line}")
