@@ -56,7 +56,7 @@ def test_an_organ_that_is_kept_awake_shows_in_the_rows_of_a_scene():
     for kept in (False, True):
         ticks = bench.scene_ticks(hanging_pair(), [0])
         if kept:
-            ticks.joined.unfelt.most[:] = 0.0
+            ticks.joined.threshold.most[:] = 0.0
         ticks(100)
         counts.append([one.state.count.asleep_ticks for one in ticks.joined.simulations])
     (poked, other), (_, kept_awake) = counts
@@ -113,7 +113,7 @@ def test_a_scene_is_timed_beside_copies_of_an_organ(monkeypatch, tmp_path):
 
 @pytest.mark.extended
 def test_the_abdomen_that_ships_lacks_nothing_that_is_seen_or_felt():
-    """A breath with a tool on the liver: organs sleep for most of it, where without `unfelt` all are awake."""
+    """A breath with a tool on the liver: organs sleep for most of it, all are awake without the wake threshold."""
     found = bench.lacking(SceneFile.read(bench.shipped_scene()))
     assert found.moved < WAKE_DISPLACEMENT
     assert found.felt < WAKE_FORCE

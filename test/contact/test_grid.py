@@ -9,7 +9,8 @@ from helpers.scenes import kidney
 from tissue_sim.contact.grid import distance_grid
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
-from tissue_sim.model.contact.shapes import GRID, signed_distance
+from tissue_sim.model.contact.shapes import signed_distance
+from tissue_sim.model.data.shapes import GRID
 
 
 def ring():

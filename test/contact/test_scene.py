@@ -13,7 +13,8 @@ from helpers.turns import random_turns
 from tissue_sim.contact.attachments import Breathing
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.contact.constraint import RECOVERY_SPEED, count_impulse, give_impulse, set_nodes, set_plane
+from tissue_sim.model.contact.active_contact import RECOVERY_SPEED, place_tool, take_nodes
+from tissue_sim.model.contact.constraint import count_impulse, give_impulse
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.organ.placement import placed
 from tissue_sim.organ.winding import inside
@@ -129,11 +130,12 @@ def test_every_push_on_the_tissue_is_counted_with_its_moment_about_the_bodys_ori
         impulse = random.normal(0.0, 1.0, 3)
         arm = state.contacts.weight[entry] @ state.position[state.contacts.node[entry]] - scratch.origin[tool]
         expected += np.concatenate([impulse, np.cross(arm, impulse)])
-        scratch.near_entry[0], scratch.near_normal[0], scratch.near_tangent[0] = entry, 0.0, impulse
-        set_plane(world.state, world.shapes, world.scratch, 0)
-        set_nodes(world.state, mobility, world.scratch, 0)
-        count_impulse(world.state, world.scratch, 0)
-        give_impulse(world.state, world.shapes, world.scratch, 0, *impulse, 1e-3)
+        contact = scratch.active[0]
+        contact.entry, contact.body, contact.pressed, contact.held = entry, tool, 0.0, impulse
+        place_tool(world.state, world.shapes, world.scratch, contact)
+        take_nodes(world.state, mobility, contact)
+        count_impulse(world.state, world.scratch, contact)
+        give_impulse(world, contact, tuple(impulse), 1e-3)
     np.testing.assert_allclose(scratch.impulse[tool], expected, atol=1e-9 * len(own))
     np.testing.assert_allclose(organ.mass @ simulation.velocities - before, expected[:3], atol=1e-9 * len(own))
     np.testing.assert_array_equal(scratch.origin[tool], state.body_pose[tool, :3])

@@ -10,7 +10,8 @@ from helpers.turns import random_turns
 from tissue_sim.contact.broad_phase import body_box
 from tissue_sim.contact.tools import MARGIN, MOST_PLANES, Tool, ToolSet
 from tissue_sim.errors import UserError
-from tissue_sim.model.contact.shapes import CAPSULE, CONVEX, SPHERE, signed_distance
+from tissue_sim.model.contact.shapes import signed_distance
+from tissue_sim.model.data.shapes import CAPSULE, CONVEX, SPHERE
 
 
 def mesh_file(folder, mesh, name="tool.stl"):

@@ -3,7 +3,7 @@
 from typing import Any
 
 from tissue_sim.handles import handle
-from tissue_sim.model.stepping.world import World, make_world
+from tissue_sim.model.data.world import World, make_world
 
 
 def by_reference(simulation: Any) -> World:

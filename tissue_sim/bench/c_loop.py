@@ -307,7 +307,7 @@ class CLoop:
         self._arrays = (
             *(cells.nodes, cells.constants),
             *(edges.nodes, edges.constants, links.nodes, links.constants),
-            *(model.return_nodes, model.return_target, model.return_stiffness),
+            *(model.return_nodes, model.rest, model.return_stiffness),
             *(model.moving, model.inverse_mass, model.damping, self._load),
         )
         self._model = _Model(*numbers, *(array.ctypes.data for array in self._arrays))

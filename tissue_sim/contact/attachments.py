@@ -11,9 +11,10 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
+from tissue_sim.model.data.links import POINT, Links, make_links
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath
-from tissue_sim.model.stepping.ligament_links import POINT, Links, make_links, weight_link_ends
+from tissue_sim.model.stepping.ligament_links import weight_link_ends
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
 

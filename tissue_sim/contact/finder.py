@@ -35,9 +35,10 @@ from tissue_sim.contact.local_compliance import (
 )
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.triangles import nearest_weights
-from tissue_sim.model.contact.shapes import CONVEX, GRID, SPHERE, rotation_matrix
+from tissue_sim.model.contact.shapes import rotation_matrix
 from tissue_sim.model.contact.tool_motion import distance_along_path
 from tissue_sim.model.data.contact_set import MOST_POINTS, ContactSet, Engaged, contact_set
+from tissue_sim.model.data.shapes import CONVEX, GRID, SPHERE
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
 

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.triangles import closest_points
-from tissue_sim.model.contact.shapes import Grid
+from tissue_sim.model.data.shapes import Grid
 
 FINEST, MOST_POINTS = 2e-4, 200_000  # m between points; points of a grid: 54 x 54 x 14 mm at 0.6 mm
 _CANDIDATES = 12  # pieces among which the nearest is searched

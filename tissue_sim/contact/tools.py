@@ -14,7 +14,7 @@ from tissue_sim.arguments import number_of
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.gripper import Jaws, jaw_poses
 from tissue_sim.errors import UserError
-from tissue_sim.model.contact.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes
+from tissue_sim.model.data.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes
 from tissue_sim.organ.shipped import shipped_file
 
 if TYPE_CHECKING:
@@ -122,8 +122,9 @@ class ToolSet:
             [body.grid for body in bodies],
             [tool for tool, members in enumerate(self.bodies) for _ in members],
             [(body.smallest, float(np.linalg.norm(body.corners, axis=1).max())) for body in bodies],
-            [tool.smoothing for tool, members in zip(self.tools, self.bodies, strict=True) for _ in members],
         )
+        members = zip(self.tools, self.bodies, strict=True)
+        self.shapes.smoothing[:] = [tool.smoothing for tool, own in members for _ in own]
 
     def index(self, tool: int | str) -> int:
         """Return the number of a tool that is given by its name or its number; negative ones count from the last.

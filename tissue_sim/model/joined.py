@@ -11,13 +11,14 @@ from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.handles import handle, row
 from tissue_sim.model.contact.haptic_output import sum_haptic_output
+from tissue_sim.model.data.links import Links, make_links
 from tissue_sim.model.data.records import words_of
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.stepping.breathing import Breath
+from tissue_sim.model.stepping.breathing import Breath, moves_with_frame
 from tissue_sim.model.stepping.coarse_steps import coarse_masses, no_coarse
-from tissue_sim.model.stepping.coupled_step import Together, let_go, moves_with_frame, tick_coupled
-from tissue_sim.model.stepping.ligament_links import Links, least_substeps, make_links
+from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled, uncouple
+from tissue_sim.model.stepping.ligament_links import least_substeps
 from tissue_sim.model.stepping.organ_contact import (
     MOST_ORGANS,
     OrganContacts,
@@ -32,8 +33,9 @@ class Joined:
     """Simulations that are advanced together: one, or several.
 
     links between them; pairs where they touch, found by others; breath, and how far each goes with it, (k,), or nothing
-    where none does. unfelt: m that an organ may lack of what links and the breath do to it, see `unfelt`; 0: nothing.
-    Raises UserError where simulations don't fit together. worlds and handle are what `tick_coupled` takes.
+    where none does. wake_displacement: m that an organ may lack of what links and the breath do to it, see
+    `wake_threshold`; 0: nothing. Raises UserError where simulations don't fit together. worlds and handle are what
+    `tick_coupled` takes.
 
     alone: one organ, and nothing to join it. Then handle is None, and kernels are compiled without all of this.
     """
@@ -45,7 +47,7 @@ class Joined:
         pairs: OrganContacts | None = None,
         breath: Breath | None = None,
         moves: Sequence[float] = (),
-        unfelt: float = WAKE_DISPLACEMENT,
+        wake_displacement: float = WAKE_DISPLACEMENT,
     ) -> None:
         self.simulations = list(simulations)
         self.alone = len(self.simulations) == 1 and links is None and pairs is None and breath is None
@@ -54,12 +56,8 @@ class Joined:
         breath = Breath.new() if breath is None else breath
         if len(self.simulations) > MOST_ORGANS:
             raise UserError(f"{len(self.simulations)} organs are joined; expected: at most {MOST_ORGANS}")
-        if len({(one.rate, one.variant, one.local_region, one.integrator, one.implied) for one in simulations}) > 1:
-            raise UserError(
-                "the organs of a scene must have the same rate, model, local region, integrator and return target"
-            )
-        if self.simulations[0].implied and not self.alone:
-            raise UserError("the organs of a scene must have return target rest, not implied")
+        if len({(one.rate, one.variant, one.local_region, one.integrator) for one in simulations}) > 1:
+            raise UserError("the organs of a scene must have the same rate, model, local region and integrator")
         moves = list(moves) or [0.0] * len(self.simulations)
         if len(moves) != len(self.simulations):
             raise UserError(
@@ -68,13 +66,13 @@ class Joined:
         gravity = np.array([gravity_of(one.settings) for one in self.simulations])
         self.carried = moves_with_frame(breath, moves, gravity)
         ways = np.outer(moves, [breath.x, breath.y, breath.z])
-        self.unfelt = wake_threshold_of([one.model for one in self.simulations], links, ways, unfelt)
+        self.threshold = wake_threshold_of([one.model for one in self.simulations], links, ways, wake_displacement)
         self.worlds = row([one.world for one in self.simulations])
         self.coarse = no_coarse(len(moves))
         rest = self.coarse, np.zeros(len(moves), dtype=np.int64)
-        self.handle = None if self.alone else handle(Together(self.carried, links, pairs, self.unfelt, *rest))
+        self.handle = None if self.alone else handle(CoupledOrgans(self.carried, links, pairs, self.threshold, *rest))
         self.set_substeps()
-        if len(moves) > 1 and unfelt > 0.0:
+        if len(moves) > 1 and wake_displacement > 0.0:
             for organ, one in enumerate(self.simulations):
                 factor, frequency = coarse_masses(one.model, one.settings, float(links.added[0]))
                 one.scratch.coarse[:] = factor
@@ -168,7 +166,7 @@ class Joined:
     def reset(self) -> None:
         """Return to the breathed-out state without contact between organs; simulations are reset by themselves."""
         if not self.alone:
-            let_go(self.worlds, self.handle)
+            uncouple(self.worlds, self.handle)
 
 
 def gravity_of(settings: Settings) -> tuple[float, float, float]:

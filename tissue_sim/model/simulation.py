@@ -13,12 +13,13 @@ from tissue_sim.arguments import floats_of
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.handles import handle
-from tissue_sim.model.contact.shapes import CAPSULE, SPHERE, Shapes, make_shapes
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.records import words_of
 from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, LocalRegion, Settings
+from tissue_sim.model.data.shapes import CAPSULE, SPHERE, Shapes, make_shapes
 from tissue_sim.model.data.state import Region, State, make_state, take_fields
+from tissue_sim.model.data.world import make_world
 from tissue_sim.model.elasticity.adjacency import adjacency_of, with_cell_neighbours
 from tissue_sim.model.elasticity.assembly import assemble, model_of
 from tissue_sim.model.elasticity.energy import Energy, energy_of
@@ -33,7 +34,6 @@ from tissue_sim.model.stepping.tick import tick
 from tissue_sim.model.stepping.world import (
     free_world,
     load_world,
-    make_world,
     pose_world,
     prescribe_world,
     push_world,
@@ -80,10 +80,6 @@ class Simulation:
         time, which is up to MOST_WHOLE cells).
     shapes : Shapes, optional
         The rigid tools that may touch it.
-    return_target : str, optional
-        Where return springs pull to: rest, the rest position, or implied, the boundary that the skeleton currently
-        implies. The latter is computed once a tick and without a reaction on the skeleton, so it suits soft return
-        springs; it excludes a modal region, whose modes are those about rest.
     integrator : str, optional
         symplectic (Euler with implicit nodal damping) or explicit (the paper's forward Euler: short steps).
     substeps : int | None, optional
@@ -108,7 +104,6 @@ class Simulation:
         rate: float = 1000.0,
         local_region: str = "off",
         shapes: Shapes = NO_TOOLS,
-        return_target: str = "rest",
         integrator: str = "symplectic",
         substeps: int | None = None,
         gravity: ArrayLike = (0.0, 0.0, 0.0),
@@ -122,8 +117,6 @@ class Simulation:
             raise UserError(f"unknown integrator '{integrator}'; choose one of {', '.join(INTEGRATORS)}")
         if substeps is not None and not 1 <= substeps <= 10_000:
             raise UserError(f"{substeps} substeps are outside 1..10000")
-        if return_target != "rest" and local_region in ("modal", "auto"):
-            raise UserError(f"return target {return_target} needs local region off or frozen, not {local_region}")
         model = model_of(organ) if model == "auto" else model
         if model == "cells" and local_region == "frozen":
             raise UserError(
@@ -137,7 +130,6 @@ class Simulation:
         self.rate = float(rate)
         self.shapes = shapes
         self.integrator = integrator
-        self.implied = return_target == "implied"
         self._fixed_substeps = substeps
         self.settings = Settings.new()
         self.settings.tick_time = 1.0 / rate
@@ -153,7 +145,7 @@ class Simulation:
         self.settings.integrator = Integrator[integrator.upper()]
         pulled = acceleration_of(gravity, "gravity")
         borne = pulled if shape_gravity is None else acceleration_of(shape_gravity, "shape_gravity")
-        assembled = assemble(organ, model, return_target, borne)
+        assembled = assemble(organ, model, borne)
         self.model: Model = self._with_tables(assembled, local_region)
         self.set_gravity(pulled)
         # Nothing that a tool can do moves tissue by more than the organ's own size.

@@ -4,16 +4,8 @@ import numpy as np
 import pytest
 
 from helpers.turns import random_turns
-from tissue_sim.model.contact.shapes import (
-    CAPSULE,
-    CONVEX,
-    GRID,
-    SPHERE,
-    Grid,
-    make_shapes,
-    rotation_matrix,
-    signed_distance,
-)
+from tissue_sim.model.contact.shapes import rotation_matrix, signed_distance
+from tissue_sim.model.data.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes
 
 BOX = np.array([0.02, 0.03, 0.01])  # m, half the extents
 

@@ -6,11 +6,11 @@ import pytest
 from helpers.scenes import ball, changed, free_ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.errors import UserError
+from tissue_sim.model.data.links import make_links
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath, inhaled_fraction
-from tissue_sim.model.stepping.ligament_links import make_links, weight_link_ends
+from tissue_sim.model.stepping.ligament_links import weight_link_ends
 from tissue_sim.model.stepping.organ_contact import make_organ_contacts
 
 TOP, TOP_OF_FINE = (int(np.argmax(one.surface_positions[:, 2])) for one in (ball(), ball(2)))
@@ -18,9 +18,9 @@ TOP, TOP_OF_FINE = (int(np.argmax(one.surface_positions[:, 2])) for one in (ball
 
 class Organs:
     """Simulations that are joined. links: rows of two ends, a slack, a stiffness and a damping; an end is an organ and
-    its node, or a point. unfelt: m that an organ may lack of what they do."""
+    its node, or a point. wake_displacement: m that an organ may lack of what they do."""
 
-    def __init__(self, simulations, links=(), breath=None, moves=None, unfelt=0.0):
+    def __init__(self, simulations, links=(), breath=None, moves=None, wake_displacement=0.0):
         self.simulations = simulations
         self.links = make_links(len(links))
         for number, (ends, slack, stiffness, damping) in enumerate(links):
@@ -33,9 +33,9 @@ class Organs:
             self.links.stiffness[number], self.links.damping[number] = stiffness, damping
         weight_link_ends(self.links, [one.model.inverse_mass for one in simulations])
         self.joined = Joined(
-            simulations, self.links, make_organ_contacts(), breath or Breath.new(), moves or (), unfelt
+            simulations, self.links, make_organ_contacts(), breath or Breath.new(), moves or (), wake_displacement
         )
-        self.carried, self.unfelt = self.joined.carried, self.joined.unfelt
+        self.carried, self.threshold = self.joined.carried, self.joined.threshold
         self.least = simulations[0].settings.least_substeps
 
     def step(self, ticks=1):
@@ -94,9 +94,6 @@ def test_what_is_joined_is_not_alone():
     assert not Joined([Simulation(ball()), Simulation(ball())]).alone
     for what in ({"links": make_links(1)}, {"pairs": make_organ_contacts()}, {"breath": a_breath()}):
         assert not Joined([Simulation(ball())], **what).alone
-    with pytest.raises(UserError, match="return target rest"):
-        Joined([Simulation(ball(), return_target="implied")], pairs=make_organ_contacts())
-    assert Joined([Simulation(ball(), return_target="implied")]).alone
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.02, 50.0])
@@ -236,7 +233,9 @@ def test_a_breath_is_out_at_first_and_in_after_half_its_period():
 
 
 def test_an_organ_that_sleeps_is_carried_asleep():
-    organs = Organs([Simulation(ball()), Simulation(ball())], breath=a_breath(), moves=[1.0, 0.5], unfelt=1e-3)
+    organs = Organs(
+        [Simulation(ball()), Simulation(ball())], breath=a_breath(), moves=[1.0, 0.5], wake_displacement=1e-3
+    )
     organs.step(2000)
     carried = [one.state.carried[2] for one in organs.simulations]
     np.testing.assert_allclose(carried, [0.015, 0.0075], rtol=1e-9)

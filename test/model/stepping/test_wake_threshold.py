@@ -37,7 +37,7 @@ def hanging(stiffness, way=0.0, breathes=(0.0,), damping=0.001):
 
 def feeling_all(joined):
     """The same, with organs that feel everything."""
-    joined.unfelt.most[:] = 0.0
+    joined.threshold.most[:] = 0.0
     return joined
 
 
@@ -99,15 +99,15 @@ def test_an_organ_whose_ligament_hardly_pulls_sleeps_and_is_counted():
     for _ in range(2000):
         few.step()
         all_of_it.step()
-        assert few.unfelt.pulled[0] < WAKE_FORCE
+        assert few.threshold.pulled[0] < WAKE_FORCE
         off = few.simulations[0].positions - all_of_it.simulations[0].positions
         assert np.linalg.norm(off, axis=1).max() < WAKE_DISPLACEMENT
-    ticks = few.unfelt.ticks
+    ticks = few.threshold.ticks
     assert ticks[0] > 1900
     assert ticks[1] == 0, "nothing acts on it"
     assert few.simulations[0].state.count.asleep_ticks == 2000
     assert all_of_it.simulations[0].state.count.asleep_ticks < 200, "an organ that is kept awake shows"
-    assert all_of_it.unfelt.ticks[0] == 0
+    assert all_of_it.threshold.ticks[0] == 0
 
 
 def test_it_wakes_without_a_kick_when_the_ligament_pulls_more_and_sleeps_again():
@@ -121,7 +121,7 @@ def test_it_wakes_without_a_kick_when_the_ligament_pulls_more_and_sleeps_again()
         asleep.append(organ.asleep)
         sped = max(sped, np.linalg.norm(organ.velocities - before, axis=1).max())
         off = max(off, np.linalg.norm(organ.positions - other.positions, axis=1).max())
-        pulled = max(pulled, few.unfelt.pulled[0])
+        pulled = max(pulled, few.threshold.pulled[0])
     assert off < WAKE_DISPLACEMENT
     assert pulled > 5.0 * WAKE_FORCE
     assert 200 < np.count_nonzero(asleep) < 3500
@@ -138,7 +138,7 @@ def test_a_breath_that_hardly_bends_it_lets_an_organ_sleep_and_a_fast_one_does_n
         bent = 0.0
         for _ in range(1000):
             joined.step()
-            bent = max(bent, joined.unfelt.bent[0])
+            bent = max(bent, joined.threshold.bent[0])
         assert (bent < WAKE_DISPLACEMENT) == sleeps
         assert (joined.simulations[0].state.count.asleep_ticks == 1000) == sleeps
 
@@ -149,24 +149,24 @@ def test_an_organ_that_is_handled_feels_all_of_it():
     for _ in range(1000):
         organ.apply_force([TOP - 1], [[1e-5, 0.0, 0.0]])
         joined.step()
-    assert 0.0 < joined.unfelt.pulled[0] < WAKE_FORCE
-    assert joined.unfelt.share[0] == 1.0
+    assert 0.0 < joined.threshold.pulled[0] < WAKE_FORCE
+    assert joined.threshold.share[0] == 1.0
     assert not organ.asleep
-    assert joined.unfelt.ticks[0] == 0
+    assert joined.threshold.ticks[0] == 0
 
 
 def test_an_organ_that_a_tool_touches_feels_all_of_it():
     ligament = Attachment((0, None), 0.05, nodes=[TOP], point=ball().surface_positions[TOP] + UP, slack=0.049)
     scene = Scene([ball()], [Tool("ball", "sphere", radius=0.005)], attachments=[ligament])
     scene.step()
-    assert scene.joined.unfelt.share[0] == 0.0
+    assert scene.joined.threshold.share[0] == 0.0
     side = int(np.argmax(ball().surface_positions[:, 0]))
     at = ball().surface_positions[side]
     for tick in range(100):
         scene.move(0, at * (1.0 + (0.008 - 0.00006 * tick) / np.linalg.norm(at)))
         scene.step()
     assert scene.simulation.state.status.touching > 0
-    assert scene.joined.unfelt.share[0] == 1.0
+    assert scene.joined.threshold.share[0] == 1.0
 
 
 def test_an_organ_made_softer_or_given_weight_wakes():
@@ -176,13 +176,13 @@ def test_an_organ_made_softer_or_given_weight_wakes():
     for _ in range(5):
         joined.step()
     assert organ.asleep
-    bent = joined.unfelt.bent[0]
+    bent = joined.threshold.bent[0]
     assert 0.0 < bent < WAKE_DISPLACEMENT
     organ.settings.stiffness_scale = bent / WAKE_DISPLACEMENT / 4.0
     joined.set_substeps()
     joined.step()
     assert not organ.asleep
-    assert 0.0 < joined.unfelt.share[0] < 1.0
+    assert 0.0 < joined.threshold.share[0] < 1.0
 
     joined = hanging(0.05, 0.0)
     joined.links.slack[:] -= 0.002
@@ -191,7 +191,7 @@ def test_an_organ_made_softer_or_given_weight_wakes():
     joined.note_gravity()
     joined.step()
     assert not joined.simulations[0].asleep
-    assert joined.unfelt.share[0] == 1.0
+    assert joined.threshold.share[0] == 1.0
 
 
 def test_an_organ_falls_asleep_while_a_hand_is_on_another_one():

@@ -62,6 +62,15 @@ def test_what_is_of_another_type_is_named(whole, name, value):
     assert len(str(caught.value)) < 200
 
 
+def test_springs_that_follow_the_skeleton_are_refused(whole):
+    config, owner, key = placed(whole, "parameters.return_target")
+    owner[key] = "rest"
+    check(config)
+    owner[key] = "implied"
+    with pytest.raises(ValueError, match="record it again"):
+        check(config)
+
+
 @pytest.mark.parametrize("rate", [0, -1.0])
 def test_a_rate_that_is_none_is_named(whole, rate):
     config, owner, key = placed(whole, "parameters.rate")

@@ -204,7 +204,7 @@ def test_tool_that_appears_inside_is_held_off(client, node):
 def test_parameters_change_live_or_say_why_not(client):
     assert client.set_parameter("friction", 0.3).successful
     assert client.set_parameter("marker_rate", 20.0).successful
-    refused = client.set_parameter("model", "surface")
+    refused = client.set_parameter("model", "hybrid")
     assert not refused.successful
     assert "restart the node" in refused.reason
     refused = client.set_parameter("organ_pose", [0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
@@ -318,7 +318,7 @@ REFUSED_STARTS = {
     "organ_file:=nowhere.npz": "does not exist",
     "rate:=1.0": "outside",
     "rate:=fast": "wrong type",
-    "model:=solid": "choose one of auto, surface, volume, hybrid, cells",
+    "model:=solid": "choose one of auto, hybrid, cells",
     "tools:=[a, a]": "not a valid or unique name",
     "left.shape:=cube": "sphere, capsule, gripper, mesh",
     "left.pose_type:=Twist": "choose one of PoseStamped, Pose, TransformStamped, Odometry",

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.gap import point_in_body
 from tissue_sim.model.contact.shapes import signed_distance
 from tissue_sim.model.contact.tool_motion import FASTEST, set_frame
-from tissue_sim.model.data.state import Region
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.shapes import Shapes
+from tissue_sim.model.data.state import Region, State
 
 FAST = 0.5  # m/s, of tissue towards a tool, at most, within a tick
 
 
 @kernel
-def cull_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+def cull_contacts(state: State, shapes: Shapes, settings: Settings, scratch: Scratch) -> None:
     """List the contact points that may touch in the coming tick in scratch.watched; forget the last impulses of others.
 
     Left out are those that neither the tool's way, which leads from where it is to where it is held, nor tissue that
@@ -23,13 +25,13 @@ def cull_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    shapes : Any
+    shapes : Shapes
         Shapes of the bodies.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     body, moved, turned, count = -1, 0.0, 0.0, 0
@@ -58,14 +60,14 @@ def cull_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def largest_tissue_speed(state: Any) -> float:
+def largest_tissue_speed(state: State) -> float:
     """Return a bound on the speed of tissue towards a tool in a substep; contact may still add as much.
 
     It is less than FAST only where velocities are all that moves the organ.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
 
     Returns
@@ -83,7 +85,7 @@ def largest_tissue_speed(state: Any) -> float:
 
 
 @kernel
-def motion_of(settings: Any, scratch: Any, body: int) -> tuple[float, float]:
+def motion_of(settings: Settings, scratch: Scratch, body: int) -> tuple[float, float]:
     """Return how far a body's origin may go in this tick, m, and a bound on how far it turns, rad.
 
     A virtual coupling moves it a part of the way.

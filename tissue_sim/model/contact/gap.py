@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
+from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.shapes import signed_distance
+from tissue_sim.model.data.shapes import Shapes
+from tissue_sim.model.data.state import State
 
 INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
 
 
 @kernel
 def point_in_body(
-    state: Any, entry: int, origin: Any, rotation: Any
+    state: State, entry: int, origin: Floats, rotation: Floats
 ) -> tuple[float, float, float, float, float, float]:
     """Return a contact point in the organ's frame and in its tool's frame.
 
@@ -21,13 +23,13 @@ def point_in_body(
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
     entry : int
         Index of the contact point in the contact set.
-    origin : Any, shape (T, 3), m
+    origin : Floats, shape (T, 3), m
         Origins of the tools.
-    rotation : Any, shape (T, 9)
+    rotation : Floats, shape (T, 9)
         Rotations of the tools.
 
     Returns
@@ -55,7 +57,7 @@ def point_in_body(
 
 
 @kernel
-def gap_from_outside(state: Any, shapes: Any, entry: int, origin: Any, rotation: Any) -> float:
+def gap_from_outside(state: State, shapes: Shapes, entry: int, origin: Floats, rotation: Floats) -> float:
     """Return the signed distance, m, of a contact point to its tool; infinite where the tool is on its inner side.
 
     Tissue is pushed from outside only: a tool that came to lie inside leaves without catching it.
@@ -71,18 +73,18 @@ def gap_from_outside(state: Any, shapes: Any, entry: int, origin: Any, rotation:
 
 
 @kernel
-def is_touched(state: Any, shapes: Any, origin: Any, rotation: Any) -> bool:
+def is_touched(state: State, shapes: Shapes, origin: Floats, rotation: Floats) -> bool:
     """Return whether any contact point lies inside its tool.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    shapes : Any
+    shapes : Shapes
         Shapes of the bodies.
-    origin : Any, shape (T, 3), m
+    origin : Floats, shape (T, 3), m
         Origins of the tools.
-    rotation : Any, shape (T, 9)
+    rotation : Floats, shape (T, 9)
         Rotations of the tools.
 
     Returns
@@ -100,7 +102,7 @@ def is_touched(state: Any, shapes: Any, origin: Any, rotation: Any) -> bool:
 
 @kernel
 def gap_and_normal(
-    shapes: Any, body: int, r: Any, lx: float, ly: float, lz: float
+    shapes: Shapes, body: int, r: Floats, lx: float, ly: float, lz: float
 ) -> tuple[float, float, float, float]:
     """Return the signed distance of a point from a tool, and the tool's outward normal there.
 
@@ -108,11 +110,11 @@ def gap_and_normal(
 
     Parameters
     ----------
-    shapes : Any
+    shapes : Shapes
         Shapes of the bodies.
     body : int
         Index of the body.
-    r : Any, shape (9,)
+    r : Floats, shape (9,)
         Rotation of the tool.
     lx : float, m
         Coordinate of the point in the tool's frame.

@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Sequence
 
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.tool_motion import freshness
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.shapes import Shapes
+from tissue_sim.model.data.state import State
+from tissue_sim.model.data.world import World
 
 
 @kernel
-def compute_haptic_output(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scratch: Scratch) -> None:
     """Set the wrench of every body; clamp and slew limit hold for the sum over a tool's bodies.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    shapes : Any
+    shapes : Shapes
         Shapes of the bodies.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     cut = held_back = False
@@ -53,14 +59,14 @@ def compute_haptic_output(state: Any, shapes: Any, settings: Any, scratch: Any) 
 
 
 @kernel
-def sum_haptic_output(worlds: Any, wrench: Any) -> None:
+def sum_haptic_output(worlds: Sequence[World], wrench: Floats) -> None:
     """Sum the wrenches of every body over all organs; the clamp holds for the sum over a tool's bodies.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Worlds of the organs; updated.
-    wrench : Any, shape (b, 6), N and N m
+    wrench : Floats, shape (b, 6), N and N m
         Receives the sums.
     """
     first = worlds[0]
@@ -79,7 +85,7 @@ def sum_haptic_output(worlds: Any, wrench: Any) -> None:
 
 
 @kernel
-def clamp_fraction(values: Any, tools: Any, tool: int, most: float) -> float:
+def clamp_fraction(values: Floats, tools: Longs, tool: int, most: float) -> float:
     """Return the factor that limits the sum of a tool's forces, the first three of values (T, 6), to `most`."""
     x = y = z = 0.0
     for body in range(len(values)):
@@ -92,7 +98,7 @@ def clamp_fraction(values: Any, tools: Any, tool: int, most: float) -> float:
 
 
 @kernel
-def slew_fraction(felt: Any, impulse: Any, wanted: float, tools: Any, tool: int, settings: Any) -> float:
+def slew_fraction(felt: Floats, impulse: Floats, wanted: float, tools: Longs, tool: int, settings: Settings) -> float:
     """Return the fraction of the change from felt (T, 6) to wanted * impulse (T, 6) allowed to a tool in a tick."""
     x = y = z = 0.0
     for body in range(len(felt)):

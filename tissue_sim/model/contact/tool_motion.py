@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
+from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.gap import INNER_SIDE, gap_and_normal, is_touched, point_in_body
 from tissue_sim.model.contact.shapes import rotation_matrix
 from tissue_sim.model.data.arrays import copy
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.shapes import Shapes
+from tissue_sim.model.data.state import BodyStatus, State
 
 ROUNDING = 1e-6  # fraction of a tick that counts as zero
 # Where tissue is near, a body moves in a step by at most this fraction of its finest feature: points before it then
@@ -21,14 +26,14 @@ FASTEST = 1.0  # m/s, of a body that catches up there: well below the speed of s
 
 
 @kernel
-def freshness(age: int, settings: Any) -> float:
+def freshness(age: int, settings: Settings) -> float:
     """Return 1 while an input is fresh, falling linearly to 0 after it went stale; 0 when there was none.
 
     Parameters
     ----------
     age : int
         Ticks since the input; below 0: there was none.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
     """
     if age < 0:
@@ -40,16 +45,16 @@ def freshness(age: int, settings: Any) -> float:
 
 
 @kernel
-def advance_held(state: Any, settings: Any, scratch: Any) -> None:
+def advance_held(state: State, settings: Settings, scratch: Scratch) -> None:
     """Move the place where each body is held towards its newest pose; release it when poses stop.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     for body in range(len(state.held_pose)):
@@ -71,12 +76,12 @@ def advance_held(state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def release_body(status: Any) -> None:
+def release_body(status: BodyStatus) -> None:
     """End the life of a body whose poses stopped: its next pose may be anywhere.
 
     Parameters
     ----------
-    status : Any
+    status : BodyStatus
         Status of the body; updated.
     """
     status.resisted, status.placed = status.engaged or status.resisted, not status.held_off
@@ -86,20 +91,20 @@ def release_body(status: Any) -> None:
 
 
 @kernel
-def follow_untouched(state: Any, shapes: Any, settings: Any, scratch: Any) -> bool:
+def follow_untouched(state: State, shapes: Shapes, settings: Settings, scratch: Scratch) -> bool:
     """Move every body on while nothing is felt.
 
     scratch.origin and scratch.rotation remain those of where the bodies are held.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    shapes : Any
+    shapes : Shapes
         Shapes of the bodies.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
 
     Returns
@@ -124,7 +129,7 @@ def follow_untouched(state: Any, shapes: Any, settings: Any, scratch: Any) -> bo
 
 
 @kernel
-def advance_bodies(state: Any, shapes: Any, scratch: Any, step: float) -> None:
+def advance_bodies(state: State, shapes: Shapes, scratch: Scratch, step: float) -> None:
     """Move every body towards scratch.goal (T, 7) as far as it may in a step, s; those of one tool together."""
     for body in range(len(state.body_pose)):
         fraction = 1.0
@@ -144,16 +149,16 @@ def advance_bodies(state: Any, shapes: Any, scratch: Any, step: float) -> None:
 
 
 @kernel
-def find_walls(model: Any, state: Any, scratch: Any) -> None:
+def find_walls(model: Model, state: State, scratch: Scratch) -> None:
     """List the contact points on mostly fixed nodes in scratch.wall: they hardly yield to a tool.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     count, contacts = 0, state.contacts
@@ -169,7 +174,7 @@ def find_walls(model: Any, state: Any, scratch: Any) -> None:
 
 
 @kernel
-def leave_wall(state: Any, shapes: Any, scratch: Any) -> bool:
+def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
     """Move a tool out of the fixed point that lies deepest in it; return False where none lies deeper than WALL.
 
     Tissue that moves is pushed on by the tool; into fixed tissue it would go on until it has slipped inside.
@@ -196,14 +201,14 @@ def leave_wall(state: Any, shapes: Any, scratch: Any) -> bool:
 
 
 @kernel
-def has_contact(state: Any, body: int) -> bool:
+def has_contact(state: State, body: int) -> bool:
     """Return whether a body felt tissue in the last tick."""
     felt = state.felt[body]
     return felt[0] != 0.0 or felt[1] != 0.0 or felt[2] != 0.0
 
 
 @kernel
-def free_distance(state: Any, shapes: Any, body: int, goal: Any, most: float) -> float:
+def free_distance(state: State, shapes: Shapes, body: int, goal: Floats, most: float) -> float:
     """Return the fraction of its way to a goal (7,) that a body may go in a step and meet all tissue on it.
 
     most: m that it may go where tissue is near, at its speed. It goes no farther than the contact set knows the surface
@@ -227,14 +232,14 @@ def free_distance(state: Any, shapes: Any, body: int, goal: Any, most: float) ->
 
 
 @kernel
-def distance_along_path(pose: Any, other: Any, extent: float) -> float:
+def distance_along_path(pose: Floats, other: Floats, extent: float) -> float:
     """Return a bound on how far the points of a body lie apart in two poses.
 
     Parameters
     ----------
-    pose : Any, shape (7,)
+    pose : Floats, shape (7,)
         A pose.
-    other : Any, shape (7,)
+    other : Floats, shape (7,)
         Another pose.
     extent : float, m
         Largest distance of its points from its origin.
@@ -251,14 +256,14 @@ def distance_along_path(pose: Any, other: Any, extent: float) -> float:
 
 
 @kernel
-def distance(pose: Any, other: Any) -> float:
+def distance(pose: Floats, other: Floats) -> float:
     """Return the distance between the origins of two poses.
 
     Parameters
     ----------
-    pose : Any, shape (7,)
+    pose : Floats, shape (7,)
         A pose.
-    other : Any, shape (7,)
+    other : Floats, shape (7,)
         Another pose.
 
     Returns
@@ -270,14 +275,14 @@ def distance(pose: Any, other: Any) -> float:
 
 
 @kernel
-def quaternion_distance(pose: Any, other: Any) -> float:
+def quaternion_distance(pose: Floats, other: Floats) -> float:
     """Return the chord between the quaternions of two poses, of either sign: half the angle where it is small.
 
     Parameters
     ----------
-    pose : Any, shape (7,)
+    pose : Floats, shape (7,)
         A pose.
-    other : Any, shape (7,)
+    other : Floats, shape (7,)
         Another pose.
     """
     less = more = 0.0
@@ -288,7 +293,9 @@ def quaternion_distance(pose: Any, other: Any) -> float:
 
 
 @kernel
-def couple_bodies(state: Any, shapes: Any, settings: Any, scratch: Any, step: float, share: float) -> None:
+def couple_bodies(
+    state: State, shapes: Shapes, settings: Settings, scratch: Scratch, step: float, share: float
+) -> None:
     """Move where the bodies are held along their way, and each body after it through the virtual coupling.
 
     A body has no mass: B p' = K (h - p) + F, of which a step without contact is done here; the displacement per impulse
@@ -297,13 +304,13 @@ def couple_bodies(state: Any, shapes: Any, settings: Any, scratch: Any, step: fl
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    shapes : Any
+    shapes : Shapes
         Shapes of the bodies.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     step : float, s
         The substep.
@@ -328,14 +335,14 @@ def couple_bodies(state: Any, shapes: Any, settings: Any, scratch: Any, step: fl
 
 
 @kernel
-def keep_bodies(state: Any, scratch: Any) -> None:
+def keep_bodies(state: State, scratch: Scratch) -> None:
     """Copy to the poses where contact has pushed the tools.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     for body in range(len(state.body_pose)):
@@ -344,12 +351,12 @@ def keep_bodies(state: Any, scratch: Any) -> None:
 
 
 @kernel
-def restore_bodies(state: Any, farthest: float) -> None:
+def restore_bodies(state: State, farthest: float) -> None:
     """Return bodies that contact has pushed out of bounds, or to no number, to where their contact points were found.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
     farthest : float, m
         Largest displacement allowed.
@@ -364,7 +371,7 @@ def restore_bodies(state: Any, farthest: float) -> None:
 
 
 @kernel
-def step_pose(pose: Any, goal: Any, share: float) -> None:
+def step_pose(pose: Floats, goal: Floats, share: float) -> None:
     """Move a pose (7,) by a fraction of the way to a goal; the quaternion by normalised lerp."""
     if share >= 1.0:
         copy(goal, pose)
@@ -383,16 +390,16 @@ def step_pose(pose: Any, goal: Any, share: float) -> None:
 
 
 @kernel
-def set_frame(pose: Any, origin: Any, rotation: Any) -> None:
+def set_frame(pose: Floats, origin: Floats, rotation: Floats) -> None:
     """Write the origin and the rotation matrix of a pose.
 
     Parameters
     ----------
-    pose : Any, shape (7,), m and quaternion xyzw
+    pose : Floats, shape (7,), m and quaternion xyzw
         The pose.
-    origin : Any, shape (3,), m
+    origin : Floats, shape (3,), m
         Its origin; updated.
-    rotation : Any, shape (9,)
+    rotation : Floats, shape (9,)
         Its rotation matrix, row by row; updated.
     """
     copy(pose[:3], origin)
@@ -400,14 +407,14 @@ def set_frame(pose: Any, origin: Any, rotation: Any) -> None:
 
 
 @kernel
-def has_tip_force(state: Any, settings: Any) -> bool:
+def has_tip_force(state: State, settings: Settings) -> bool:
     """Return whether an external force acts on the tissue under any tool's tip.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
     """
     for body in range(len(state.body_force)):
@@ -419,16 +426,16 @@ def has_tip_force(state: Any, settings: Any) -> bool:
 
 
 @kernel
-def add_tip_forces(state: Any, settings: Any, force: Any) -> None:
+def add_tip_forces(state: State, settings: Settings, force: Floats) -> None:
     """Add the external forces at the tools' tips.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
     for body in range(len(state.body_force)):

@@ -11,49 +11,67 @@ accumulate there throw their nodes.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.data.blocks import BLOCK
-from tissue_sim.model.data.state import Region
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.records import Record
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.elasticity.cell_groups import CELLS, OWN, OWN_ROWS
 
 LEAST = 0.1  # of the rest volume; with 0.2 nodes are thrown under the deepest pinch
 NEARLY = 0.2  # above that; such a cell may fall below it while others are resolved
 RECOVERY_RATE = 200.0  # 1/s; at most so fast a cell that was below the limit returns
 HARDEST = 8.0  # limit of a cell's pressure, times that of its penalty for the whole volume
-MOST_SQUEEZED = 256  # cells resolved in a substep
+MOST_COMPRESSED = 256  # cells resolved in a substep
 # Passes over cells and contact points while cells are squeezed; the next of the many substeps resolves what is left.
-SQUEEZED_PASSES = 4
+COMPRESSED_PASSES = 4
 SETTLED = 0.2  # fraction of the impulses on cells that a pass may still change
 
 
-@kernel
-def _has_stiff_cells(model: Any) -> bool:
-    return model.tissue.stiff[0] > 0
+class CompressedCell(Record):
+    """Cell compressed to LEAST of its rest volume in a substep, or nearly so."""
+
+    node: Annotated[Longs, (4,)]
+    inverse: float  # 1 / (6 V), 1/m^3
+    least: float  # the least volume ratio allowed
+    stiffness: float  # N m s, the impulse that corrects a ratio that is short by 1
+    impulse: float  # N m s, given so far
+    most: float  # N m s, the largest one allowed
+    size: float  # 1/m, length of the gradients together
+    gradient: Annotated[Floats, (4, 3)]  # 1/m, of the volume ratio by each node
 
 
 @kernel
-def _has_no_stiff_cells(model: Any) -> bool:
+def _has_stiff_cells(model: Model) -> bool:
+    tissue: Any = model.tissue
+    return tissue.stiff[0] > 0
+
+
+@kernel
+def _has_no_stiff_cells(model: Model) -> bool:
     return False
 
 
 @chosen(lambda model: _has_stiff_cells if has(model, "tissue") else _has_no_stiff_cells)
-def has_compressed_cells(model: Any) -> Any:
+def has_compressed_cells(model: Model) -> Any:
     """Return whether the last forces found cells so squeezed that they require shorter substeps.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
     """
 
 
 @kernel
-def volume_of(position: Any, nodes: Any, inverse: float) -> float:
+def volume_of(position: Floats, nodes: Any, inverse: float) -> float:
     """Return the volume of a cell over that at rest; inverse: 1 / (6 V), 1/m^3."""
     i, j, k, m = nodes[0], nodes[1], nodes[2], nodes[3]
     x, y, z = position[i, 0], position[i, 1], position[i, 2]
@@ -64,7 +82,7 @@ def volume_of(position: Any, nodes: Any, inverse: float) -> float:
 
 
 @kernel
-def slopes_of(position: Any, velocity: Any, back: float, nodes: Any, inverse: float, slope: Any) -> float:
+def slopes_of(position: Floats, velocity: Floats, back: float, nodes: Any, inverse: float, slope: Floats) -> float:
     """Return that ratio `back` seconds ago; write its gradient by each node to slope (4, 3) 1/m."""
     for corner in range(4):
         node = nodes[corner]
@@ -85,8 +103,9 @@ def slopes_of(position: Any, velocity: Any, back: float, nodes: Any, inverse: fl
 
 
 @kernel
-def _find(model: Any, state: Any, mobility: Any, scratch: Any, step: float) -> int:
-    tissue, found = model.tissue, 0
+def _find(model: Model, state: State, scratch: Scratch, step: float) -> int:
+    tissue: Any = model.tissue
+    found = 0
     if state.status.region != Region.WHOLE:
         return 0
     for index in range(tissue.stiff[0]):
@@ -94,36 +113,33 @@ def _find(model: Any, state: Any, mobility: Any, scratch: Any, step: float) -> i
         block, c = divmod(fan, BLOCK)
         constant, node = tissue.fans.constants[block], tissue.fans.nodes[block, c]
         own = OWN + OWN_ROWS * which
-        if found < len(scratch.squeezed):
+        if found < len(scratch.compressed):
             inverse, penalty = constant[own * BLOCK + c], constant[(own + 3) * BLOCK + c]
-            nodes = node[0], node[1], node[2 + which], node[3 + which]
-            if _take(state, mobility, scratch, found, nodes, inverse, penalty, step):
+            cell = scratch.compressed[found]
+            cell.node[0], cell.node[1], cell.node[2], cell.node[3] = node[0], node[1], node[2 + which], node[3 + which]
+            if _take(state, scratch.mobility, cell, inverse, penalty, step):
                 found += 1
     return found
 
 
 @kernel
-def _none(model: Any, state: Any, mobility: Any, scratch: Any, step: float) -> int:
+def _none(model: Model, state: State, scratch: Scratch, step: float) -> int:
     return 0
 
 
 @chosen(lambda model, *_: _find if has(model, "tissue") else _none)
-def find_compressed_cells(model: Any, state: Any, mobility: Any, scratch: Any, step: float) -> Any:
-    """List cells squeezed to LEAST or nearly so in scratch.squeezed; return their number.
+def find_compressed_cells(model: Model, state: State, scratch: Scratch, step: float) -> Any:
+    """List cells compressed to LEAST or nearly so in scratch.compressed; return their number.
 
-    Only the whole organ's cells are listed, not those of a local region. A row of scratch.squeezed (S, 6) holds 1 / (6
-    V), 1/m^3; the least volume ratio allowed; the impulse that corrects a ratio that is short by 1, N m s; the impulse
-    given so far; the largest one allowed; and the length of the gradients together, 1/m.
+    Only the whole organ's cells are listed, not those of a local region.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation.
-    mobility : Any, shape (n,), 1/kg
-        Velocity that a unit impulse gives each node.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     step : float, s
         The substep.
@@ -131,41 +147,36 @@ def find_compressed_cells(model: Any, state: Any, mobility: Any, scratch: Any, s
 
 
 @kernel
-def _take(
-    state: Any, mobility: Any, scratch: Any, index: int, nodes: Any, inverse: float, penalty: float, step: float
-) -> bool:
-    """Return whether a cell is to be resolved, and fill its row of scratch.squeezed; its penalty J / 6 V."""
-    if volume_of(state.position, nodes, inverse) > LEAST + NEARLY:
+def _take(state: State, mobility: Floats, cell: CompressedCell, inverse: float, penalty: float, step: float) -> bool:
+    """Return whether a cell is to be resolved, and fill its record; its penalty J / 6 V."""
+    if volume_of(state.position, cell.node, inverse) > LEAST + NEARLY:
         return False
-    slope = scratch.squeezed_slope[index]
-    before = slopes_of(state.position, state.velocity, step, nodes, inverse, slope)
+    gradient = cell.gradient
+    before = slopes_of(state.position, state.velocity, step, cell.node, inverse, gradient)
     give = square = 0.0
     for corner in range(4):
-        node = nodes[corner]
-        scratch.squeezed_node[index, corner] = node
+        node = cell.node[corner]
         for axis in range(3):
-            along = slope[corner, axis]
+            along = gradient[corner, axis]
             square += along * along
             give += along * along * mobility[node]
     if give == 0.0:
         return False
-    row = scratch.squeezed[index]
-    row[0], row[1] = inverse, min(LEAST, before + step * RECOVERY_RATE)
-    row[2], row[3], row[4], row[5] = 1.0 / (step * give), 0.0, step * HARDEST * penalty / inverse, math.sqrt(square)
+    cell.inverse, cell.least = inverse, min(LEAST, before + step * RECOVERY_RATE)
+    cell.stiffness, cell.impulse, cell.most = 1.0 / (step * give), 0.0, step * HARDEST * penalty / inverse
+    cell.size = math.sqrt(square)
     return True
 
 
 @kernel
-def enforce_volume_limit(state: Any, mobility: Any, scratch: Any, found: int, step: float) -> bool:
+def enforce_volume_limit(state: State, scratch: Scratch, found: int, step: float) -> bool:
     """Make one pass over the listed cells.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    mobility : Any, shape (n,), 1/kg
-        Velocity that a unit impulse gives each node.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     found : int
         Number of the listed cells.
@@ -179,36 +190,35 @@ def enforce_volume_limit(state: Any, mobility: Any, scratch: Any, found: int, st
     """
     change = total = 0.0
     for index in range(found):
-        row, nodes, slope = scratch.squeezed[index], scratch.squeezed_node[index], scratch.squeezed_slope[index]
-        swollen = volume_of(state.position, nodes, row[0])
-        pushed = min(row[4], max(0.0, row[3] + (row[1] - swollen) * row[2]))
-        more = pushed - row[3]
-        total += row[5] * pushed
+        cell = scratch.compressed[index]
+        ratio = volume_of(state.position, cell.node, cell.inverse)
+        pushed = min(cell.most, max(0.0, cell.impulse + (cell.least - ratio) * cell.stiffness))
+        more = pushed - cell.impulse
+        total += cell.size * pushed
         if more == 0.0:
             continue
-        row[3] = pushed
-        change += row[5] * abs(more)
+        cell.impulse = pushed
+        change += cell.size * abs(more)
         for corner in range(4):
-            node = nodes[corner]
-            move = more * mobility[node]
+            node = cell.node[corner]
+            move = more * scratch.mobility[node]
             for axis in range(3):
-                state.velocity[node, axis] += move * slope[corner, axis]
-                state.position[node, axis] += step * move * slope[corner, axis]
+                state.velocity[node, axis] += move * cell.gradient[corner, axis]
+                state.position[node, axis] += step * move * cell.gradient[corner, axis]
     return change <= SETTLED * total
 
 
-def add_volume_limit_impulses(scratch: Any, step: float, force: Any) -> None:
+def add_volume_limit_impulses(scratch: Scratch, step: float, force: Floats) -> None:
     """Add the forces of the volume limit in the last substep.
 
     Parameters
     ----------
-    scratch : Any
+    scratch : Scratch
         Working memory.
     step : float, s
         The substep.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
-    held = slice(scratch.squeezing[0])
-    push = scratch.squeezed[held, 3, None, None] / step * scratch.squeezed_slope[held]
-    np.add.at(force, scratch.squeezed_node[held], push)
+    cells = scratch.compressed[: scratch.compressing[0]]
+    np.add.at(force, cells.node, cells.impulse[:, None, None] / step * cells.gradient)

@@ -123,12 +123,12 @@ def contact_set(n_bodies: int, points: int = MOST_POINTS, words: Longs | None = 
 
 
 @kernel
-def used_words(contacts: Any) -> int:
+def used_words(contacts: ContactSet) -> int:
     """Return how many words of a contact set are in use.
 
     Parameters
     ----------
-    contacts : Any
+    contacts : ContactSet
         The contact set.
 
     Returns

@@ -33,22 +33,6 @@ class Tissue(NamedTuple):
     stiff: Longs
 
 
-class Spokes(NamedTuple):
-    """The M-rep at rest and room to work in. a atoms, m spokes."""
-
-    first_atom: int  # node number of atom 0
-    towards: Ints  # (a,) neighbour A of each atom
-    parent: Ints  # (a,)
-    bone: Floats  # (a, 3) unit vector from A to the atom
-    offset: Floats  # (a, 3) m, atoms from their middle
-    axis: Floats  # (3,) main direction of the atoms
-    node: Ints  # (m,) surface nodes and interior atoms
-    atom: Ints  # (m,) the atom on which each hangs
-    spoke: Floats  # (m, 3) m, from there to the node
-    frame: Floats  # (a, 3, 3) rotations, written by imply_boundary
-    work: Floats  # (5, 3, 3)
-
-
 class Adjacency(NamedTuple):
     """Springs or cells of each node, as compressed rows."""
 
@@ -92,9 +76,7 @@ class Model(NamedTuple):
     edges: Blocks  # axial and angular springs of the edges between two triangles, as the kernels take them
     links: Blocks  # all other springs
     return_nodes: Ints  # (r,) nodes with a return spring
-    return_stiffness: Floats  # (n,) N/m
-    return_target: Floats  # (n, 3) m where they pull to: rest, or written by imply_boundary
-    spokes: Spokes | None  # of the M-rep, when it implies where return springs pull to
+    return_stiffness: Floats  # (n,) N/m, of springs to the rest positions
     damping_rate: float  # 1/s, nodal damping over mass, the mean
     cells: Ints  # (c, 4) what is inside: the tissue's cells, or tetrahedra of a triangle and its nearest medial atom
     cell_volume: Floats  # (c,) m^3 at rest

@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Self, get_type_hints
+from typing import Annotated, Any, ClassVar, Self, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.array_types import Longs
+from tissue_sim.array_types import Floats, Longs
 
 WORD = 8  # bytes
-_KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
+_KINDS: dict[Any, Any] = {int: np.int64, float: np.float64, bool: np.bool_, Longs: np.int64, Floats: np.float64}
+
+
+Vector = Annotated[Floats, (3,)]
 
 
 class Record:
-    """Base of records: annotations int, float or bool of a class are the fields of its `dtype`, in whole words.
+    """Base of records: annotations of a class are the fields of its `dtype`, in whole words.
 
-    An object is a NumPy record that views the words it was made on; writing to a field writes there.
+    A field is an int, float or bool, or an array with its shape, as `Vector`. An object is a NumPy record that views
+    the words it was made on; writing to a field writes there.
     """
 
     dtype: ClassVar[np.dtype[Any]]
 
     def __init_subclass__(cls) -> None:
         """Compute the dtype."""
-        hints = get_type_hints(cls)
-        fields = [(name, _KINDS[hints[name]]) for name in cls.__annotations__]
+        hints = get_type_hints(cls, include_extras=True)
+        fields = [(name, *_field(hints[name])) for name in cls.__annotations__]
         cls.dtype = _padded(np.dtype(fields, align=True))
 
     @classmethod
@@ -136,6 +140,12 @@ def copy_of[R](record: R) -> R:
     words = words_of(record).copy()
     made: R = words.view(record.dtype).view(np.recarray)[0]  # type: ignore[attr-defined]
     return made
+
+
+def _field(hint: Any) -> tuple[Any, tuple[int, ...]]:
+    """Return the NumPy type and the shape of an annotation's field."""
+    kind, shape = get_args(hint) or (hint, ())
+    return _KINDS[kind], shape
 
 
 def _padded(dtype: np.dtype[Any]) -> np.dtype[Any]:

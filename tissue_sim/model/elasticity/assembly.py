@@ -15,15 +15,12 @@ from tissue_sim.model.data.model import Model, Reduction
 from tissue_sim.model.elasticity.cells import SLOPES, penalty_of, shapes_of, tissue_of, with_penalty
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.elasticity.frequency import largest_frequency
-from tissue_sim.model.elasticity.implied_boundary import spokes_of
 from tissue_sim.model.elasticity.unloaded_shape import Law, unloaded_shape
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind
 from tissue_sim.organ.topology import tetrahedral_edges
 
 ModelName = Literal["auto", "surface", "volume", "hybrid", "cells"]
-ReturnTarget = Literal["rest", "implied"]
-RETURN_TARGETS: tuple[str, ...] = get_args(ReturnTarget)
 LEAST_CELL = 0.05  # of the mean cell's volume, below which the sign of a cell's volume means nothing
 # Fraction of the rest area below which a pair of triangles counts as collapsed. Its normal turns as 1 / area: with 0.1
 # the largest frequency of a pressed organ was up to three times that at rest, with 0.6 it is the same.
@@ -43,9 +40,7 @@ NO_REDUCTION = Reduction(
 )
 
 
-def assemble(
-    organ: Organ, model: str = "auto", return_target: str = "rest", shape_gravity: ArrayLike = (0.0, 0.0, 0.0)
-) -> Model:
+def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0, 0.0, 0.0)) -> Model:
     """Return the arrays of one of the paper's three variants, or of cells.
 
     `surface` has edge, angular and return springs of the surface alone (equation 1); `volume` a spring on every edge of
@@ -59,9 +54,6 @@ def assemble(
         The organ.
     model : str, optional
         One of MODEL_NAMES; `auto` for the variant that the organ was made for.
-    return_target : str, optional
-        Where return springs pull to: the `rest` position or the boundary that the skeleton has `implied`; medial atoms
-        return to rest in both.
     shape_gravity : ArrayLike, shape (3,), m/s^2, optional
         Gravity under which the organ's shape was taken. Cells get the shape that they would have without it; springs
         keep theirs.
@@ -74,8 +66,8 @@ def assemble(
     Raises
     ------
     UserError
-        For an unknown variant or target, `volume` on an organ without interior points, `cells` on one without cells,
-        `implied` on a variant without a skeleton or return springs, and where the tissue is too soft for shape_gravity.
+        For an unknown variant, `volume` on an organ without interior points, `cells` on one without cells, and where
+        the tissue is too soft for shape_gravity.
 
     References
     ----------
@@ -84,14 +76,7 @@ def assemble(
     if model not in MODEL_NAMES:
         raise UserError(f"unknown model '{model}'; choose one of {', '.join(MODEL_NAMES)}")
     model = model_of(organ) if model == "auto" else model
-    if return_target not in RETURN_TARGETS:
-        raise UserError(f"unknown return target '{return_target}'; choose one of {', '.join(RETURN_TARGETS)}")
-    implied = return_target == "implied"
-    if implied and model == "surface":
-        raise UserError("the surface model has no skeleton to imply a boundary; use return target rest")
     by_cells = model == "cells"
-    if implied and by_cells:
-        raise UserError("cells have no return springs; use return target rest")
     if by_cells and not len(organ.cell_nodes):
         raise UserError(f"organ '{organ.name}' has no cells; add them with tissue_sim calibrate")
     n, n_surface = organ.n_nodes, organ.n_surface
@@ -145,8 +130,6 @@ def assemble(
             links=empty_blocks(0, 2, 2),
             return_nodes=_ints(returning),
             return_stiffness=organ.return_stiffness.copy(),
-            return_target=rest.copy() if implied else rest,
-            spokes=spokes_of(organ) if implied else None,
             damping_rate=float(damping[used].sum() / mass[used].sum()),
             cells=cells,
             cell_volume=cell_volume,

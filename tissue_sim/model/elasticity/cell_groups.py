@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.blocks import BLOCK, pack
-from tissue_sim.model.data.model import CellGroups
+from tissue_sim.model.data.model import CellGroups, Tissue
 from tissue_sim.model.elasticity.cell_law import SQUEEZED, STIFF, minor, pressure_of
 from tissue_sim.model.elasticity.vectors import WIDTH, fused, gather_fan, put_node, scatter_fan
 from tissue_sim.model.elasticity.volumes import triple_product
@@ -226,16 +226,16 @@ def _apart(count: int) -> Longs:
 
 
 @kernel
-def cell_forces(position: Any, tissue: Any, force: Any) -> None:
+def cell_forces(position: Floats, tissue: Tissue, force: Floats) -> None:
     """Add the forces of all cells, and list those that are squeezed.
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
-    tissue : Any
+    tissue : Tissue
         Cells of the model.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
     rows, work, fans = tissue.rows, tissue.work, tissue.fans
@@ -254,7 +254,7 @@ def cell_forces(position: Any, tissue: Any, force: Any) -> None:
 
 
 @kernel
-def _resist(work: Any, constant: Any) -> int:
+def _resist(work: Floats, constant: Floats) -> int:
     """Turn the arms of a block of groups into the forces of its last five nodes on the first.
 
     The number of stiff cells is returned. e is along the edge, a to d around it. The cells' volume ratios stay in the
@@ -309,7 +309,7 @@ def _resist(work: Any, constant: Any) -> int:
 
 
 @kernel
-def _list_squeezed(work: Any, constant: Any, block: int, listed: Any, count: int) -> int:
+def _list_squeezed(work: Floats, constant: Floats, block: int, listed: Longs, count: int) -> int:
     """Add the squeezed cells of a block with a stiff one to those listed; return how many there are now.
 
     Filling is left out.

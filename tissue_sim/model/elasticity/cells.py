@@ -5,8 +5,6 @@ Those of the whole organ are evaluated in cell groups (fans), those of a local r
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.sparse import coo_array, csc_array
 
@@ -150,7 +148,7 @@ def _pull(s: float, j: float, t: float, k: float, u: float, m: float, pressure: 
 
 
 @kernel
-def _resist(work: Any, constant: Any) -> int:
+def _resist(work: Floats, constant: Floats) -> int:
     """Turn the arms of a block into the forces of its last three nodes on the first; return how many are stiff."""
     stiff = 0
     for c in range(BLOCK):
@@ -178,14 +176,14 @@ def _resist(work: Any, constant: Any) -> int:
 
 
 @kernel
-def _spread(position: Any, among: Any, tissue: Any) -> None:
+def _spread(position: Floats, among: Ints, tissue: Tissue) -> None:
     """Put the positions of nodes among (k,) where blocks are gathered from, and clear where they are scattered to."""
     for index in range(len(among)):
         put_node(position, among[index], tissue.rows)
 
 
 @kernel
-def _add_scattered(tissue: Any, among: Any, share: float, force: Any) -> None:
+def _add_scattered(tissue: Tissue, among: Ints, share: float, force: Floats) -> None:
     """Add a fraction of what was scattered to nodes among (k,) to force (n, 3) N."""
     for index in range(len(among)):
         node = among[index]
@@ -195,25 +193,25 @@ def _add_scattered(tissue: Any, among: Any, share: float, force: Any) -> None:
 
 @kernel
 def cell_forces_among(
-    position: Any, among: Any, nodes: Any, constants: Any, tissue: Any, work: Any, force: Any
+    position: Floats, among: Ints, nodes: Ints, constants: Floats, tissue: Tissue, work: Floats, force: Floats
 ) -> None:
     """Add the forces of some of the cells, in blocks of their own.
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
-    among : Any, shape (k,)
+    among : Ints, shape (k,)
         All nodes of these cells.
-    nodes : Any, shape (b, BLOCK, 4)
+    nodes : Ints, shape (b, BLOCK, 4)
         Node indices of the cells.
-    constants : Any, shape (b, CONSTANTS BLOCK)
+    constants : Floats, shape (b, CONSTANTS BLOCK)
         Their constants.
-    tissue : Any
+    tissue : Tissue
         Cells of the model.
-    work : Any
+    work : Floats
         Buffer of the block.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
     stiff = 0
@@ -228,25 +226,25 @@ def cell_forces_among(
 
 @kernel
 def subtract_linear_cells(
-    position: Any, among: Any, nodes: Any, slopes: Any, tissue: Any, work: Any, force: Any
+    position: Floats, among: Ints, nodes: Ints, slopes: Floats, tissue: Tissue, work: Floats, force: Floats
 ) -> None:
     """Subtract the forces of some of the cells if they were linear about rest.
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
-    among : Any, shape (k,)
+    among : Ints, shape (k,)
         All nodes of these cells.
-    nodes : Any, shape (b, BLOCK, 4)
+    nodes : Ints, shape (b, BLOCK, 4)
         Node indices of the cells.
-    slopes : Any, shape (b, SLOPES BLOCK)
+    slopes : Floats, shape (b, SLOPES BLOCK)
         Constants of cell_slopes.
-    tissue : Any
+    tissue : Tissue
         Cells of the model.
-    work : Any
+    work : Floats
         Buffer of the block.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
     _spread(position, among, tissue)
@@ -258,7 +256,7 @@ def subtract_linear_cells(
 
 
 @kernel
-def _resist_linearly(work: Any, slope: Any) -> None:
+def _resist_linearly(work: Floats, slope: Floats) -> None:
     """Turn the arms of a block into the forces of its last three nodes on the first, by Hooke's law."""
     for c in range(BLOCK):
         jx, jy, jz = work[c] - slope[c], work[BLOCK + c] - slope[BLOCK + c], work[2 * BLOCK + c] - slope[2 * BLOCK + c]

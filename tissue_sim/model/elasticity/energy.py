@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.elasticity.cells import cell_energy
@@ -50,13 +50,13 @@ def energy_of(model: Model, position: Floats, velocity: Floats) -> Energy:
     ends, law = (model.spring_first, model.spring_second), (model.spring_rest_length, model.spring_stiffness)
     axial = float(_axial_energy(position, *ends, *law))
     pulled = model.return_nodes
-    away = np.sum((position[pulled] - model.return_target[pulled]) ** 2, axis=1)
+    away = np.sum((position[pulled] - model.rest[pulled]) ** 2, axis=1)
     returning = 0.5 * float(np.sum(model.return_stiffness[pulled] * away))
     return Energy(kinetic, axial + angular_energy(model, position) + returning)
 
 
 @kernel
-def _axial_energy(position: Any, first: Any, second: Any, rest: Any, stiffness: Any) -> float:
+def _axial_energy(position: Floats, first: Ints, second: Ints, rest: Floats, stiffness: Floats) -> float:
     total = 0.0
     for s in range(len(first)):
         square = 0.0

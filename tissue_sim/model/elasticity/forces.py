@@ -7,11 +7,12 @@ scattered in three short loops, the middle one of which the compiler vectorises 
 from __future__ import annotations
 
 import math
-from typing import Any
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.data.blocks import BLOCK
+from tissue_sim.model.data.model import Model
 from tissue_sim.model.elasticity.cell_groups import cell_forces
 
 # Of its rest length, below which a spring's push decreases to zero where its ends meet. Equation (1) alone reverses
@@ -41,22 +42,22 @@ def stored(stretch: float) -> float:
 
 
 @kernel
-def spring_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any) -> None:
+def spring_forces(position: Floats, nodes: Ints, constants: Floats, work: Floats, force: Floats) -> None:
     """Add axial springs, equation (1): f = k (l - l0) along the spring, geometrically nonlinear.
 
     The length counts at least as SHORTEST l0.
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
-    nodes : Any, shape (b, BLOCK, 2)
+    nodes : Ints, shape (b, BLOCK, 2)
         Node indices.
-    constants : Any, shape (b, 2 BLOCK)
+    constants : Floats, shape (b, 2 BLOCK)
         Inverse rest lengths, 1/m, then stiffnesses, N/m.
-    work : Any, shape (9 BLOCK,)
+    work : Floats, shape (9 BLOCK,)
         Buffer.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
     for block in range(len(nodes)):
@@ -72,7 +73,7 @@ def spring_forces(position: Any, nodes: Any, constants: Any, work: Any, force: A
 
 
 @kernel
-def _gather_ends(position: Any, ends: Any, work: Any) -> None:
+def _gather_ends(position: Floats, ends: Ints, work: Floats) -> None:
     """Gather the vectors from the first to the second node of each spring."""
     for s in range(BLOCK):
         i, j = ends[s, 0], ends[s, 1]
@@ -82,7 +83,7 @@ def _gather_ends(position: Any, ends: Any, work: Any) -> None:
 
 
 @kernel
-def _scatter_ends(work: Any, ends: Any, force: Any) -> None:
+def _scatter_ends(work: Floats, ends: Ints, force: Floats) -> None:
     """Add the forces of a block to the first nodes, and their opposite to the second."""
     for s in range(BLOCK):
         i, j = ends[s, 0], ends[s, 1]
@@ -96,7 +97,7 @@ def _scatter_ends(work: Any, ends: Any, force: Any) -> None:
 
 
 @kernel
-def edge_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any) -> None:
+def edge_forces(position: Floats, nodes: Ints, constants: Floats, work: Floats, force: Floats) -> None:
     """Add edges between two triangles: the axial spring along the edge, and the angular spring across it.
 
     Angular springs have the energy k/2 (s - s0)^2. s = n.(w_i x_i + w_j x_j + w_k x_k + w_l x_l), n the unit normal of
@@ -107,16 +108,16 @@ def edge_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
-    nodes : Any, shape (b, BLOCK, 4)
+    nodes : Ints, shape (b, BLOCK, 4)
         Edge i, j and the opposite corners k, l.
-    constants : Any, shape (b, 8 BLOCK)
+    constants : Floats, shape (b, 8 BLOCK)
         Weights of j, k, l (that of i makes their sum zero), s0, m, stiffness, N/m, the least squared length of the
         unnormalised normal, m^4, and inverse rest length, 1/m, and stiffness, N/m, of the axial spring.
-    work : Any, shape (9 BLOCK,)
+    work : Floats, shape (9 BLOCK,)
         Buffer.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
 
     References
@@ -131,7 +132,7 @@ def edge_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any
 
 
 @kernel
-def _gather_arms(position: Any, ends: Any, work: Any) -> None:
+def _gather_arms(position: Floats, ends: Ints, work: Floats) -> None:
     """Gather the vectors from node i of each edge to its nodes j, k and l."""
     for e in range(BLOCK):
         i, j, k, m = ends[e, 0], ends[e, 1], ends[e, 2], ends[e, 3]
@@ -148,7 +149,7 @@ def _gather_arms(position: Any, ends: Any, work: Any) -> None:
 
 
 @kernel
-def _bend_and_stretch(work: Any, constant: Any) -> None:
+def _bend_and_stretch(work: Floats, constant: Floats) -> None:
     """Turn the arms of a block into the forces on j, k and l."""
     for e in range(BLOCK):
         ex, ey, ez = work[e], work[BLOCK + e], work[2 * BLOCK + e]
@@ -187,7 +188,7 @@ def _bend_and_stretch(work: Any, constant: Any) -> None:
 
 
 @kernel
-def _scatter_arms(work: Any, ends: Any, force: Any) -> None:
+def _scatter_arms(work: Floats, ends: Ints, force: Floats) -> None:
     """Add the forces of a block; node i gets the opposite of the others' sum."""
     for e in range(BLOCK):
         i, j, k, m = ends[e, 0], ends[e, 1], ends[e, 2], ends[e, 3]
@@ -209,7 +210,7 @@ def _scatter_arms(work: Any, ends: Any, force: Any) -> None:
 
 
 @kernel
-def subtract_linear_springs(position: Any, nodes: Any, slopes: Any, work: Any, force: Any) -> None:
+def subtract_linear_springs(position: Floats, nodes: Ints, slopes: Floats, work: Floats, force: Floats) -> None:
     """Subtract the forces of axial springs if they were linear about rest.
 
     nodes (b, BLOCK, 2); slopes (b, 6 BLOCK): from the first to the second node at rest, m, and the unit vector that way
@@ -217,15 +218,15 @@ def subtract_linear_springs(position: Any, nodes: Any, slopes: Any, work: Any, f
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
-    nodes : Any, shape (b, BLOCK, 2)
+    nodes : Ints, shape (b, BLOCK, 2)
         Node indices.
-    slopes : Any, shape (b, 6 BLOCK)
+    slopes : Floats, shape (b, 6 BLOCK)
         Vector from the first to the second node at rest, m, and its unit vector times the root of the stiffness.
-    work : Any, shape (9 BLOCK,)
+    work : Floats, shape (9 BLOCK,)
         Buffer.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
     for block in range(len(nodes)):
@@ -241,7 +242,7 @@ def subtract_linear_springs(position: Any, nodes: Any, slopes: Any, work: Any, f
 
 
 @kernel
-def subtract_linear_edges(position: Any, nodes: Any, slopes: Any, work: Any, force: Any) -> None:
+def subtract_linear_edges(position: Floats, nodes: Ints, slopes: Floats, work: Floats, force: Floats) -> None:
     """Subtract the forces of edges between two triangles if their springs were linear about rest.
 
     nodes (b, BLOCK, 4); slopes (b, 21 BLOCK): arms from node i to j, k, l at rest, m, the gradient of the curvature for
@@ -249,16 +250,16 @@ def subtract_linear_edges(position: Any, nodes: Any, slopes: Any, work: Any, for
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
-    nodes : Any, shape (b, BLOCK, 4)
+    nodes : Ints, shape (b, BLOCK, 4)
         Edge i, j and the opposite corners k, l.
-    slopes : Any, shape (b, 21 BLOCK)
+    slopes : Floats, shape (b, 21 BLOCK)
         Arms from node i to j, k, l at rest, m, the gradient of the curvature for j, k, l and the unit vector from i to
         j, these times the root of their stiffness.
-    work : Any, shape (9 BLOCK,)
+    work : Floats, shape (9 BLOCK,)
         Buffer.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
     for block in range(len(nodes)):
@@ -269,7 +270,7 @@ def subtract_linear_edges(position: Any, nodes: Any, slopes: Any, work: Any, for
 
 
 @kernel
-def _bend_and_stretch_linearly(work: Any, slope: Any) -> None:
+def _bend_and_stretch_linearly(work: Floats, slope: Floats) -> None:
     """Turn the arms of a block into the opposite of the linear forces on j, k and l."""
     for e in range(BLOCK):
         jx, jy, jz = work[e] - slope[e], work[BLOCK + e] - slope[BLOCK + e], work[2 * BLOCK + e] - slope[2 * BLOCK + e]
@@ -293,22 +294,22 @@ def _bend_and_stretch_linearly(work: Any, slope: Any) -> None:
 
 
 @kernel
-def return_forces(position: Any, rest: Any, nodes: Any, stiffness: Any, force: Any) -> None:
+def return_forces(position: Floats, rest: Floats, nodes: Ints, stiffness: Floats, force: Floats) -> None:
     """Add return springs of zero rest length towards the rest position: f = k (x0 - x).
 
     nodes (r,) the nodes that have one; rest (n, 3) m; stiffness (n,) N/m.
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
-    rest : Any, shape (n, 3), m
+    rest : Floats, shape (n, 3), m
         Positions of the nodes at rest.
-    nodes : Any, shape (r,)
+    nodes : Ints, shape (r,)
         Nodes that have one.
-    stiffness : Any, shape (n,), N/m
+    stiffness : Floats, shape (n,), N/m
         Stiffness at every node.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
     for index in range(len(nodes)):
@@ -319,27 +320,27 @@ def return_forces(position: Any, rest: Any, nodes: Any, stiffness: Any, force: A
 
 
 @kernel
-def _by_cells(model: Any, position: Any, force: Any) -> None:
+def _by_cells(model: Model, position: Floats, force: Floats) -> None:
     cell_forces(position, model.tissue, force)
 
 
 @kernel
-def _by_springs(model: Any, position: Any, force: Any) -> None:
+def _by_springs(model: Model, position: Floats, force: Floats) -> None:
     edge_forces(position, model.edges.nodes, model.edges.constants, model.work, force)
     spring_forces(position, model.links.nodes, model.links.constants, model.work, force)
-    return_forces(position, model.return_target, model.return_nodes, model.return_stiffness, force)
+    return_forces(position, model.rest, model.return_nodes, model.return_stiffness, force)
 
 
 @chosen(lambda model, *_: _by_cells if has(model, "tissue") else _by_springs)
-def elastic_forces(model: Any, position: Any, force: Any) -> None:
+def elastic_forces(model: Model, position: Floats, force: Floats) -> None:
     """Add the forces of the model's springs, or of its cells.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """

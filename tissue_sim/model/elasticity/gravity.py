@@ -7,27 +7,28 @@ difference between gravity and that of the shape.
 
 from __future__ import annotations
 
-from typing import Any
-
+from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.settings import Settings
 
 
 @kernel
-def excess(model: Any, settings: Any) -> tuple[float, float, float]:
+def excess(model: Model, settings: Settings) -> tuple[float, float, float]:
     """Return gravity minus that which the organ's shape bears, m/s^2."""
     borne = model.shape_gravity
     return settings.gravity_x - borne[0], settings.gravity_y - borne[1], settings.gravity_z - borne[2]
 
 
 @kernel
-def is_heavy(model: Any, settings: Any) -> bool:
+def is_heavy(model: Model, settings: Settings) -> bool:
     """Return whether nodes have a weight to add, or the organ's equilibrium differs from its unloaded shape.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
 
     Returns
@@ -39,14 +40,14 @@ def is_heavy(model: Any, settings: Any) -> bool:
 
 
 @kernel
-def is_out_of_balance(model: Any, settings: Any) -> bool:
+def is_out_of_balance(model: Model, settings: Settings) -> bool:
     """Return whether gravity, or the tissue's stiffness, differs from that of the rest shape's equilibrium.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
 
     Returns
@@ -59,16 +60,16 @@ def is_out_of_balance(model: Any, settings: Any) -> bool:
 
 
 @kernel
-def add_weight(model: Any, settings: Any, force: Any) -> None:
+def add_weight(model: Model, settings: Settings, force: Floats) -> None:
     """Add the nodes' weight; at rest in equilibrium the sum of forces is zero to the last bit.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
     if not is_heavy(model, settings):

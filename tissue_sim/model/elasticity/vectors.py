@@ -14,6 +14,7 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
+from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.blocks import BLOCK
 
@@ -93,12 +94,12 @@ gather_fan, scatter_fan = _gatherer(6), _scatterer(6)
 
 
 @kernel
-def put_node(position: Any, node: int, rows: Any) -> None:
+def put_node(position: Floats, node: int, rows: Any) -> None:
     """Write a node's position, of (n, 3) m, to its row, and a force of zero.
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
     node : int
         Index of the node.

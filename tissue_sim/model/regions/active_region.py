@@ -15,8 +15,11 @@ from tissue_sim.jit import chosen, kernel, part
 from tissue_sim.model.contact.constraint import add_contact_impulses
 from tissue_sim.model.contact.tool_motion import freshness
 from tissue_sim.model.data.arrays import copy, copy_nodes
-from tissue_sim.model.data.settings import LocalRegion
-from tissue_sim.model.data.state import Region
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.settings import LocalRegion, Settings
+from tissue_sim.model.data.state import Region, State
+from tissue_sim.model.data.world import World
 from tissue_sim.model.elasticity.gravity import is_heavy
 from tissue_sim.model.regions import local_region, modal_region
 from tissue_sim.model.regions.edge_gradient import edge_gradient
@@ -38,12 +41,12 @@ def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Ca
 
 
 @kernel
-def _nothing(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def _nothing(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Do nothing where the whole organ always moves."""
 
 
 @kernel
-def _choose(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def _choose(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     if takes_whole(model, state, settings):
         state.status.region = Region.WHOLE
         return
@@ -54,24 +57,24 @@ def _choose(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @_or(_choose, _nothing)
-def choose_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def choose_region(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Choose on waking: a local region if ticks are short enough for it, else the whole model.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
 
 
 @kernel
-def takes_whole(model: Any, state: Any, settings: Any) -> bool:
+def takes_whole(model: Model, state: State, settings: Settings) -> bool:
     """Return whether a local region is impossible: its surroundings are linear about an unloaded, free shape.
 
     Also where a modal region is wanted, but its surroundings would follow a load within a tick: a jump.
@@ -82,7 +85,7 @@ def takes_whole(model: Any, state: Any, settings: Any) -> bool:
 
 
 @kernel
-def _prepare(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def _prepare(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     status, count = state.status, state.count
     if status.region == Region.WHOLE:
         return
@@ -116,24 +119,24 @@ def _prepare(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @_or(_prepare, _nothing)
-def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def prepare_region(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Grow the local region to what is loaded before a tick, and move its edge; or switch to the whole model.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
 
 
 @kernel
-def _forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> None:
+def _forces(model: Model, state: State, settings: Settings, scratch: Scratch, last: bool) -> None:
     local_region.clear_force(state, scratch)
     local_region.region_forces(model, state, scratch)
     if state.status.region == Region.MODAL and last:
@@ -143,23 +146,23 @@ def _forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> 
 
 
 @kernel
-def _no_forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> None:
+def _no_forces(model: Model, state: State, settings: Settings, scratch: Scratch, last: bool) -> None:
     """Do nothing; never called."""
 
 
 @_or(_forces, _no_forces)
-def region_forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> None:
+def region_forces(model: Model, state: State, settings: Settings, scratch: Scratch, last: bool) -> None:
     """Compute the elastic forces of the region's springs into scratch.force (n, 3) N.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     last : bool
         Whether it is the tick's last substep.
@@ -167,30 +170,30 @@ def region_forces(model: Any, state: Any, settings: Any, scratch: Any, last: boo
 
 
 @kernel
-def _absorb(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def _absorb(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     if state.status.region == Region.MODAL:
         modal_region.absorb_load(state, settings, scratch, modal_region.load_share(model, settings))
 
 
 @_or(_absorb, _nothing)
-def absorb_load(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def absorb_load(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Hand the tick's loads to what surrounds the region, after the substeps.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
 
 
 @kernel
-def collect(model: Any, state: Any, scratch: Any) -> None:
+def collect(model: Model, state: State, scratch: Scratch) -> None:
     """Make the region's lists from its nodes."""
     local_region.collect(model, state, scratch)
     if state.status.region == Region.MODAL:
@@ -201,7 +204,7 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
 
 
 @kernel
-def _change(world: Any) -> None:
+def _change(world: World) -> None:
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     status = state.status
     if takes_whole(model, state, settings):
@@ -227,30 +230,30 @@ def _change(world: Any) -> None:
 
 
 @kernel
-def _no_change(world: Any) -> None:
+def _no_change(world: World) -> None:
     """Do nothing: the whole organ always moves."""
 
 
 @chosen(lambda world: _change if has(world, "model", "adjacency") else _no_change)
-def change_region(world: Any) -> None:
+def change_region(world: World) -> None:
     """Switch to the whole model under a load too large for a region, or that bends the organ; later back.
 
     Parameters
     ----------
-    world : Any
+    world : World
         Model, state, shapes, settings and working memory; updated.
     """
 
 
 @kernel
-def is_strongly_deformed(model: Any, state: Any, scratch: Any, share: float) -> bool:
+def is_strongly_deformed(model: Model, state: State, scratch: Scratch, share: float) -> bool:
     """Return whether the gradient at a modal region's edge exceeds a fraction of its limit."""
     modal = state.status.region == Region.MODAL
     return modal and edge_gradient(model, state, scratch) > share * STEEPEST_EDGE
 
 
 @kernel
-def is_nearly_at_rest(model: Any, state: Any) -> bool:
+def is_nearly_at_rest(model: Model, state: State) -> bool:
     """Return whether no node moves faster than a new region could follow."""
     for index in range(len(model.moving)):
         velocity = state.velocity[model.moving[index]]
@@ -260,18 +263,18 @@ def is_nearly_at_rest(model: Any, state: Any) -> bool:
 
 
 @kernel
-def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def leave_region(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Move the whole model from here on, from where the region and the rest of the organ are.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     if state.status.region == Region.MODAL:
@@ -280,34 +283,34 @@ def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def _show(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def _show(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     modal_region.place_outside(model, state, settings, scratch)
 
 
 @_or(_show, _nothing)
-def show_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def show_region(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Put the nodes outside a modal region where they belong; this is done on request only.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
 
 
 @kernel
-def is_shown(state: Any) -> bool:
+def is_shown(state: State) -> bool:
     """Return whether all positions are up to date; else show_region updates them.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
 
     Returns
@@ -319,12 +322,12 @@ def is_shown(state: Any) -> bool:
 
 
 @kernel
-def drop_region(state: Any) -> None:
+def drop_region(state: State) -> None:
     """Move the whole model from here on, from where its nodes are.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
     """
     state.status.region = Region.WHOLE
@@ -332,14 +335,14 @@ def drop_region(state: Any) -> None:
 
 
 @kernel
-def inertia_of(state: Any, settings: Any) -> float:
+def inertia_of(state: State, settings: Settings) -> float:
     """Return the factor of mass and damping of the moving nodes.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
 
     Returns
@@ -351,16 +354,16 @@ def inertia_of(state: Any, settings: Any) -> float:
 
 
 @kernel
-def damping_of(state: Any, settings: Any) -> float:
+def damping_of(state: State, settings: Settings) -> float:
     """Return the factor of the damping; a modal region has at least the organ's own.
 
     Its surroundings follow the load slightly late, which excites undamped motion.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
 
     Returns
@@ -373,16 +376,16 @@ def damping_of(state: Any, settings: Any) -> float:
 
 
 @part
-def integrated_nodes(model: Any, state: Any, scratch: Any) -> Any:
+def integrated_nodes(model: Model, state: State, scratch: Scratch) -> Any:
     """Return the nodes that a tick integrates.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
 
     Returns
@@ -394,16 +397,16 @@ def integrated_nodes(model: Any, state: Any, scratch: Any) -> Any:
 
 
 @part
-def checked_nodes(model: Any, state: Any, scratch: Any) -> Any:
+def checked_nodes(model: Model, state: State, scratch: Scratch) -> Any:
     """Return the nodes that a tick moves or places.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
 
     Returns
@@ -419,37 +422,33 @@ def checked_nodes(model: Any, state: Any, scratch: Any) -> Any:
 
 
 @kernel
-def _are_moved(model: Any, state: Any, scratch: Any, a: int, b: int, c: int, d: int) -> bool:
+def _are_moved(model: Model, state: State, scratch: Scratch, nodes: Any) -> bool:
     mark, stamp = scratch.node_mark, scratch.stamp[0]
-    listed = mark[a] == stamp and mark[b] == stamp and mark[c] == stamp and mark[d] == stamp
+    listed = True
+    for corner in range(len(nodes)):
+        listed = listed and mark[nodes[corner]] == stamp
     return listed or state.status.region != Region.MODAL
 
 
 @kernel
-def _always(model: Any, state: Any, scratch: Any, a: int, b: int, c: int, d: int) -> bool:
+def _always(model: Model, state: State, scratch: Scratch, nodes: Any) -> bool:
     return True
 
 
 @_or(_are_moved, _always)
-def are_placed(model: Any, state: Any, scratch: Any, a: int, b: int, c: int, d: int) -> Any:
-    """Return whether positions of four nodes are those of this tick; outside a modal region they may be old.
+def are_placed(model: Model, state: State, scratch: Scratch, nodes: Any) -> Any:
+    """Return whether positions of nodes are those of this tick; outside a modal region they may be old.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
-    a : int
-        Node.
-    b : int
-        Node.
-    c : int
-        Node.
-    d : int
-        Node.
+    nodes : Any, shape (k,)
+        The nodes.
 
     Returns
     -------
@@ -459,12 +458,12 @@ def are_placed(model: Any, state: Any, scratch: Any, a: int, b: int, c: int, d: 
 
 
 @kernel
-def modes_are_finite(state: Any) -> bool:
+def modes_are_finite(state: State) -> bool:
     """Return whether all modes of a modal region are finite.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
 
     Returns
@@ -479,7 +478,7 @@ def modes_are_finite(state: Any) -> bool:
 
 
 @kernel
-def _swing(model: Any, state: Any) -> tuple[float, float]:
+def _swing(model: Model, state: State) -> tuple[float, float]:
     """Return the largest speed, m/s, and displacement, m, that the modes may have anywhere."""
     speed = away = 0.0
     if state.status.region == Region.MODAL:
@@ -490,16 +489,16 @@ def _swing(model: Any, state: Any) -> tuple[float, float]:
 
 
 @kernel
-def largest_motion(model: Any, state: Any, scratch: Any) -> tuple[float, float]:
+def largest_motion(model: Model, state: State, scratch: Scratch) -> tuple[float, float]:
     """Return the largest components of velocity and of displacement from rest of the nodes.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
 
     Returns
@@ -523,16 +522,16 @@ def largest_motion(model: Any, state: Any, scratch: Any) -> tuple[float, float]:
 
 
 @kernel
-def restore_shape(model: Any, state: Any, scratch: Any) -> None:
+def restore_shape(model: Model, state: State, scratch: Scratch) -> None:
     """Return to the last good shape, without speed; outside a modal region it is the one last computed.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     if state.status.region == Region.MODAL:
@@ -545,7 +544,7 @@ def restore_shape(model: Any, state: Any, scratch: Any) -> None:
 
 
 @part
-def enter_region(world: Any) -> None:
+def enter_region(world: World) -> None:
     """Move a modal region around the load from here on, and the rest of the organ from where it is."""
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     modal_region.forget_region(state)
@@ -568,7 +567,7 @@ def enter_region(world: Any) -> None:
 
 
 @kernel
-def total_load(state: Any, settings: Any) -> float:
+def total_load(state: State, settings: Settings) -> float:
     """Return the sum of the magnitudes of contact, nodal and external tool forces, N."""
     load = 0.0
     for index in range(state.status.loaded):

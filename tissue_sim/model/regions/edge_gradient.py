@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from tissue_sim.jit import kernel
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.state import State
 
 FLAT = 1e-3  # of an edge's extent, squared, that it must have in each direction: a plane one is undetermined across
 
 
 @kernel
-def edge_gradient(model: Any, state: Any, scratch: Any) -> float:
+def edge_gradient(model: Model, state: State, scratch: Scratch) -> float:
     """Return the Frobenius norm of the displacement gradient at a modal region's edge.
 
     It is that of the best fit to what move_edge found. Linear displacements continue straight where they should turn,
@@ -19,11 +21,11 @@ def edge_gradient(model: Any, state: Any, scratch: Any) -> float:
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
 
     Returns

@@ -8,10 +8,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel, part
 from tissue_sim.model.data.arrays import copy
-from tissue_sim.model.data.blocks import BLOCK
+from tissue_sim.model.data.blocks import BLOCK, Blocks
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.state import State
 from tissue_sim.model.elasticity.cells import cell_forces_among
 from tissue_sim.model.elasticity.forces import edge_forces, return_forces, spring_forces
 
@@ -21,14 +25,14 @@ UNTABLED_HOPS = 2  # with modes alone: one layer on an organ of 4000 points give
 
 
 @kernel
-def mark_loaded(state: Any, scratch: Any) -> int:
+def mark_loaded(state: State, scratch: Scratch) -> int:
     """Give hop 0 to the nodes of contact points, tool tips and nodal forces.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
 
     Returns
@@ -51,7 +55,7 @@ def mark_loaded(state: Any, scratch: Any) -> int:
 
 
 @kernel
-def _mark(state: Any, scratch: Any, node: int, fresh: int) -> int:
+def _mark(state: State, scratch: Scratch, node: int, fresh: int) -> int:
     """Give a node hop 0; return how many are new now."""
     hop = state.region_hop
     if hop[node] == 0:
@@ -63,16 +67,16 @@ def _mark(state: Any, scratch: Any, node: int, fresh: int) -> int:
 
 
 @kernel
-def spread(model: Any, state: Any, scratch: Any, fresh: int, hops: int) -> None:
+def spread(model: Model, state: State, scratch: Scratch, fresh: int, hops: int) -> None:
     """Add the new nodes and those within some hops of them to the region; from the table, or breadth first.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     fresh : int
         Number of new nodes.
@@ -103,7 +107,7 @@ def spread(model: Any, state: Any, scratch: Any, fresh: int, hops: int) -> None:
 
 
 @kernel
-def _reach(state: Any, scratch: Any, node: int, hops: int) -> bool:
+def _reach(state: State, scratch: Scratch, node: int, hops: int) -> bool:
     """Note that a node is so many hops away; return whether it counted as farther."""
     there = state.region_hop[node]
     if there < 0:
@@ -115,21 +119,21 @@ def _reach(state: Any, scratch: Any, node: int, hops: int) -> bool:
 
 
 @kernel
-def _join(state: Any, scratch: Any, node: int) -> None:
+def _join(state: State, scratch: Scratch, node: int) -> None:
     """Append a node to the region's nodes; collect sorts them."""
     scratch.region_node[state.status.region_nodes] = node
     state.status.region_nodes += 1
 
 
 @kernel
-def list_drive(state: Any, scratch: Any) -> None:
+def list_drive(state: State, scratch: Scratch) -> None:
     """List the nodes of the region and those at its edge, in scratch.drive_node.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     nodes, drive = state.status.region_nodes, driving(state, scratch)
@@ -138,14 +142,14 @@ def list_drive(state: Any, scratch: Any) -> None:
 
 
 @part
-def driving(state: Any, scratch: Any) -> Any:
+def driving(state: State, scratch: Scratch) -> Any:
     """Return the nodes of the region and at its edge, as listed by list_drive.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
 
     Returns
@@ -157,14 +161,14 @@ def driving(state: Any, scratch: Any) -> Any:
 
 
 @kernel
-def list_nodes(state: Any, scratch: Any) -> None:
+def list_nodes(state: State, scratch: Scratch) -> None:
     """List the region's nodes again, from the hops alone.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     state.status.region_nodes = 0
@@ -174,18 +178,18 @@ def list_nodes(state: Any, scratch: Any) -> None:
 
 
 @kernel
-def collect(model: Any, state: Any, scratch: Any) -> None:
+def collect(model: Model, state: State, scratch: Scratch) -> None:
     """List the springs or cells of the region's nodes, and the nodes at its edge that these use.
 
     The order is that of the nodes' numbers, so that lists made again are the same.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     nodes = state.status.region_nodes
@@ -209,19 +213,24 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
 
 
 @kernel
-def _collect_springs(model: Any, state: Any, scratch: Any) -> None:
+def _collect_springs(model: Model, state: State, scratch: Scratch) -> None:
     springs = hinges = 0
-    adjacency, stamp = model.adjacency, scratch.stamp[0]
+    adjacency: Any = model.adjacency
+    stamp = scratch.stamp[0]
     for index in range(state.status.region_nodes):
         node = scratch.region_node[index]
-        slots = adjacency.edges[adjacency.edge_start[node] : adjacency.edge_start[node + 1]]
-        slopes, mark = model.reduction.edge_slopes, scratch.edge_mark
-        hinges = _take(slots, model.edges, slopes, scratch.edges, scratch.edge_slopes, mark, stamp, hinges)
-        slots = adjacency.links[adjacency.link_start[node] : adjacency.link_start[node + 1]]
-        slopes = model.reduction.link_slopes
-        springs = _take(
-            slots, model.links, slopes, scratch.links, scratch.link_slopes, scratch.link_mark, stamp, springs
-        )
+        for entry in range(adjacency.edge_start[node], adjacency.edge_start[node + 1]):
+            slot = adjacency.edges[entry]
+            if _is_unmarked(scratch.edge_mark, slot, stamp):
+                _copy(model.edges, slot, scratch.edges, hinges)
+                _copy_rows(model.reduction.edge_slopes, slot, scratch.edge_slopes, hinges)
+                hinges += 1
+        for entry in range(adjacency.link_start[node], adjacency.link_start[node + 1]):
+            slot = adjacency.links[entry]
+            if _is_unmarked(scratch.link_mark, slot, stamp):
+                _copy(model.links, slot, scratch.links, springs)
+                _copy_rows(model.reduction.link_slopes, slot, scratch.link_slopes, springs)
+                springs += 1
     boundary = _list_boundary(scratch, scratch.edges.nodes, hinges, stamp, 0)
     boundary = _list_boundary(scratch, scratch.links.nodes, springs, stamp, boundary)
     _fill_up(scratch.edges, hinges, 7, 4)
@@ -234,13 +243,18 @@ def _collect_springs(model: Any, state: Any, scratch: Any) -> None:
 
 
 @kernel
-def _collect_cells(model: Any, state: Any, scratch: Any) -> None:
+def _collect_cells(model: Model, state: State, scratch: Scratch) -> None:
     cells = 0
-    adjacency, stamp, slopes = model.adjacency, scratch.stamp[0], model.reduction.cell_slopes
+    adjacency: Any = model.adjacency
+    stamp = scratch.stamp[0]
     for index in range(state.status.region_nodes):
         node = scratch.region_node[index]
-        slots = adjacency.cells[adjacency.cell_start[node] : adjacency.cell_start[node + 1]]
-        cells = _take(slots, model.tissue, slopes, scratch.cells, scratch.cell_slopes, scratch.cell_mark, stamp, cells)
+        for entry in range(adjacency.cell_start[node], adjacency.cell_start[node + 1]):
+            slot = adjacency.cells[entry]
+            if _is_unmarked(scratch.cell_mark, slot, stamp):
+                _copy(model.tissue, slot, scratch.cells, cells)
+                _copy_rows(model.reduction.cell_slopes, slot, scratch.cell_slopes, cells)
+                cells += 1
     state.status.region_boundary = _list_boundary(scratch, scratch.cells.nodes, cells, stamp, 0)
     # The filling has the volume of the first cell, so that it isn't taken for a squeezed one.
     _fill_up(scratch.cells, cells, 7, 8)
@@ -252,23 +266,17 @@ def _collect_cells(model: Any, state: Any, scratch: Any) -> None:
 
 
 @chosen(lambda model, *_: _collect_cells if has(model, "tissue") else _collect_springs)
-def collect_elements(model: Any, state: Any, scratch: Any) -> None:
+def collect_elements(model: Model, state: State, scratch: Scratch) -> None:
     """List the springs or cells of the region's nodes, which are marked, and the nodes at its edge."""
 
 
 @kernel
-def _take(
-    slots: Any, source: Any, slopes: Any, target: Any, target_slopes: Any, mark: Any, stamp: int, count: int
-) -> int:
-    """Append the unmarked content of these slots after the first `count`; return how many there are."""
-    for entry in range(len(slots)):
-        slot = slots[entry]
-        if mark[slot] != stamp:
-            mark[slot] = stamp
-            _copy(source, slot, target, count)
-            _copy_rows(slopes, slot, target_slopes, count)
-            count += 1
-    return count
+def _is_unmarked(mark: Longs, slot: int, stamp: int) -> bool:
+    """Return whether a slot was not marked with this stamp before; it is now."""
+    if mark[slot] == stamp:
+        return False
+    mark[slot] = stamp
+    return True
 
 
 @kernel
@@ -293,7 +301,7 @@ def _copy_rows(source: Any, slot: int, target: Any, place: int) -> None:
 
 
 @kernel
-def _fill_up(blocks: Any, count: int, axial: int, angular: int) -> None:
+def _fill_up(blocks: Blocks, count: int, axial: int, angular: int) -> None:
     """Fill the last block with copies of its first spring that have no stiffness, in rows axial and angular."""
     if count % BLOCK == 0:
         return
@@ -308,7 +316,7 @@ def _fill_up(blocks: Any, count: int, axial: int, angular: int) -> None:
 
 
 @kernel
-def _blank_rows(rows: Any, count: int) -> None:
+def _blank_rows(rows: Floats, count: int) -> None:
     """Zero the constants of the springs that fill the last block."""
     if len(rows) > 0 and count % BLOCK > 0:
         for row in range(count % BLOCK, BLOCK):
@@ -317,7 +325,7 @@ def _blank_rows(rows: Any, count: int) -> None:
 
 
 @kernel
-def _list_boundary(scratch: Any, nodes: Any, count: int, stamp: int, boundary: int) -> int:
+def _list_boundary(scratch: Scratch, nodes: Any, count: int, stamp: int, boundary: int) -> int:
     """Append unmarked nodes of `count` springs to scratch.boundary_node; return how many there are."""
     for s in range(count):
         for c in range(nodes.shape[2]):
@@ -330,14 +338,14 @@ def _list_boundary(scratch: Any, nodes: Any, count: int, stamp: int, boundary: i
 
 
 @kernel
-def clear_force(state: Any, scratch: Any) -> None:
+def clear_force(state: State, scratch: Scratch) -> None:
     """Set scratch.force to zero where the region's springs add to it.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     scale_nodes(scratch.force, scratch.region_node[: state.status.region_nodes], 0.0)
@@ -345,14 +353,14 @@ def clear_force(state: Any, scratch: Any) -> None:
 
 
 @kernel
-def scale_force(state: Any, scratch: Any, scale: float) -> None:
+def scale_force(state: State, scratch: Scratch, scale: float) -> None:
     """Multiply the forces that clear_force sets to zero.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     scale : float
         The factor.
@@ -382,7 +390,7 @@ def scale_nodes(values: Any, nodes: Any, scale: float) -> None:
 
 
 @kernel
-def _spring_forces(model: Any, state: Any, scratch: Any) -> None:
+def _spring_forces(model: Model, state: State, scratch: Scratch) -> None:
     hinges, springs = -(-state.status.region_hinges // BLOCK), -(-state.status.region_springs // BLOCK)
     edges, links, work, force = scratch.edges, scratch.links, scratch.work, scratch.force
     edge_forces(state.position, edges.nodes[:hinges], edges.constants[:hinges], work, force)
@@ -390,7 +398,7 @@ def _spring_forces(model: Any, state: Any, scratch: Any) -> None:
 
 
 @kernel
-def _cell_forces(model: Any, state: Any, scratch: Any) -> None:
+def _cell_forces(model: Model, state: State, scratch: Scratch) -> None:
     nodes, blocks = driving(state, scratch), -(-state.status.region_cells // BLOCK)
     cells = scratch.cells
     cell_forces_among(
@@ -399,41 +407,41 @@ def _cell_forces(model: Any, state: Any, scratch: Any) -> None:
 
 
 @chosen(lambda model, *_: _cell_forces if has(model, "tissue") else _spring_forces)
-def region_forces(model: Any, state: Any, scratch: Any) -> None:
+def region_forces(model: Model, state: State, scratch: Scratch) -> None:
     """Add the forces of the region's springs, without return springs, or cells to scratch.force (n, 3) N.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
 
 
 @kernel
-def _return_forces(model: Any, state: Any, scratch: Any) -> None:
+def _return_forces(model: Model, state: State, scratch: Scratch) -> None:
     nodes = scratch.moved_node[: scratch.moved[0]]
-    return_forces(state.position, model.return_target, nodes, model.return_stiffness, scratch.force)
+    return_forces(state.position, model.rest, nodes, model.return_stiffness, scratch.force)
 
 
 @kernel
-def _no_return_forces(model: Any, state: Any, scratch: Any) -> None:
+def _no_return_forces(model: Model, state: State, scratch: Scratch) -> None:
     """Do nothing: cells have no return springs."""
 
 
 @chosen(lambda model, *_: _no_return_forces if has(model, "tissue") else _return_forces)
-def region_return_forces(model: Any, state: Any, scratch: Any) -> None:
+def region_return_forces(model: Model, state: State, scratch: Scratch) -> None:
     """Add the forces of the return springs of the region's nodes to scratch.force (n, 3) N.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """

@@ -16,11 +16,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from tissue_sim.array_types import Floats
 from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.contact.tool_motion import add_tip_forces
 from tissue_sim.model.data.arrays import copy, copy_nodes
 from tissue_sim.model.data.blocks import BLOCK
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.state import State
 from tissue_sim.model.elasticity.cells import subtract_linear_cells
 from tissue_sim.model.elasticity.forces import subtract_linear_edges, subtract_linear_springs
 from tissue_sim.model.regions import local_region
@@ -34,12 +39,12 @@ FASTEST = 1.0  # rad per tick; faster modes would kick the region's edge, and fo
 
 
 @kernel
-def forget_region(state: Any) -> None:
+def forget_region(state: State) -> None:
     """Remove the region and everything that it has left behind.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
     """
     state.region_hop[:] = -1
@@ -54,12 +59,12 @@ def forget_region(state: Any) -> None:
 
 
 @kernel
-def hops_of(model: Any) -> int:
+def hops_of(model: Model) -> int:
     """Return the number of layers around the load that move by themselves.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
 
     Returns
@@ -71,12 +76,12 @@ def hops_of(model: Any) -> int:
 
 
 @kernel
-def fits(state: Any) -> bool:
+def fits(state: State) -> bool:
     """Return whether the region is small enough to be a local one.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
 
     Returns
@@ -89,16 +94,16 @@ def fits(state: Any) -> bool:
 
 
 @kernel
-def gather_rows(model: Any, state: Any, scratch: Any) -> None:
+def gather_rows(model: Model, state: State, scratch: Scratch) -> None:
     """Copy what the edge of the region needs: rows of C for each load and of F for each mode, and F at the loads.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     boundary, drive = scratch.boundary_node[: state.status.region_boundary], driving(state, scratch)
@@ -151,16 +156,16 @@ def combine(rows: Any, shares: Any, count: int, total: Any) -> None:
 
 
 @kernel
-def set_propagator(model: Any, settings: Any, scratch: Any) -> None:
+def set_propagator(model: Model, settings: Settings, scratch: Scratch) -> None:
     """Compute the exact motion of every mode in a tick when settings have changed: q'' + c q' + w^2 q = p.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     key = scratch.propagator_key
@@ -193,14 +198,14 @@ def set_propagator(model: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def project_load(state: Any, scratch: Any) -> None:
+def project_load(state: State, scratch: Scratch) -> None:
     """Compute the static displacement of the modes into scratch.mode_rest, and the loads into edge_share.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     nodes = driving(state, scratch)
@@ -215,18 +220,18 @@ def project_load(state: Any, scratch: Any) -> None:
 
 
 @kernel
-def advance_modes(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def advance_modes(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Step every mode exactly through a tick under the static load, and set scratch.mode_move.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     set_propagator(model, settings, scratch)
@@ -242,16 +247,16 @@ def advance_modes(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def set_mode_move(model: Any, state: Any, scratch: Any) -> None:
+def set_mode_move(model: Model, state: State, scratch: Scratch) -> None:
     """Compute what the modes add to the static displacement; without a compliance table that is all of it.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     share = 1.0 if len(model.reduction.compliance) > 0 else 0.0
@@ -269,18 +274,18 @@ def add_rows(total: Any, first: Any, second: Any, third: Any, load: Any, scale: 
 
 
 @kernel
-def move_edge(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def move_edge(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Compute the displacements of the region's edge by the rest of the organ into scratch.edge_move (3b,) m.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     boundary = state.status.region_boundary
@@ -295,18 +300,18 @@ def move_edge(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def place_boundary(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def place_boundary(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Put the nodes at the region's edge where the rest of the organ moves them.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     move_edge(model, state, settings, scratch)
@@ -320,18 +325,18 @@ def place_boundary(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def place_joined(model: Any, state: Any, settings: Any, scratch: Any, first: int) -> None:
+def place_joined(model: Model, state: State, settings: Settings, scratch: Scratch, first: int) -> None:
     """Put nodes that just joined the region where the old region's load moves them.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     first : int
         Index in region_node of the first of them.
@@ -358,18 +363,18 @@ def place_joined(model: Any, state: Any, settings: Any, scratch: Any, first: int
 
 
 @kernel
-def place_outside(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def place_outside(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Put every node outside the region where it belongs, moving as the modes do; fill scratch.field (3n,) m.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     field, table = scratch.field, model.reduction.compliance
@@ -379,38 +384,11 @@ def place_outside(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         for index in range(len(nodes)):
             node = nodes[index]
             add_rows(field, table[3 * node], table[3 * node + 1], table[3 * node + 2], load[node], scale)
-    _move_outside(
-        state.position,
-        state.velocity,
-        model.rest,
-        model.moving,
-        state.region_hop,
-        model.reduction.shape,
-        scratch.mode_move,
-        state.mode_velocity,
-        field,
-        state.blend[0],
-        state.offset,
-    )
-    state.status.shown = state.status.tick
-
-
-@kernel
-def _move_outside(
-    position: Any,
-    velocity: Any,
-    rest: Any,
-    moving: Any,
-    hop: Any,
-    shapes: Any,
-    move: Any,
-    speed: Any,
-    field: Any,
-    blend: float,
-    offset: Any,
-) -> None:
-    for index in range(len(moving)):
-        node = moving[index]
+    position, velocity, offset = state.position, state.velocity, state.offset
+    hop, rest, blend = state.region_hop, model.rest, state.blend[0]
+    shapes, move, speed = model.reduction.shape, scratch.mode_move, state.mode_velocity
+    for index in range(len(model.moving)):
+        node = model.moving[index]
         shape = shapes[node]
         x, y, z = field[3 * node], field[3 * node + 1], field[3 * node + 2]
         u = v = w = 0.0
@@ -427,23 +405,24 @@ def _move_outside(
             position[node, 1] = rest[node, 1] + y + blend * offset[node, 1]
             position[node, 2] = rest[node, 2] + z + blend * offset[node, 2]
             velocity[node, 0], velocity[node, 1], velocity[node, 2] = u, v, w
+    state.status.shown = state.status.tick
 
 
 @kernel
-def measure_drive(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def measure_drive(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Compute the difference of the region's forces from linear ones into scratch.drive (n, 3) N.
 
     scratch.force holds the present forces.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     drive, nodes = scratch.drive, driving(state, scratch)
@@ -455,35 +434,35 @@ def measure_drive(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def _subtract_springs(model: Any, state: Any, scratch: Any, force: Any) -> None:
+def _subtract_springs(model: Model, state: State, scratch: Scratch, force: Floats) -> None:
     hinges, springs = -(-state.status.region_hinges // BLOCK), -(-state.status.region_springs // BLOCK)
     subtract_linear_edges(state.position, scratch.edges.nodes[:hinges], scratch.edge_slopes, scratch.work, force)
     subtract_linear_springs(state.position, scratch.links.nodes[:springs], scratch.link_slopes, scratch.work, force)
 
 
 @kernel
-def _subtract_cells(model: Any, state: Any, scratch: Any, force: Any) -> None:
+def _subtract_cells(model: Model, state: State, scratch: Scratch, force: Floats) -> None:
     nodes, blocks = driving(state, scratch), -(-state.status.region_cells // BLOCK)
     cells, slopes = scratch.cells.nodes[:blocks], scratch.cell_slopes
     subtract_linear_cells(state.position, nodes, cells, slopes, model.tissue, scratch.work, force)
 
 
 @chosen(lambda model, *_: _subtract_cells if has(model, "tissue") else _subtract_springs)
-def subtract_linear(model: Any, state: Any, scratch: Any, force: Any) -> None:
+def subtract_linear(model: Model, state: State, scratch: Scratch, force: Floats) -> None:
     """Subtract the region's forces if it were linear about rest from force (n, 3) N."""
 
 
 @kernel
-def absorb_load(state: Any, settings: Any, scratch: Any, share: float) -> None:
+def absorb_load(state: State, settings: Settings, scratch: Scratch, share: float) -> None:
     """Move the static load towards this tick's loads and scratch.drive.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     share : float
         Fraction of the way.
@@ -509,7 +488,7 @@ def _absorb(load: Any, drive: Any, impulse: Any, nodes: Any, rate: float, share:
 
 
 @kernel
-def load_share(model: Any, settings: Any) -> float:
+def load_share(model: Model, settings: Settings) -> float:
     """Return the fraction of the way that the static load moves in a tick.
 
     What the modes don't carry follows no faster than the slow rate of the fastest mode, if damping makes that slow: a
@@ -517,9 +496,9 @@ def load_share(model: Any, settings: Any) -> float:
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
 
     Returns
@@ -535,18 +514,18 @@ def load_share(model: Any, settings: Any) -> float:
 
 
 @kernel
-def keep_offset(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def keep_offset(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Start the modes at rest for a new region with its static load, and keep the remaining difference.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     set_propagator(model, settings, scratch)

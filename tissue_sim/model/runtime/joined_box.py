@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,8 +11,10 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.haptic_output import sum_haptic_output
 from tissue_sim.model.data.records import Record
+from tissue_sim.model.data.world import World
 from tissue_sim.model.runtime.mailboxes import JOURNAL_ROWS, Mailbox, fence, mailbox, put, take
 from tissue_sim.model.stepping.breathing import Breath
+from tissue_sim.model.stepping.coupled_step import CoupledOrgans
 from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, OrganContactSet, organ_contact_set, take_pairs
 
 
@@ -84,14 +87,14 @@ def make_joined_box(n_bodies: int) -> JoinedBox:
 
 
 @kernel
-def take_joined(joined: Any, box: Any, tick: int) -> None:
+def take_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
     """Apply new pairs and the breath's external input, and note the tick that did.
 
     Parameters
     ----------
-    joined : Any
+    joined : CoupledOrgans
         What joins the organs; updated.
-    box : Any
+    box : JoinedBox
         Mailboxes of the joined organs; updated.
     tick : int
         Number of the tick.
@@ -110,7 +113,7 @@ def take_joined(joined: Any, box: Any, tick: int) -> None:
 
 
 @kernel
-def note_joined(box: Any, tick: int) -> None:
+def note_joined(box: JoinedBox, tick: int) -> None:
     """Note what was applied by this tick."""
     box.row.tick = tick
     box.journal[box.journal_written[0] % JOURNAL_ROWS] = box.row
@@ -120,7 +123,7 @@ def note_joined(box: Any, tick: int) -> None:
 
 
 @kernel
-def post_haptic_output(worlds: Any, joined: Any, box: Any) -> None:
+def post_haptic_output(worlds: Sequence[World], joined: CoupledOrgans | None, box: JoinedBox) -> None:
     """Hand out what tools feel of all organs; of one that nothing joins as it is, which is clamped already."""
     box.felt_words[0] = worlds[0].state.status.tick
     if joined is None:
@@ -133,14 +136,14 @@ def post_haptic_output(worlds: Any, joined: Any, box: Any) -> None:
 
 
 @kernel
-def keep_joined(joined: Any, box: Any, tick: int) -> None:
+def keep_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
     """Copy what joins organs; the journal shows what it has applied.
 
     Parameters
     ----------
-    joined : Any
+    joined : CoupledOrgans
         What joins the organs; updated.
-    box : Any
+    box : JoinedBox
         Mailboxes of the joined organs; updated.
     tick : int
         Number of the tick.

@@ -10,16 +10,27 @@ Inputs and outputs are in mailboxes (tissue_sim.model.runtime.mailboxes).
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 from numba import types
 
+from tissue_sim.array_types import Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.tool_motion import freshness
-from tissue_sim.model.runtime.joined_box import keep_joined, post_haptic_output, take_joined
-from tissue_sim.model.runtime.mailboxes import fence, keep_states, note_tick, post_results, take_inputs
+from tissue_sim.model.data.world import World
+from tissue_sim.model.runtime.joined_box import JoinedBox, keep_joined, post_haptic_output, take_joined
+from tissue_sim.model.runtime.mailboxes import (
+    Control,
+    LoopWords,
+    Mailboxes,
+    fence,
+    keep_states,
+    note_tick,
+    post_results,
+    take_inputs,
+)
 from tissue_sim.model.stepping.breathing import note_gravity
-from tissue_sim.model.stepping.coupled_step import let_go, tick_coupled
+from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled, uncouple
 
 CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
 # ns; further behind than this, ticks are dropped instead of run in a burst. Posted times come in larger steps.
@@ -37,12 +48,12 @@ _sem_clockwait = types.ExternalFunction("sem_clockwait", types.int32(types.intp,
 
 
 @kernel
-def now(timespec: Any) -> int:
+def now(timespec: Longs) -> int:
     """Return the monotonic time.
 
     Parameters
     ----------
-    timespec : Any, shape (2,)
+    timespec : Longs, shape (2,)
         Buffer.
 
     Returns
@@ -55,20 +66,20 @@ def now(timespec: Any) -> int:
 
 
 @kernel
-def set_time(time: int, timespec: Any) -> None:
+def set_time(time: int, timespec: Longs) -> None:
     """Write an absolute time, ns, as the system's calls take it."""
     timespec[0], timespec[1] = time // 1_000_000_000, time % 1_000_000_000
 
 
 @kernel
-def sleep_until(deadline: int, timespec: Any) -> None:
+def sleep_until(deadline: int, timespec: Longs) -> None:
     """Sleep to an absolute monotonic time; a signal doesn't end it early.
 
     Parameters
     ----------
     deadline : int, ns
         The time.
-    timespec : Any, shape (2,)
+    timespec : Longs, shape (2,)
         Buffer.
     """
     set_time(deadline, timespec)
@@ -77,14 +88,14 @@ def sleep_until(deadline: int, timespec: Any) -> None:
 
 
 @kernel
-def sleep_until_bell(deadline: int, loop: Any) -> None:
+def sleep_until_bell(deadline: int, loop: LoopWords) -> None:
     """Sleep until the bell is rung, or to an absolute monotonic time, ns."""
     set_time(deadline, loop.wake)
     _sem_clockwait(loop.bell.ctypes.data, CLOCK_MONOTONIC, loop.wake.ctypes.data)
 
 
 @kernel
-def wait_until(deadline: int, loop: Any) -> int:
+def wait_until(deadline: int, loop: LoopWords) -> int:
     """Sleep until a tick is due by a posted time, ns; return the time that was posted.
 
     It may not have reached the deadline yet: then it is earlier, and the caller asks again.
@@ -103,7 +114,7 @@ def wait_until(deadline: int, loop: Any) -> int:
 
 
 @kernel
-def wait_for_tick(due: int, period: int, answered: int, loop: Any) -> int:
+def wait_for_tick(due: int, period: int, answered: int, loop: LoopWords) -> int:
     """Sleep until a tick is due by the monotonic clock, a period after `due`, ns, or is requested.
 
     answered: control.asked when the last tick began. The time is returned, which is `due` or later.
@@ -122,7 +133,7 @@ def wait_for_tick(due: int, period: int, answered: int, loop: Any) -> int:
 
 
 @kernel
-def is_idle(world: Any, box: Any, resets: int) -> bool:
+def is_idle(world: World, box: Mailboxes, resets: int) -> bool:
     """Return whether an organ sleeps, no pose or force is fresh, and none has come."""
     state, settings = world.state, world.settings
     idle = state.status.asleep and resets == box.row.resets
@@ -134,7 +145,7 @@ def is_idle(world: Any, box: Any, resets: int) -> bool:
 
 
 @kernel
-def all_idle(worlds: Any, boxes: Any, control: Any) -> bool:
+def all_idle(worlds: Sequence[World], boxes: Sequence[Mailboxes], control: Control) -> bool:
     """Return whether all organs are idle."""
     resets, idle = control.resets, True
     for organ in range(len(worlds)):
@@ -143,7 +154,7 @@ def all_idle(worlds: Any, boxes: Any, control: Any) -> bool:
 
 
 @kernel
-def nap(deadline: int, worlds: Any, boxes: Any, loop: Any) -> int:
+def nap(deadline: int, worlds: Sequence[World], boxes: Sequence[Mailboxes], loop: LoopWords) -> int:
     """Sleep to an absolute monotonic time, ns, unless something is due sooner; return until when."""
     control = loop.control
     control.napping = True
@@ -155,7 +166,13 @@ def nap(deadline: int, worlds: Any, boxes: Any, loop: Any) -> int:
 
 
 @kernel
-def take_all(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box: Any) -> None:
+def take_all(
+    worlds: Sequence[World],
+    boxes: Sequence[Mailboxes],
+    resets: int,
+    joined: CoupledOrgans | None,
+    joined_box: JoinedBox,
+) -> None:
     """Take up what came in: a reset lets go of all that joins organs, gravity is what it is without the breath."""
     if joined is None:
         take_inputs(worlds[0], boxes[0], resets)
@@ -167,12 +184,14 @@ def take_all(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box: Any)
         if row.settings != before:
             note_gravity(worlds[organ].settings, joined.carried, organ)
     if was_reset:
-        let_go(worlds, joined)
+        uncouple(worlds, joined)
     take_joined(joined, joined_box, worlds[0].state.status.tick + 1)
 
 
 @kernel
-def post_all(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
+def post_all(
+    worlds: Sequence[World], boxes: Sequence[Mailboxes], joined: CoupledOrgans | None, joined_box: JoinedBox
+) -> None:
     """Post the results of every organ, and the haptic output of all."""
     for organ in range(len(worlds)):
         post_results(worlds[organ], boxes[organ])
@@ -180,7 +199,9 @@ def post_all(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
 
 
 @kernel
-def keep_all(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
+def keep_all(
+    worlds: Sequence[World], boxes: Sequence[Mailboxes], joined: CoupledOrgans | None, joined_box: JoinedBox
+) -> None:
     """Copy the whole states, and what joins them."""
     keep_states(worlds, boxes)
     if joined is not None:
@@ -188,10 +209,16 @@ def keep_all(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
 
 
 @kernel
-def run_loop(worlds: Any, boxes: Any, loop: Any, joined: Any, joined_box: Any) -> None:
+def run_loop(
+    worlds: Sequence[World],
+    boxes: Sequence[Mailboxes],
+    loop: LoopWords,
+    joined: CoupledOrgans | None,
+    joined_box: JoinedBox,
+) -> None:
     """Tick a row of worlds, each with its mailboxes, every settings.tick_time s of the first one until control.stop.
 
-    joined: what joins them, see `together.Together`; None, and compiled without any of it, for an organ alone.
+    joined: what joins them, see `coupled_step.CoupledOrgans`; None, and compiled without any of it, for an organ alone.
     """
     settings, control, pace = worlds[0].settings, loop.control, loop.pace
     for organ in range(len(boxes)):

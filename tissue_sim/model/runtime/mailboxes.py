@@ -7,6 +7,7 @@ side waits for the other. Messages are words, whose meaning is up to writer and 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from tissue_sim.model.data.contact_set import ContactSet, contact_set
 from tissue_sim.model.data.records import Record
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import State
+from tissue_sim.model.data.world import World
 from tissue_sim.model.regions.active_region import is_shown, show_region
 from tissue_sim.model.stepping.inputs import reset_state, take_contacts, take_force, take_pose
 
@@ -219,16 +221,16 @@ def fence(typing_context):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def put(box: Any, addressee: int, message: Any) -> int:
+def put(box: Mailbox, addressee: int, message: Longs) -> int:
     """Post a message.
 
     Parameters
     ----------
-    box : Any
+    box : Mailbox
         The mailbox; updated.
     addressee : int
         Index of the addressee.
-    message : Any, shape (l,)
+    message : Longs, shape (l,)
         Words.
 
     Returns
@@ -249,18 +251,18 @@ def put(box: Any, addressee: int, message: Any) -> int:
 
 
 @kernel
-def take(box: Any, addressee: int, last: int, message: Any) -> int:
+def take(box: Mailbox, addressee: int, last: int, message: Longs) -> int:
     """Copy the newest message.
 
     Parameters
     ----------
-    box : Any
+    box : Mailbox
         The mailbox.
     addressee : int
         Index of the addressee.
     last : int
         Sequence number of the last one that was taken.
-    message : Any
+    message : Longs
         Receives the words.
 
     Returns
@@ -282,16 +284,16 @@ def take(box: Any, addressee: int, last: int, message: Any) -> int:
 
 
 @kernel
-def take_inputs(world: Any, box: Any, resets: int) -> None:
+def take_inputs(world: World, box: Mailboxes, resets: int) -> None:
     """Apply what is new in the mailboxes, and a requested reset.
 
     box.row and box.inputs become this tick's in the journal, which has a row when anything was new.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
-    box : Any
+    box : Mailboxes
         Mailboxes of the organ; updated.
     resets : int
         Number of resets requested so far.
@@ -326,7 +328,7 @@ def take_inputs(world: Any, box: Any, resets: int) -> None:
 
 
 @kernel
-def write_journal(box: Any, tick: int) -> None:
+def write_journal(box: Mailboxes, tick: int) -> None:
     """Note what was applied by this tick."""
     box.row.tick = tick
     place = box.journal_written[0] % JOURNAL_ROWS
@@ -339,14 +341,14 @@ def write_journal(box: Any, tick: int) -> None:
 
 
 @kernel
-def post_results(world: Any, box: Any) -> None:
+def post_results(world: World, box: Mailboxes) -> None:
     """Post wrenches and counters, and the positions when they moved: with a modal region, on request.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
-    box : Any
+    box : Mailboxes
         Mailboxes of the organ; updated.
     """
     state, demand = world.state, box.demand
@@ -369,21 +371,21 @@ def post_results(world: Any, box: Any) -> None:
 
 
 @kernel
-def continues_motion(carried: Any, demand: Any) -> bool:
+def continues_motion(carried: Floats, demand: Demand) -> bool:
     """Return whether the breath has moved an organ by more than CARRIED_ON since its positions were posted."""
     x, y, z = carried[0] - demand.x, carried[1] - demand.y, carried[2] - demand.z
     return x * x + y * y + z * z > CARRIED_ON * CARRIED_ON
 
 
 @kernel
-def keep_states(worlds: Any, boxes: Any) -> None:
+def keep_states(worlds: Sequence[World], boxes: Sequence[Mailboxes]) -> None:
     """Copy the whole states; the journals show what they have applied.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Worlds of the organs; updated.
-    boxes : Any
+    boxes : Sequence[Mailboxes]
         Mailboxes of every organ; updated.
     """
     for organ in range(len(worlds)):
@@ -394,12 +396,12 @@ def keep_states(worlds: Any, boxes: Any) -> None:
 
 
 @kernel
-def note_tick(loop: Any, due: int, period: int, late: int, duration: int) -> None:
+def note_tick(loop: LoopWords, due: int, period: int, late: int, duration: int) -> None:
     """Note when a tick was due, and its timing.
 
     Parameters
     ----------
-    loop : Any
+    loop : LoopWords
         Words of the loop; updated.
     due : int, ns
         When it was due.

@@ -2,16 +2,22 @@
 
 An organ that breathes is simulated in the frame of its clamp, in which the clamp is at rest. Tools come towards it as
 the frame moves the other way, and the frame's acceleration is a weight on its nodes. Loads that hardly bend an organ
-are left out (`unfelt`).
+are left out (`wake_threshold`).
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import NamedTuple
 
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
-from tissue_sim.model.data.records import Record
+from tissue_sim.model.data.records import Record, words_of
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.world import World
 
 FOLLOW = 20.0  # 1/s, rate at which it follows external input: 0.1 s behind
 
@@ -60,8 +66,31 @@ def inhaled_fraction(time: float, period: float) -> tuple[float, float, float]:
     return s**4, 4.0 * turn * s**3 * c, turn * turn * s * s * (12.0 * c * c - 4.0 * s * s)
 
 
+class Carried(NamedTuple):
+    """How breathing moves k organs; see `state.carried`."""
+
+    breath: Breath
+    breath_words: Longs  # memory of the breath
+    share: Floats  # (2,) fraction of the breath's way, and its rate, 1/s
+    moves: Floats  # (k,) fraction of the way that each follows
+    gravity: Floats  # (k, 3) m/s^2, of each without the breath
+    speed: Floats  # (k, 3) m/s
+    change: Floats  # (k, 3) m/s^2
+
+
+def moves_with_frame(breath: Breath, moves: Sequence[float], gravity: Floats) -> Carried:
+    """Return organs that follow a breath by the fractions `moves` (k,), breathed out; see Carried."""
+    count = len(moves)
+
+    def rows() -> Floats:
+        return np.zeros((count, 3))
+
+    given = np.array(moves, dtype=np.float64), np.array(gravity, dtype=np.float64)
+    return Carried(breath, words_of(breath), np.zeros(2), *given, rows(), rows())
+
+
 @kernel
-def follow(breath: Any, step: float) -> tuple[float, float, float]:
+def follow(breath: Breath, step: float) -> tuple[float, float, float]:
     """Advance by `step` s towards the external input; return fraction, speed, 1/s, and acceleration, 1/s^2."""
     change = FOLLOW * (FOLLOW * (breath.told - breath.share) - 2.0 * breath.speed)
     breath.speed += step * change
@@ -70,14 +99,14 @@ def follow(breath: Any, step: float) -> tuple[float, float, float]:
 
 
 @kernel
-def breathe(worlds: Any, carried: Any, step: float) -> None:
+def breathe(worlds: Sequence[World], carried: Carried, step: float) -> None:
     """Move organs with the breath for one tick; `apply_wake_threshold` sets the load that they feel from it.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Worlds of the organs; updated.
-    carried : Any
+    carried : Carried
         How organs follow the breath; updated.
     step : float, s
         Duration of the tick.
@@ -106,14 +135,14 @@ def breathe(worlds: Any, carried: Any, step: float) -> None:
 
 
 @kernel
-def weigh(settings: Any, carried: Any, organ: int, share: float) -> None:
+def weigh(settings: Settings, carried: Carried, organ: int, share: float) -> None:
     """Set an organ's gravity, minus the part of its frame's acceleration that it feels.
 
     Parameters
     ----------
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    carried : Any
+    carried : Carried
         How organs follow the breath; updated.
     organ : int
         Index of the organ.
@@ -127,14 +156,14 @@ def weigh(settings: Any, carried: Any, organ: int, share: float) -> None:
 
 
 @kernel
-def note_gravity(settings: Any, carried: Any, organ: int) -> None:
+def note_gravity(settings: Settings, carried: Carried, organ: int) -> None:
     """Note an organ's gravity without the breath, from its settings, which are new.
 
     Parameters
     ----------
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    carried : Any
+    carried : Carried
         How organs follow the breath; updated.
     organ : int
         Index of the organ.

@@ -14,7 +14,7 @@ Olovsson et al. 2005, selective mass scaling.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,10 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.scratch import Plan
 from tissue_sim.model.data.settings import Integrator, Settings
+from tissue_sim.model.data.state import State
+from tissue_sim.model.data.world import World
 from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
 from tissue_sim.model.stepping.critical_step import LONGEST_OF_CELLS, SAFETY
@@ -118,14 +121,14 @@ def least_of(tick_time: float) -> int:
 
 
 @kernel
-def plan_coarse(world: Any, coarse: Any, organ: int, added: float) -> None:
+def plan_coarse(world: World, coarse: Coarse, organ: int, added: float) -> None:
     """Plan coarse steps for an organ that may take them in this tick.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
-    coarse : Any
+    coarse : Coarse
         Coarse steps of the organs.
     organ : int
         Index of the organ.
@@ -142,14 +145,14 @@ def plan_coarse(world: Any, coarse: Any, organ: int, added: float) -> None:
 
 
 @kernel
-def may_be_coarse(world: Any) -> bool:
+def may_be_coarse(world: World) -> bool:
     """Return whether the whole organ moves, and nothing requires shorter steps."""
     symplectic = world.settings.integrator == Integrator.SYMPLECTIC
     return symplectic and is_sound(world.state.status) and not has_compressed_cells(world.model)
 
 
 @kernel
-def is_left_alone(state: Any) -> bool:
+def is_left_alone(state: State) -> bool:
     """Return whether no tool is near, and no node is fast."""
     if state.contacts.header.points > 0:
         return False
@@ -161,13 +164,13 @@ def is_left_alone(state: Any) -> bool:
 
 
 @kernel
-def ratio_of(plan: Any, substeps: int) -> int:
+def ratio_of(plan: Plan, substeps: int) -> int:
     """Return the number of the tick's substeps during one substep of an organ; more than 1 in coarse steps only."""
     return substeps // plan.substeps if plan.coarse else 1
 
 
 @kernel
-def fit_coarse(plan: Any, substeps: int) -> None:
+def fit_coarse(plan: Plan, substeps: int) -> None:
     """Increase an organ's coarse steps until their number divides the tick's substeps."""
     while substeps % plan.substeps != 0:
         plan.substeps += 1

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Floats
 from tissue_sim.model.contact.volume_limit import add_volume_limit_impulses
 from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import Region, State
+from tissue_sim.model.data.world import World
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.stepping.world import (
     is_world_out_of_balance,
@@ -31,8 +33,8 @@ class Steppable(Protocol):
     model: Model
     state: State
     settings: Settings
-    scratch: Any
-    world: Any
+    scratch: Scratch
+    world: World
     rate: float
 
     @property

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.tool_motion import restore_bodies
 from tissue_sim.model.data.arrays import copy, copy_nodes
-from tissue_sim.model.data.state import Fault, Region
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.state import Fault, Region, State, Status
 from tissue_sim.model.regions.active_region import are_placed, checked_nodes, modes_are_finite, restore_shape
 from tissue_sim.model.stepping.inputs import MAX_BACKOFF
 
@@ -21,7 +24,7 @@ MOST_TURNED = 0.5  # fraction of the cells; an organ with more inverted cells do
 
 
 @kernel
-def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def guard(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Keep this shape if it is finite and bounded, else return to the last good one, at rest.
 
     Bounded: no node farther from rest than the organ's own size, none faster than that per tick, and not all of them
@@ -31,13 +34,13 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     status, count = state.status, state.count
@@ -87,24 +90,24 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def is_sound(status: Any) -> bool:
+def is_sound(status: Status) -> bool:
     """Return whether the whole organ moves, and neither a fault, nor inverted cells, nor oscillation is near."""
     return status.region == Region.WHOLE and status.turned == 0 and status.backoff <= 1 and status.shivering == 0
 
 
 @kernel
-def move_towards_rest(model: Any, state: Any, settings: Any) -> float:
+def move_towards_rest(model: Model, state: State, settings: Settings) -> float:
     """Move every node nearer to rest, without speed.
 
     This is the recovery from a shape that the springs hold, so it is done without their forces.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
 
     Returns
@@ -124,7 +127,7 @@ def move_towards_rest(model: Any, state: Any, settings: Any) -> float:
 
 
 @kernel
-def is_bounded(position: Any, velocity: Any, rest: Any, span: float, speed: float) -> bool:
+def is_bounded(position: Floats, velocity: Floats, rest: Floats, span: float, speed: float) -> bool:
     """Return whether all coordinates are within `span`, m, of rest and slower than `speed`, m/s; flat arrays.
 
     The good ones are counted, since whole numbers may be added in any order, so that the vector units do it.
@@ -139,7 +142,7 @@ def is_bounded(position: Any, velocity: Any, rest: Any, span: float, speed: floa
 
 
 @kernel
-def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy: float) -> int:
+def check(model: Model, state: State, nodes: Ints, span: float, speed: float, energy: float) -> int:
     """Return what is wrong with the nodes, Fault.NOT_FINITE or Fault.RUNAWAY; 0 for nothing.
 
     span: m^2 from rest, speed: m^2/s^2, energy: m^2/s^2 on average, from which it is a fault.
@@ -166,7 +169,7 @@ def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy:
 
 
 @kernel
-def keep(model: Any, state: Any, scratch: Any) -> None:
+def keep(model: Model, state: State, scratch: Scratch) -> None:
     """Keep this shape as the last good one; that of the whole organ only every few ticks, as copying it takes time."""
     if state.status.region != Region.WHOLE:
         copy_nodes(state.position, state.good_position, checked_nodes(model, state, scratch))
@@ -179,16 +182,16 @@ def keep(model: Any, state: Any, scratch: Any) -> None:
 
 
 @kernel
-def check_cells(model: Any, state: Any, scratch: Any) -> None:
+def check_cells(model: Model, state: State, scratch: Scratch) -> None:
     """Note which of the next few cells are inverted; state.status.turned holds their number.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     status, cells, x, is_turned = state.status, model.cells, state.position, state.is_turned
@@ -201,7 +204,7 @@ def check_cells(model: Any, state: Any, scratch: Any) -> None:
         bx, by, bz = x[b, 0] - x[d, 0], x[b, 1] - x[d, 1], x[b, 2] - x[d, 2]
         cx, cy, cz = x[c, 0] - x[d, 0], x[c, 1] - x[d, 1], x[c, 2] - x[d, 2]
         volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-        turned = 1 if volume < 0.0 and are_placed(model, state, scratch, a, b, c, d) else 0
+        turned = 1 if volume < 0.0 and are_placed(model, state, scratch, cells[cell]) else 0
         status.turned += turned - is_turned[cell]
         is_turned[cell] = turned
         cell = cell + 1 if cell + 1 < len(cells) else 0

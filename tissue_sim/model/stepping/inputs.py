@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.tool_motion import distance, distance_along_path, quaternion_distance
 from tissue_sim.model.data.arrays import copy
-from tissue_sim.model.data.contact_set import Engaged, used_words
+from tissue_sim.model.data.contact_set import ContactSet, Engaged, used_words
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.shapes import Shapes
+from tissue_sim.model.data.state import State
+from tissue_sim.model.data.world import World
 from tissue_sim.model.regions.active_region import drop_region
 from tissue_sim.model.stepping.prescribed import forget_prescribed
 
@@ -19,7 +22,7 @@ CREEP = 1e-3, 1e-2  # m/s and 1/s at least, so that it arrives
 
 
 @kernel
-def take_pose(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> None:
+def take_pose(world: World, body: int, pose: Floats, stamp: int, sequence: int) -> None:
     """Apply the newest pose of a body.
 
     The first pose puts the tool there, and so does any pose while nothing resists it; it is moved to others. Where
@@ -27,11 +30,11 @@ def take_pose(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> No
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
     body : int
         Index of the body.
-    pose : Any, shape (7,)
+    pose : Floats, shape (7,)
         Position, m, and unit quaternion xyzw.
     stamp : int, ns
         Time of the pose, 0 where unknown.
@@ -58,7 +61,7 @@ def take_pose(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> No
 
 
 @kernel
-def move_tool_towards(world: Any, body: int, pose: Any, stamp: int) -> None:
+def move_tool_towards(world: World, body: int, pose: Floats, stamp: int) -> None:
     """Set how fast a tool moves to a pose (7,): at most as fast as its poses, by their stamps or arrival times.
 
     Where poses were skipped or came late, the tool still has a part of their way before it. It catches up softly, and
@@ -90,16 +93,16 @@ def motion_time(way: float, new: float, told: float, most: float, creep: float) 
 
 
 @kernel
-def take_force(state: Any, body: int, force: Any, sequence: int) -> None:
+def take_force(state: State, body: int, force: Floats, sequence: int) -> None:
     """Apply the newest external force on the tissue at a tool's tip.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
     body : int
         Index of the body.
-    force : Any, shape (3,), N
+    force : Floats, shape (3,), N
         The force.
     sequence : int
         Number of the force.
@@ -110,7 +113,7 @@ def take_force(state: Any, body: int, force: Any, sequence: int) -> None:
 
 
 @kernel
-def take_contacts(state: Any, shapes: Any, found: Any, sequence: int) -> None:
+def take_contacts(state: State, shapes: Shapes, found: ContactSet, sequence: int) -> None:
     """Apply a contact set, unless it lacks the surface around a tool that is resisted.
 
     A tool may have moved on since the set was found. Then it keeps the present set, moves no farther than that reaches,
@@ -118,11 +121,11 @@ def take_contacts(state: Any, shapes: Any, found: Any, sequence: int) -> None:
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    shapes : Any
+    shapes : Shapes
         Shapes of the bodies.
-    found : Any
+    found : ContactSet
         The contact set.
     sequence : int
         Its number.
@@ -150,7 +153,7 @@ def take_contacts(state: Any, shapes: Any, found: Any, sequence: int) -> None:
 
 
 @kernel
-def covers(state: Any, shapes: Any, found: Any, body: int) -> bool:
+def covers(state: State, shapes: Shapes, found: ContactSet, body: int) -> bool:
     """Return whether a contact set has all points of the surface that a body may touch where it is, or is put."""
     status = state.bodies[body]
     if found.releases[body] != status.releases:
@@ -161,7 +164,7 @@ def covers(state: Any, shapes: Any, found: Any, body: int) -> bool:
 
 
 @kernel
-def put_back(state: Any, body: int) -> None:
+def put_back(state: State, body: int) -> None:
     """Put a body that is inside on the surface, from where it presses again; after a slip in shorter substeps."""
     copy(state.contacts.place[body], state.body_pose[body])
     if state.bodies[body].engaged:
@@ -170,16 +173,16 @@ def put_back(state: Any, body: int) -> None:
 
 
 @kernel
-def load_nodes(state: Any, nodes: Any, forces: Any) -> None:
+def load_nodes(state: State, nodes: Longs, forces: Floats) -> None:
     """Add forces to nodes for the coming tick.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    nodes : Any, shape (k,)
+    nodes : Longs, shape (k,)
         Nodes.
-    forces : Any, shape (k, 3), N
+    forces : Floats, shape (k, 3), N
         Forces.
     """
     for index in range(len(nodes)):
@@ -187,12 +190,12 @@ def load_nodes(state: Any, nodes: Any, forces: Any) -> None:
 
 
 @kernel
-def load_node(state: Any, node: int, x: float, y: float, z: float) -> None:
+def load_node(state: State, node: int, x: float, y: float, z: float) -> None:
     """Add a force to a node for the coming tick.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
     node : int
         The node.
@@ -214,12 +217,12 @@ def load_node(state: Any, node: int, x: float, y: float, z: float) -> None:
 
 
 @kernel
-def unload_nodes(state: Any) -> None:
+def unload_nodes(state: State) -> None:
     """Remove the forces of load_nodes.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
     """
     for index in range(state.status.loaded):
@@ -231,7 +234,7 @@ def unload_nodes(state: Any) -> None:
 
 
 @kernel
-def carry_impulses(state: Any, found: Any) -> None:
+def carry_impulses(state: State, found: ContactSet) -> None:
     """Give points of a new contact set that were pressed in the old one their impulses of the last substep."""
     pressed, held, old_set, points = state.contact_pressed, state.contact_held, state.contacts, found.header.points
     pressed[1, :points] = 0.0
@@ -253,14 +256,14 @@ def carry_impulses(state: Any, found: Any) -> None:
 
 
 @kernel
-def reset_state(model: Any, state: Any) -> None:
+def reset_state(model: Model, state: State) -> None:
     """Return to the rest shape, asleep, without tools; the counters continue.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
     """
     status = state.status

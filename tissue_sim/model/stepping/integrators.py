@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 
 
 @kernel
 def symplectic_euler(
-    position: Any,
-    velocity: Any,
-    force: Any,
-    nodes: Any,
-    inverse_mass: Any,
-    damping: Any,
+    position: Floats,
+    velocity: Floats,
+    force: Floats,
+    nodes: Ints,
+    inverse_mass: Floats,
+    damping: Floats,
     damping_scale: float,
     step: float,
     inertia: float = 1.0,
@@ -25,17 +24,17 @@ def symplectic_euler(
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions, updated.
-    velocity : Any, shape (n, 3), m/s
+    velocity : Floats, shape (n, 3), m/s
         Velocities, updated.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces.
-    nodes : Any, shape (a,)
+    nodes : Ints, shape (a,)
         Nodes to move.
-    inverse_mass : Any, shape (n,), 1/kg
+    inverse_mass : Floats, shape (n,), 1/kg
         Inverse masses, 0 where held.
-    damping : Any, shape (n,), kg/s
+    damping : Floats, shape (n,), kg/s
         Nodal damping.
     damping_scale : float
         Factor of the damping.
@@ -55,22 +54,24 @@ def symplectic_euler(
 
 
 @kernel
-def symplectic_euler_whole(position: Any, velocity: Any, force: Any, push: Any, shrink: Any, step: float) -> None:
+def symplectic_euler_whole(
+    position: Floats, velocity: Floats, force: Floats, push: Floats, shrink: Floats, step: float
+) -> None:
     """Step all coordinates by symplectic Euler, with the same result to the last bit; flat arrays.
 
     push: h / m, s/kg; shrink: 1 / (1 + h d/m), worked out before since they seldom change.
 
     Parameters
     ----------
-    position : Any, shape (3n,), m
+    position : Floats, shape (3n,), m
         Positions, updated.
-    velocity : Any, shape (3n,), m/s
+    velocity : Floats, shape (3n,), m/s
         Velocities, updated.
-    force : Any, shape (3n,), N
+    force : Floats, shape (3n,), N
         Forces.
-    push : Any, shape (3n,), s/kg
+    push : Floats, shape (3n,), s/kg
         h / m.
-    shrink : Any, shape (3n,)
+    shrink : Floats, shape (3n,)
         1 / (1 + h d/m); computed beforehand, since it rarely changes.
     step : float, s
         Step h.
@@ -83,12 +84,12 @@ def symplectic_euler_whole(position: Any, velocity: Any, force: Any, push: Any, 
 
 @kernel
 def explicit_euler(
-    position: Any,
-    velocity: Any,
-    force: Any,
-    nodes: Any,
-    inverse_mass: Any,
-    damping: Any,
+    position: Floats,
+    velocity: Floats,
+    force: Floats,
+    nodes: Ints,
+    inverse_mass: Floats,
+    damping: Floats,
     damping_scale: float,
     step: float,
 ) -> None:
@@ -98,17 +99,17 @@ def explicit_euler(
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions, updated.
-    velocity : Any, shape (n, 3), m/s
+    velocity : Floats, shape (n, 3), m/s
         Velocities, updated.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces.
-    nodes : Any, shape (a,)
+    nodes : Ints, shape (a,)
         Nodes to move.
-    inverse_mass : Any, shape (n,), 1/kg
+    inverse_mass : Floats, shape (n,), 1/kg
         Inverse masses, 0 where held.
-    damping : Any, shape (n,), kg/s
+    damping : Floats, shape (n,), kg/s
         Nodal damping.
     damping_scale : float
         Factor of the damping.

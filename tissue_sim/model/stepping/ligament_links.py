@@ -2,69 +2,26 @@
 
 Organs that links join take their substeps together, and the force of each link is updated in every one, as for springs
 in an organ. The force on one end is the opposite of that on the other, except for what an organ doesn't feel
-(`unfelt`), which its clamp bears. `least_substeps` gives the number of substeps that they need.
+(`wake_threshold`), which its clamp bears. `least_substeps` gives the number of substeps that they need.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
+from tissue_sim.model.data.links import Links
+from tissue_sim.model.data.world import World
+from tissue_sim.model.stepping.breathing import Carried
 from tissue_sim.model.stepping.critical_step import substeps_for
 from tissue_sim.model.stepping.inputs import load_node
+from tissue_sim.model.stepping.wake_threshold import WakeThreshold
 
-POINT = -1  # in place of an organ
 SLIGHT = 1e-12  # m of a link's stretch that are rounding, which would keep organs at rest awake
-
-
-class Links(NamedTuple):
-    """A number l of links, each of which joins two ends.
-
-    An end is a node of an organ, or, where the organ is POINT, a point that may move with the breath.
-    """
-
-    organ: Longs  # (l, 2)
-    node: Longs  # (l, 2)
-    point: Floats  # (l, 2, 3) m, breathed out
-    moves: Floats  # (l, 2) motion of points with the breath, as a factor
-    slack: Floats  # (l,) m, length up to which they don't pull
-    stiffness: Floats  # (l,) N/m
-    damping: Floats  # (l,) N s/m
-    lightness: Floats  # (l,) 1/kg of both ends, each times the links that share its node
-    added: Floats  # (1,) (rad/s)^2, bound of what they add to the square of the largest frequency
-    force: Floats  # (l, 3) N on the first end in this substep; its organ may feel only a fraction
-
-
-def make_links(count: int) -> Links:
-    """Return links without effect.
-
-    Parameters
-    ----------
-    count : int
-        Number of links.
-
-    Returns
-    -------
-    Links
-        The links.
-    """
-    return Links(
-        organ=np.full((count, 2), POINT, dtype=np.int64),
-        node=np.zeros((count, 2), dtype=np.int64),
-        point=np.zeros((count, 2, 3)),
-        moves=np.zeros((count, 2)),
-        slack=np.zeros(count),
-        stiffness=np.zeros(count),
-        damping=np.zeros(count),
-        lightness=np.zeros(count),
-        added=np.zeros(1),
-        force=np.zeros((count, 3)),
-    )
 
 
 def weight_link_ends(links: Links, lightness: Sequence[Floats]) -> None:
@@ -118,29 +75,31 @@ def least_substeps(links: Links, frequency: float, tick_time: float) -> int:
 
 
 @kernel
-def measure_links(worlds: Any, carried: Any, links: Any, unfelt: Any, awake: Any, step: float) -> None:
+def measure_links(
+    worlds: Sequence[World], carried: Carried, links: Links, threshold: WakeThreshold, awake: Longs, step: float
+) -> None:
     """Compute the forces of links at the beginning of a tick, and their size for every organ.
 
-    The results go to links.force, unfelt.pulled and unfelt.bent; nothing is loaded. Sleeping organs count, released
-    ones don't.
+    The results go to links.force, threshold.pulled and threshold.bent; nothing is loaded. Sleeping organs count,
+    released ones don't.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Worlds of the organs; updated.
-    carried : Any
+    carried : Carried
         How organs follow the breath; updated.
-    links : Any
+    links : Links
         The links; updated.
-    unfelt : Any
+    threshold : WakeThreshold
         Sizes of the loads; updated.
-    awake : Any, shape (k,)
+    awake : Longs, shape (k,)
         1 for organs that this tick advances.
     step : float, s
         Duration of the tick.
     """
     for organ in range(len(worlds)):
-        unfelt.pulled[organ] = unfelt.bent[organ] = 0.0
+        threshold.pulled[organ] = threshold.bent[organ] = 0.0
     for link in range(len(links.slack)):
         force = links.force[link]
         force[0] = force[1] = force[2] = 0.0
@@ -150,32 +109,34 @@ def measure_links(worlds: Any, carried: Any, links: Any, unfelt: Any, awake: Any
             for end in range(2):
                 organ = links.organ[link, end]
                 if organ >= 0:
-                    unfelt.pulled[organ] += size
-                    unfelt.bent[organ] += unfelt.give[link, end] * size
+                    threshold.pulled[organ] += size
+                    threshold.bent[organ] += threshold.give[link, end] * size
 
 
 @kernel
-def load_links(worlds: Any, links: Any, unfelt: Any) -> None:
+def load_links(worlds: Sequence[World], links: Links, threshold: WakeThreshold) -> None:
     """Load the nodes of links with what their organs feel, so that the coming tick advances these.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Worlds of the organs; updated.
-    links : Any
+    links : Links
         The links.
-    unfelt : Any
+    threshold : WakeThreshold
         Fractions that organs feel.
     """
     for link in range(len(links.slack)):
         force = links.force[link]
         if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0:
-            load_end(worlds, links, link, 0, unfelt.share, force[0], force[1], force[2])
-            load_end(worlds, links, link, 1, unfelt.share, -force[0], -force[1], -force[2])
+            load_end(worlds, links, link, 0, threshold.share, (force[0], force[1], force[2]))
+            load_end(worlds, links, link, 1, threshold.share, (-force[0], -force[1], -force[2]))
 
 
 @kernel
-def pull_links(worlds: Any, carried: Any, links: Any, unfelt: Any, awake: Any, step: float) -> None:
+def pull_links(
+    worlds: Sequence[World], carried: Carried, links: Links, threshold: WakeThreshold, awake: Longs, step: float
+) -> None:
     """Update the forces of links of organs that this tick advances in a substep.
 
     A sleeping organ holds the other end where it is, and is not pulled; a link that wasn't taut at the beginning of
@@ -183,15 +144,15 @@ def pull_links(worlds: Any, carried: Any, links: Any, unfelt: Any, awake: Any, s
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Worlds of the organs; updated.
-    carried : Any
+    carried : Carried
         How organs follow the breath; updated.
-    links : Any
+    links : Links
         The links; updated.
-    unfelt : Any
+    threshold : WakeThreshold
         Fractions that organs feel.
-    awake : Any, shape (k,)
+    awake : Longs, shape (k,)
         1 for organs that this tick advances.
     step : float, s
         Duration of the substep.
@@ -210,13 +171,15 @@ def pull_links(worlds: Any, carried: Any, links: Any, unfelt: Any, awake: Any, s
             force[1] += y
             force[2] += z
             if first:
-                load_end(worlds, links, link, 0, unfelt.share, x, y, z)
+                load_end(worlds, links, link, 0, threshold.share, (x, y, z))
             if second:
-                load_end(worlds, links, link, 1, unfelt.share, -x, -y, -z)
+                load_end(worlds, links, link, 1, threshold.share, (-x, -y, -z))
 
 
 @kernel
-def tension_of(worlds: Any, carried: Any, links: Any, link: int, step: float) -> tuple[float, float, float]:
+def tension_of(
+    worlds: Sequence[World], carried: Carried, links: Links, link: int, step: float
+) -> tuple[float, float, float]:
     """Return the force of a link on its first end in a substep of `step` s, N."""
     x0, y0, z0 = end_position(worlds, carried, links, link, 0)
     x1, y1, z1 = end_position(worlds, carried, links, link, 1)
@@ -237,21 +200,23 @@ def tension_of(worlds: Any, carried: Any, links: Any, link: int, step: float) ->
 
 
 @kernel
-def is_awake(links: Any, link: int, end: int, awake: Any) -> bool:
+def is_awake(links: Links, link: int, end: int, awake: Longs) -> bool:
     """Return whether an end is at an organ that this tick advances."""
     organ = links.organ[link, end]
     return organ >= 0 and awake[organ] == 1
 
 
 @kernel
-def is_there(worlds: Any, links: Any, link: int, end: int, awake: Any) -> bool:
+def is_there(worlds: Sequence[World], links: Links, link: int, end: int, awake: Longs) -> bool:
     """Return whether an end is a point, or at an organ that isn't released: one that ticks or sleeps."""
     organ = links.organ[link, end]
     return organ < 0 or awake[organ] == 1 or worlds[organ].state.status.asleep
 
 
 @kernel
-def end_position(worlds: Any, carried: Any, links: Any, link: int, end: int) -> tuple[float, float, float]:
+def end_position(
+    worlds: Sequence[World], carried: Carried, links: Links, link: int, end: int
+) -> tuple[float, float, float]:
     """Return the position of an end, m."""
     organ, node = links.organ[link, end], links.node[link, end]
     if organ >= 0:
@@ -264,7 +229,9 @@ def end_position(worlds: Any, carried: Any, links: Any, link: int, end: int) -> 
 
 
 @kernel
-def end_speed(worlds: Any, carried: Any, links: Any, link: int, end: int) -> tuple[float, float, float]:
+def end_speed(
+    worlds: Sequence[World], carried: Carried, links: Links, link: int, end: int
+) -> tuple[float, float, float]:
     """Return the velocity of an end, m/s."""
     organ, node = links.organ[link, end], links.node[link, end]
     if organ >= 0:
@@ -275,9 +242,11 @@ def end_speed(worlds: Any, carried: Any, links: Any, link: int, end: int) -> tup
 
 
 @kernel
-def load_end(worlds: Any, links: Any, link: int, end: int, share: Any, x: float, y: float, z: float) -> None:
+def load_end(
+    worlds: Sequence[World], links: Links, link: int, end: int, share: Floats, force: tuple[float, float, float]
+) -> None:
     """Add the fraction (k,) of a force, N, that its organ feels to an end's node for the coming tick."""
     organ = links.organ[link, end]
     if organ >= 0 and share[organ] > 0.0:
         part = share[organ]
-        load_node(worlds[organ].state, links.node[link, end], part * x, part * y, part * z)
+        load_node(worlds[organ].state, links.node[link, end], part * force[0], part * force[1], part * force[2])

@@ -7,6 +7,7 @@ forces that are kept from one substep to the next. The force on a node acts on t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,10 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.arrays import copy
+from tissue_sim.model.data.records import Record, Vector
+from tissue_sim.model.data.state import State
+from tissue_sim.model.data.world import World
+from tissue_sim.model.stepping.breathing import Carried
 from tissue_sim.model.stepping.inputs import load_node
 
 MOST_PAIRS = 4096
@@ -72,8 +77,15 @@ def used_words(found: OrganContactSet) -> Longs:
     return found.words[: 1 + int(found.found[0]) * _PAIR.itemsize // 8]
 
 
+class ContactPlane(Record):
+    """Plane of a pair's triangle."""
+
+    normal: Vector  # outward
+    gap: float  # m, distance of the pair's node outside
+
+
 class OrganContacts(NamedTuple):
-    """Pairs of a OrganContactSet, with their forces."""
+    """Pairs of an OrganContactSet, with their forces."""
 
     found: Longs  # (1,)
     organ: Longs  # (p, 2)
@@ -86,7 +98,7 @@ class OrganContacts(NamedTuple):
     before: Longs  # (p,) buffer: index in the previous set, or -1
     pressed_before: Floats  # (p,) room
     held_before: Floats  # (p, 3) room
-    plane: Floats  # (4,) buffer: a normal, and the node's distance outside, m
+    plane: ContactPlane  # of the pair that was measured last
     caught: Longs  # (MOST_ORGANS,) buffer: 1 for an organ released in this tick
 
 
@@ -115,20 +127,20 @@ def make_organ_contacts(friction: float = 0.0) -> OrganContacts:
         before=np.zeros(MOST_PAIRS, dtype=np.int64),
         pressed_before=np.zeros(MOST_PAIRS),
         held_before=np.zeros((MOST_PAIRS, 3)),
-        plane=np.zeros(4),
+        plane=ContactPlane.new(),
         caught=np.zeros(MOST_ORGANS, dtype=np.int64),
     )
 
 
 @kernel
-def take_pairs(pairs: Any, found: Any) -> None:
+def take_pairs(pairs: OrganContacts, found: OrganContactSet) -> None:
     """Apply a OrganContactSet; pairs that existed before keep their forces.
 
     Parameters
     ----------
-    pairs : Any
+    pairs : OrganContacts
         The pairs; updated.
-    found : Any
+    found : OrganContactSet
         The new set.
     """
     count, old_count, old = found.found[0], pairs.found[0], 0
@@ -164,16 +176,16 @@ def comes_before(first: Any, pair: int, second: Any, other: int) -> bool:
 
 
 @kernel
-def wake_touched_organs(worlds: Any, pairs: Any, awake: Any) -> None:
+def wake_touched_organs(worlds: Sequence[World], pairs: OrganContacts, awake: Longs) -> None:
     """Load the forces of pairs, so that the coming tick advances organs that others touch, if they may be awake.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Worlds of the organs; updated.
-    pairs : Any
+    pairs : OrganContacts
         The pairs; updated.
-    awake : Any, shape (k,)
+    awake : Longs, shape (k,)
         1 for organs that may be awake.
     """
     note_interlocked(worlds, pairs)
@@ -187,19 +199,19 @@ def wake_touched_organs(worlds: Any, pairs: Any, awake: Any) -> None:
         if first.state.status.asleep and second.state.status.asleep and move_alike(first.state, second.state):
             continue
         measure(worlds, pairs, pair)
-        if pairs.pressed[pair] > 0.0 or pairs.plane[3] <= 0.0:
+        if pairs.pressed[pair] > 0.0 or pairs.plane.gap <= 0.0:
             bear(worlds, pairs, pair)
 
 
 @kernel
-def move_alike(state: Any, other: Any) -> bool:
+def move_alike(state: State, other: State) -> bool:
     """Return whether the breath has not moved two organs relative to each other."""
     a, b = state.carried, other.carried
     return a[0] == b[0] and a[1] == b[1] and a[2] == b[2]
 
 
 @kernel
-def note_interlocked(worlds: Any, pairs: Any) -> None:
+def note_interlocked(worlds: Sequence[World], pairs: OrganContacts) -> None:
     """Find organs that lie deep in each other after a fault, and have not been at rest since.
 
     They were driven through each other, and no force leads out of that: without any, each returns to its own shape.
@@ -209,27 +221,27 @@ def note_interlocked(worlds: Any, pairs: Any) -> None:
         first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
         if worlds[first].state.status.faulted or worlds[second].state.status.faulted:
             measure(worlds, pairs, pair)
-            if pairs.plane[3] < -CAUGHT:
+            if pairs.plane.gap < -CAUGHT:
                 pairs.caught[first] = pairs.caught[second] = 1
 
 
 @kernel
-def is_released(pairs: Any, pair: int) -> bool:
+def is_released(pairs: OrganContacts, pair: int) -> bool:
     """Return whether one of a pair's organs is caught: it presses on none until it is out."""
     return pairs.caught[pairs.organ[pair, 0]] == 1 or pairs.caught[pairs.organ[pair, 1]] == 1
 
 
 @kernel
-def apply_organ_contacts(worlds: Any, pairs: Any, awake: Any) -> None:
+def apply_organ_contacts(worlds: Sequence[World], pairs: OrganContacts, awake: Longs) -> None:
     """Let every pair press as it did at the end of the last substep.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Worlds of the organs; updated.
-    pairs : Any
+    pairs : OrganContacts
         The pairs; updated.
-    awake : Any, shape (k,)
+    awake : Longs, shape (k,)
         1 for organs that this tick advances.
     """
     for pair in range(pairs.found[0]):
@@ -241,12 +253,12 @@ def apply_organ_contacts(worlds: Any, pairs: Any, awake: Any) -> None:
 
 
 @kernel
-def bear(worlds: Any, pairs: Any, pair: int) -> None:
+def bear(worlds: Sequence[World], pairs: OrganContacts, pair: int) -> None:
     """Set the loads of a pair's nodes to its force; pairs.plane has been computed."""
-    plane, held, loaded, pressed = pairs.plane, pairs.held[pair], pairs.loaded[pair], pairs.pressed[pair]
-    x = pressed * plane[0] + held[0] - loaded[0]
-    y = pressed * plane[1] + held[1] - loaded[1]
-    z = pressed * plane[2] + held[2] - loaded[2]
+    normal, held, loaded, pressed = pairs.plane.normal, pairs.held[pair], pairs.loaded[pair], pairs.pressed[pair]
+    x = pressed * normal[0] + held[0] - loaded[0]
+    y = pressed * normal[1] + held[1] - loaded[1]
+    z = pressed * normal[2] + held[2] - loaded[2]
     loaded[0] += x
     loaded[1] += y
     loaded[2] += z
@@ -257,18 +269,20 @@ def bear(worlds: Any, pairs: Any, pair: int) -> None:
 
 
 @kernel
-def resolve_organ_contacts(worlds: Any, carried: Any, pairs: Any, awake: Any, step: float) -> None:
+def resolve_organ_contacts(
+    worlds: Sequence[World], carried: Carried, pairs: OrganContacts, awake: Longs, step: float
+) -> None:
     """Keep every node outside its triangle at the end of a substep.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Worlds of the organs; updated.
-    carried : Any
+    carried : Carried
         How organs follow the breath; updated.
-    pairs : Any
+    pairs : OrganContacts
         The pairs; updated.
-    awake : Any, shape (k,)
+    awake : Longs, shape (k,)
         1 for organs that this tick advances.
     step : float, s
         Duration of the substep.
@@ -284,40 +298,42 @@ def resolve_organ_contacts(worlds: Any, carried: Any, pairs: Any, awake: Any, st
 
 
 @kernel
-def is_resolved(pairs: Any, pair: int, awake: Any) -> bool:
+def is_resolved(pairs: OrganContacts, pair: int, awake: Longs) -> bool:
     """Return whether this tick advances both organs of a pair, and neither is released."""
     both = awake[pairs.organ[pair, 0]] == 1 and awake[pairs.organ[pair, 1]] == 1
     return both and not is_released(pairs, pair)
 
 
 @kernel
-def measure(worlds: Any, pairs: Any, pair: int) -> None:
+def measure(worlds: Sequence[World], pairs: OrganContacts, pair: int) -> None:
     """Write the triangle's outward normal and the node's distance outside, m, to pairs.plane."""
     first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
     own, under, node = worlds[first].state, worlds[second].state, pairs.node[pair]
-    position, plane = under.position, pairs.plane
+    position, normal = under.position, pairs.plane.normal
     a, b, c = position[node[1]], position[node[2]], position[node[3]]
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     size = math.sqrt(x * x + y * y + z * z)
     share = 1.0 / size if size > 0.0 else 0.0
-    plane[0], plane[1], plane[2] = x * share, y * share, z * share
+    normal[0], normal[1], normal[2] = x * share, y * share, z * share
     gap = 0.0
     for axis in range(3):
         on = own.position[node[0], axis] + own.carried[axis] - under.carried[axis]
-        gap += plane[axis] * (on - a[axis])
-    plane[3] = gap
+        gap += normal[axis] * (on - a[axis])
+    pairs.plane.gap = gap
 
 
 @kernel
-def resolve_organ_contact(worlds: Any, carried: Any, pairs: Any, pair: int, step: float) -> float:
+def resolve_organ_contact(
+    worlds: Sequence[World], carried: Carried, pairs: OrganContacts, pair: int, step: float
+) -> float:
     """Resolve one pair; return the change of its force, N."""
     first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
-    node, weight, held, plane = pairs.node[pair], pairs.weight[pair], pairs.held[pair], pairs.plane
+    node, weight, held = pairs.node[pair], pairs.weight[pair], pairs.held[pair]
     measure(worlds, pairs, pair)
-    pressed = pairs.pressed[pair]
-    if plane[3] > 0.0 and pressed == 0.0:
+    pressed, gap, normal = pairs.pressed[pair], pairs.plane.gap, pairs.plane.normal
+    if gap > 0.0 and pressed == 0.0:
         return 0.0
     own, other = worlds[first], worlds[second]
     # Each organ moves as if the force had acted during the whole of its own substep, which may be a coarse one.
@@ -328,19 +344,19 @@ def resolve_organ_contact(worlds: Any, carried: Any, pairs: Any, pair: int, step
     if light == 0.0:
         return 0.0
     stiffness = 1.0 / light  # N that move the node a metre out of the triangle
-    normal = max(0.0, pressed - max(plane[3], -RECOVERY_SPEED * step) * stiffness)
+    push = max(0.0, pressed - max(gap, -RECOVERY_SPEED * step) * stiffness)
     sx, sy, sz = sliding(worlds, carried, pairs, pair, step)
-    along = sx * plane[0] + sy * plane[1] + sz * plane[2]
-    tx = held[0] - (sx - along * plane[0]) * stiffness
-    ty = held[1] - (sy - along * plane[1]) * stiffness
-    tz = held[2] - (sz - along * plane[2]) * stiffness
-    size, most = math.sqrt(tx * tx + ty * ty + tz * tz), pairs.friction[0] * normal
-    share = 1.0 if size <= most else most / size
-    px = (normal - pressed) * plane[0] + share * tx - held[0]
-    py = (normal - pressed) * plane[1] + share * ty - held[1]
-    pz = (normal - pressed) * plane[2] + share * tz - held[2]
-    pairs.pressed[pair] = normal
-    held[0], held[1], held[2] = share * tx, share * ty, share * tz
+    along = sx * normal[0] + sy * normal[1] + sz * normal[2]
+    tx = held[0] - (sx - along * normal[0]) * stiffness
+    ty = held[1] - (sy - along * normal[1]) * stiffness
+    tz = held[2] - (sz - along * normal[2]) * stiffness
+    size, most = math.sqrt(tx * tx + ty * ty + tz * tz), pairs.friction[0] * push
+    fraction = 1.0 if size <= most else most / size
+    px = (push - pressed) * normal[0] + fraction * tx - held[0]
+    py = (push - pressed) * normal[1] + fraction * ty - held[1]
+    pz = (push - pressed) * normal[2] + fraction * tz - held[2]
+    pairs.pressed[pair] = push
+    held[0], held[1], held[2] = fraction * tx, fraction * ty, fraction * tz
     move(own, node[0], px, py, pz, own_step)
     for corner in range(3):
         part = -weight[corner]
@@ -349,14 +365,16 @@ def resolve_organ_contact(worlds: Any, carried: Any, pairs: Any, pair: int, step
 
 
 @kernel
-def substep_of(world: Any) -> float:
+def substep_of(world: World) -> float:
     """Return the substep of an organ in this tick, s."""
     step: float = world.settings.tick_time / world.scratch.plan.substeps
     return step
 
 
 @kernel
-def sliding(worlds: Any, carried: Any, pairs: Any, pair: int, step: float) -> tuple[float, float, float]:
+def sliding(
+    worlds: Sequence[World], carried: Carried, pairs: OrganContacts, pair: int, step: float
+) -> tuple[float, float, float]:
     """Return the motion of the node along the triangle's place in a substep, m."""
     first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
     node, weight = pairs.node[pair], pairs.weight[pair]
@@ -372,7 +390,7 @@ def sliding(worlds: Any, carried: Any, pairs: Any, pair: int, step: float) -> tu
 
 
 @kernel
-def move(world: Any, node: int, x: float, y: float, z: float, step: float) -> None:
+def move(world: World, node: int, x: float, y: float, z: float, step: float) -> None:
     """Apply the force x, y, z, N, to a node for the whole of a substep that is over."""
     faster = step * world.scratch.mobility[node]
     position, velocity = world.state.position[node], world.state.velocity[node]

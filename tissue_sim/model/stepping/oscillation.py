@@ -9,9 +9,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from tissue_sim.array_types import Floats
 from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.data.arrays import copy
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.state import State
 
 LOOK_EVERY = 2  # least number of substeps between two checks
 FAST = 2e-3  # m/s, 2 um in a step of a ms: contacts that settle are slower, but
@@ -26,29 +30,29 @@ HALVED, MORE, LONGEST = 120, 3, 1080
 
 
 @kernel
-def _at_any(model: Any) -> bool:
+def _at_any(model: Model) -> bool:
     return True
 
 
 @kernel
-def _at_one(model: Any) -> bool:
+def _at_one(model: Model) -> bool:
     return False
 
 
 @chosen(lambda model: _at_any if has(model, "tissue") else _at_one)
-def checks_oscillation(model: Any) -> Any:
+def checks_oscillation(model: Model) -> Any:
     """Return whether ticks of more than one substep are checked, too."""
 
 
 @kernel
-def is_oscillation_checked(model: Any, state: Any, substeps: int) -> bool:
+def is_oscillation_checked(model: Model, state: State, substeps: int) -> bool:
     """Return whether this tick is to be checked; a step stays halved one tick less.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
     substeps : int
         Number of substeps of the tick.
@@ -69,30 +73,30 @@ def is_oscillation_checked(model: Any, state: Any, substeps: int) -> bool:
 
 
 @kernel
-def begin_oscillation_check(state: Any, scratch: Any) -> None:
+def begin_oscillation_check(state: State, scratch: Scratch) -> None:
     """Keep the velocities before the tick's last substep.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     copy(state.velocity, scratch.velocity_before)
 
 
 @kernel
-def end_oscillation_check(state: Any, scratch: Any) -> None:
+def end_oscillation_check(state: State, scratch: Scratch) -> None:
     """Have the step halved when nodes have reversed in this substep, faster than at the last check.
 
     After an impact, a mode that the step just allows reverses as often, but decays.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     size, status = state.velocity.size, state.status
@@ -116,7 +120,7 @@ def turns(before: float, after: float, fast: float) -> bool:
 
 
 @kernel
-def count_oscillating(before: Any, after: Any, fast: float) -> int:
+def count_oscillating(before: Floats, after: Floats, fast: float) -> int:
     """Return how many coordinates faster than `fast`, m/s, have about reversed; flat arrays."""
     turning = 0
     for index in range(len(before)):
@@ -125,7 +129,7 @@ def count_oscillating(before: Any, after: Any, fast: float) -> int:
 
 
 @kernel
-def energy_of(velocity: Any) -> float:
+def energy_of(velocity: Floats) -> float:
     """Return the sum of all squared speeds, m^2/s^2; flat array."""
     total = 0.0
     for index in range(len(velocity)):
@@ -134,7 +138,7 @@ def energy_of(velocity: Any) -> float:
 
 
 @kernel
-def energy_of_oscillation(before: Any, after: Any, fast: float) -> float:
+def energy_of_oscillation(before: Floats, after: Floats, fast: float) -> float:
     """Return the sum of the squared speeds of those that have reversed, m^2/s^2."""
     total = 0.0
     for index in range(len(before)):

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.state import State
 
 
 @kernel
-def prescribe_nodes(state: Any, nodes: Any, positions: Any, ticks: int) -> None:
+def prescribe_nodes(state: State, nodes: Longs, positions: Floats, ticks: int) -> None:
     """Move nodes evenly to given positions from the next tick on, and hold them there.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
-    nodes : Any, shape (k,)
+    nodes : Longs, shape (k,)
         Nodes.
-    positions : Any, shape (k, 3), m
+    positions : Floats, shape (k, 3), m
         Positions.
     ticks : int
         Number of ticks until they arrive.
@@ -37,14 +38,14 @@ def prescribe_nodes(state: Any, nodes: Any, positions: Any, ticks: int) -> None:
 
 
 @kernel
-def free_nodes(model: Any, state: Any) -> None:
+def free_nodes(model: Model, state: State) -> None:
     """Release prescribed nodes with their present speed; the organ's fixed nodes stay where they are.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
     """
     status, left = state.status, 0
@@ -60,12 +61,12 @@ def free_nodes(model: Any, state: Any) -> None:
 
 
 @kernel
-def forget_prescribed(state: Any) -> None:
+def forget_prescribed(state: State) -> None:
     """Prescribe nothing from here on.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
     """
     state.is_prescribed[:] = 0
@@ -74,12 +75,12 @@ def forget_prescribed(state: Any) -> None:
 
 
 @kernel
-def move_prescribed(state: Any, substep: int, substeps: int, step: float) -> None:
+def move_prescribed(state: State, substep: int, substeps: int, step: float) -> None:
     """Put prescribed nodes where they belong at the end of a substep, with the corresponding speed.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
     substep : int
         Index of the substep.
@@ -100,12 +101,12 @@ def move_prescribed(state: Any, substep: int, substeps: int, step: float) -> Non
 
 
 @kernel
-def count_prescribed(state: Any) -> None:
+def count_prescribed(state: State) -> None:
     """Count down, after a tick, the ticks of moving nodes; those that have arrived are held.
 
     Parameters
     ----------
-    state : Any
+    state : State
         State of the simulation; updated.
     """
     for index in range(state.status.prescribed):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.data.arrays import copy
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.state import State
 from tissue_sim.model.elasticity.gravity import is_out_of_balance
 from tissue_sim.model.regions.active_region import largest_motion, leave_region
 from tissue_sim.model.stepping.guard import move_towards_rest
@@ -29,7 +31,7 @@ LONGEST_RETURN = (
 
 
 @kernel
-def sleep_or_recover(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def sleep_or_recover(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Fall asleep after a number of ticks without touch, load, speed and displacement.
 
     Springs pushed through each other can come to rest in a false shape, finite and still. An organ that nothing touches
@@ -40,13 +42,13 @@ def sleep_or_recover(model: Any, state: Any, settings: Any, scratch: Any) -> Non
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     status = state.status
@@ -78,16 +80,16 @@ def sleep_or_recover(model: Any, state: Any, settings: Any, scratch: Any) -> Non
 
 
 @kernel
-def sleep_if_at_rest(model: Any, state: Any, scratch: Any) -> None:
+def sleep_if_at_rest(model: Model, state: State, scratch: Scratch) -> None:
     """Fall asleep where an unloaded organ is nearly at rest, while a hand is on another one.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    scratch : Any
+    scratch : Scratch
         Working memory; updated.
     """
     status = state.status
@@ -98,7 +100,7 @@ def sleep_if_at_rest(model: Any, state: Any, scratch: Any) -> None:
 
 
 @kernel
-def pace(model: Any, settings: Any) -> float:
+def pace(model: Model, settings: Settings) -> float:
     """Return how fast the organ returns after its release: its damping rate, which is twice its lowest frequency.
 
     This is so after a calibration, and nearly so for organs as built; it is slower where parameters have made it softer
@@ -106,9 +108,9 @@ def pace(model: Any, settings: Any) -> float:
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
 
     Returns
@@ -121,7 +123,7 @@ def pace(model: Any, settings: Any) -> float:
 
 
 @kernel
-def fall_asleep(model: Any, state: Any) -> None:
+def fall_asleep(model: Model, state: State) -> None:
     """Put the organ at rest, to the last bit."""
     status = state.status
     status.asleep = True
@@ -134,7 +136,7 @@ def fall_asleep(model: Any, state: Any) -> None:
 
 
 @kernel
-def snap(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def snap(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Start the recovery from a false rest shape."""
     leave_region(model, state, settings, scratch)
     state.status.snapped = True
@@ -143,16 +145,16 @@ def snap(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def step_recovery(model: Any, state: Any, settings: Any) -> None:
+def step_recovery(model: Model, state: State, settings: Settings) -> None:
     """Do a step of the recovery from a false rest shape.
 
     Parameters
     ----------
-    model : Any
+    model : Model
         Constants of the model.
-    state : Any
+    state : State
         State of the simulation; updated.
-    settings : Any
+    settings : Settings
         Settings of the simulation.
     """
     displacement = move_towards_rest(model, state, settings)

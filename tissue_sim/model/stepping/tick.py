@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from tissue_sim.array_types import Floats
 from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel, part
 from tissue_sim.model.contact.constraint import add_contact_impulses, carry_force, resolve_contacts
@@ -23,11 +24,13 @@ from tissue_sim.model.contact.tool_motion import (
     keep_bodies,
 )
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
-from tissue_sim.model.data.settings import Integrator
-from tissue_sim.model.data.state import Region
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.settings import Integrator, Settings
+from tissue_sim.model.data.state import Region, State
+from tissue_sim.model.data.world import World
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.elasticity.gravity import add_weight, is_out_of_balance
-from tissue_sim.model.elasticity.implied_boundary import lead_return_springs
 from tissue_sim.model.regions.active_region import (
     absorb_load,
     change_region,
@@ -49,15 +52,14 @@ CRUMPLED = 0.02  # fraction of inverted cells from which on a tick takes four ti
 
 
 @kernel
-def tick(world: Any) -> None:
+def tick(world: World) -> None:
     """Advance the organ by one tick of settings.tick_time seconds.
 
     Parameters
     ----------
-    world : Any
+    world : World
         Model, state, shapes, settings and working memory; updated.
     """
-    lead_return_springs(world.model, world.state)
     plan = world.scratch.plan
     plan.handled = world.state.status.loaded > 0
     if not plan_tick(world):
@@ -69,7 +71,7 @@ def tick(world: Any) -> None:
 
 
 @part
-def plan_tick(world: Any) -> bool:
+def plan_tick(world: World) -> bool:
     """Return whether there is anything to advance, and write how into scratch.plan.
 
     scratch.plan.handled tells whether nodes were loaded before links and other organs did.
@@ -118,12 +120,12 @@ def plan_tick(world: Any) -> bool:
 
 
 @part
-def begin_tick(world: Any) -> None:
+def begin_tick(world: World) -> None:
     """Prepare the substeps of the plan.
 
     Parameters
     ----------
-    world : Any
+    world : World
         Model, state, shapes, settings and working memory; updated.
     """
     state, settings, scratch = world.state, world.settings, world.scratch
@@ -135,7 +137,7 @@ def begin_tick(world: Any) -> None:
 
 
 @kernel
-def take_substep(world: Any, substep: int) -> None:
+def take_substep(world: World, substep: int) -> None:
     """Advance by one substep of the plan: forces, integration and contact."""
     model, state, shapes = world.model, world.state, world.shapes
     settings, scratch, plan = world.settings, world.scratch, world.scratch.plan
@@ -155,17 +157,17 @@ def take_substep(world: Any, substep: int) -> None:
     integrate(world, step)
     move_prescribed(state, substep, substeps, step)
     pushed = has_taken_impulses(state, settings)
-    state.status.touching = resolve_contacts(model, state, shapes, scratch.mobility, scratch, settings, step, pushed)
+    state.status.touching = resolve_contacts(world, step, pushed)
     keep_bodies(state, scratch)
 
 
 @part
-def end_tick(world: Any) -> None:
+def end_tick(world: World) -> None:
     """Check the result of the substeps, report the wrenches, and come to rest where nothing acts.
 
     Parameters
     ----------
-    world : Any
+    world : World
         Model, state, shapes, settings and working memory; updated.
     """
     model, state, shapes = world.model, world.state, world.shapes
@@ -188,22 +190,22 @@ def end_tick(world: Any) -> None:
 
 
 @kernel
-def _in_a_region(model: Any, state: Any) -> bool:
+def _in_a_region(model: Model, state: State) -> bool:
     return state.status.region != Region.WHOLE
 
 
 @kernel
-def _in_none(model: Any, state: Any) -> bool:
+def _in_none(model: Model, state: State) -> bool:
     return False
 
 
 @chosen(lambda model, *_: _in_a_region if has(model, "tissue") and has(model, "adjacency") else _in_none)
-def is_region_of_cells(model: Any, state: Any) -> Any:
+def is_region_of_cells(model: Model, state: State) -> Any:
     """Return whether this tick moves only the cells around a load."""
 
 
 @kernel
-def caution(model: Any, state: Any, begun: bool) -> int:
+def caution(model: Model, state: State, begun: bool) -> int:
     """Return the factor on the substeps while cells are squeezed or inverted, or nodes oscillate, which stiffens them.
 
     begun: the forces of this tick's first substep are known.
@@ -214,7 +216,7 @@ def caution(model: Any, state: Any, begun: bool) -> int:
 
 
 @kernel
-def whole_forces(model: Any, position: Any, settings: Any, scratch: Any) -> None:
+def whole_forces(model: Model, position: Floats, settings: Settings, scratch: Scratch) -> None:
     """Write the elastic forces of the whole organ at position (n, 3) m to scratch.force (n, 3) N."""
     scratch.force[:] = 0.0
     elastic_forces(model, position, scratch.force)
@@ -222,7 +224,7 @@ def whole_forces(model: Any, position: Any, settings: Any, scratch: Any) -> None
 
 
 @kernel
-def integrate(world: Any, step: float) -> None:
+def integrate(world: World, step: float) -> None:
     """Move the nodes by scratch.force for a step, s."""
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     scale, inertia = damping_of(state, settings), inertia_of(state, settings)
@@ -259,13 +261,13 @@ def integrate(world: Any, step: float) -> None:
 
 
 @kernel
-def has_taken_impulses(state: Any, settings: Any) -> bool:
+def has_taken_impulses(state: State, settings: Settings) -> bool:
     """Return whether the last contact impulses move nodes too: while these persist, nothing is left to resolve."""
     return settings.integrator != Integrator.EXPLICIT and state.status.region == Region.WHOLE
 
 
 @kernel
-def set_mobility(world: Any, step: float) -> None:
+def set_mobility(world: World, step: float) -> None:
     """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the integration's part of its mass.
 
     Only when settings have changed. The damping is implicit, so it acts on the contact's impulse too: 1 / (m + h d).
@@ -295,7 +297,7 @@ def set_mobility(world: Any, step: float) -> None:
 
 
 @kernel
-def scale_force(settings: Any, force: Any) -> None:
+def scale_force(settings: Settings, force: Floats) -> None:
     """Scale the elastic forces by the tissue's stiffness."""
     scale = settings.stiffness_scale
     if scale != 1.0:
@@ -305,7 +307,7 @@ def scale_force(settings: Any, force: Any) -> None:
 
 
 @kernel
-def add_loads(model: Any, state: Any, settings: Any, force: Any) -> None:
+def add_loads(model: Model, state: State, settings: Settings, force: Floats) -> None:
     """Add the external forces."""
     add_weight(model, settings, force)
     for index in range(state.status.loaded):

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse.linalg import splu
@@ -20,11 +20,12 @@ from scipy.sparse.linalg import splu
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.tool_motion import has_tip_force
+from tissue_sim.model.data.links import Links
 from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.world import World
 from tissue_sim.model.elasticity.gravity import is_out_of_balance
 from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
-from tissue_sim.model.stepping.breathing import weigh
-from tissue_sim.model.stepping.ligament_links import Links
+from tissue_sim.model.stepping.breathing import Carried, weigh
 
 WAKE_DISPLACEMENT = 1e-4  # m, too little to see
 WAKE_FORCE = 1e-3  # N, too little to feel
@@ -128,18 +129,18 @@ def rounded_up(value: float) -> float:
 
 
 @kernel
-def apply_wake_threshold(worlds: Any, carried: Any, unfelt: Any, breathes: bool) -> None:
+def apply_wake_threshold(worlds: Sequence[World], carried: Carried, threshold: WakeThreshold, breathes: bool) -> None:
     """Compute the fraction of its links' and the breath's loads that every organ feels, and set its weight accordingly.
 
     Called once links have been measured, and hands and other organs have loaded the nodes.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Worlds of the organs; updated.
-    carried : Any
+    carried : Carried
         How organs follow the breath; updated.
-    unfelt : Any
+    threshold : WakeThreshold
         The bounds; updated.
     breathes : bool
         Whether there is a breath.
@@ -151,20 +152,24 @@ def apply_wake_threshold(worlds: Any, carried: Any, unfelt: Any, breathes: bool)
             weigh(settings, carried, organ, 0.0)
             change = carried.change[organ]
             size = math.sqrt(change[0] ** 2 + change[1] ** 2 + change[2] ** 2)
-            unfelt.bent[organ] += size * unfelt.bend[organ]
-        unfelt.bent[organ] /= settings.stiffness_scale
-        share = loaded_fraction(unfelt.bent[organ], unfelt.pulled[organ], unfelt.most)
+            threshold.bent[organ] += size * threshold.bend[organ]
+        threshold.bent[organ] /= settings.stiffness_scale
+        share = loaded_fraction(threshold.bent[organ], threshold.pulled[organ], threshold.most)
         if share < 1.0 and is_loaded_otherwise(world):
             share = 1.0
-        unfelt.share[organ] = share
+        threshold.share[organ] = share
         if breathes:
             weigh(settings, carried, organ, share)
-        if share == 0.0 and world.state.status.asleep and (unfelt.bent[organ] > 0.0 or unfelt.pulled[organ] > 0.0):
-            unfelt.ticks[organ] += 1
+        if (
+            share == 0.0
+            and world.state.status.asleep
+            and (threshold.bent[organ] > 0.0 or threshold.pulled[organ] > 0.0)
+        ):
+            threshold.ticks[organ] += 1
 
 
 @kernel
-def loaded_fraction(bent: float, pulled: float, most: Any) -> float:
+def loaded_fraction(bent: float, pulled: float, most: Floats) -> float:
     """Return the fraction of loads that is felt; bent m, pulled N, most (2,) that may be lacking."""
     if most[0] <= 0.0:
         return 1.0
@@ -173,7 +178,7 @@ def loaded_fraction(bent: float, pulled: float, most: Any) -> float:
 
 
 @kernel
-def is_loaded_otherwise(world: Any) -> bool:
+def is_loaded_otherwise(world: World) -> bool:
     """Return whether a hand, a tool, another organ or its own weight keeps an organ awake."""
     state, settings = world.state, world.settings
     status = state.status

@@ -1,13 +1,11 @@
-"""Everything that a tick works on, as one argument that costs nothing to pass."""
+"""What a world does between ticks: reset, inputs, prescribed nodes."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
-from tissue_sim.array_types import Longs
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
-from tissue_sim.model.data.records import words_of
-from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.contact_set import ContactSet
+from tissue_sim.model.data.world import World
 from tissue_sim.model.elasticity.gravity import add_weight, is_out_of_balance
 from tissue_sim.model.regions.active_region import leave_region, show_region
 from tissue_sim.model.stepping.inputs import load_nodes, reset_state, take_contacts, take_force, take_pose
@@ -15,93 +13,63 @@ from tissue_sim.model.stepping.prescribed import free_nodes, prescribe_nodes
 from tissue_sim.model.stepping.rest_recovery import pace
 
 
-class World(NamedTuple):
-    """Arguments of the kernels; passed by reference (tissue_sim.handles.handle)."""
-
-    model: Any
-    state: Any
-    shapes: Any
-    settings: Settings
-    settings_words: Longs  # memory of the settings
-    scratch: Any
-
-
-def make_world(model: Any, state: Any, shapes: Any, settings: Settings, scratch: Any) -> World:
-    """Return everything that a tick works on.
-
-    Parameters
-    ----------
-    model : Any
-        Constants of the model.
-    state : Any
-        State of the simulation; updated.
-    shapes : Any
-        Shapes of the bodies.
-    settings : Settings
-        Settings of the simulation.
-    scratch : Any
-        Working memory; updated.
-    """
-    return World(model, state, shapes, settings, words_of(settings), scratch)
-
-
 @kernel
-def reset_world(world: Any) -> None:
+def reset_world(world: World) -> None:
     """Return to the rest shape, asleep, without tools; the counters go on.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
     """
     reset_state(world.model, world.state)
 
 
 @kernel
-def show_world(world: Any) -> None:
+def show_world(world: World) -> None:
     """Update the nodes outside a modal region.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
     """
     show_region(world.model, world.state, world.settings, world.scratch)
 
 
 @kernel
-def is_world_out_of_balance(world: Any) -> bool:
+def is_world_out_of_balance(world: World) -> bool:
     """Return whether a load that the rest shape doesn't balance acts on the organ.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
     """
     return is_out_of_balance(world.model, world.settings)
 
 
 @kernel
-def weigh_world(world: Any, force: Any) -> None:
+def weigh_world(world: World, force: Floats) -> None:
     """Add the nodes' weight.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
-    force : Any, shape (n, 3), N
+    force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
     add_weight(world.model, world.settings, force)
 
 
 @kernel
-def pace_of_world(world: Any) -> float:
+def pace_of_world(world: World) -> float:
     """Return how soon the organ is on its way after it was released.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
 
     Returns
@@ -113,34 +81,34 @@ def pace_of_world(world: Any) -> float:
 
 
 @kernel
-def load_world(world: Any, nodes: Any, forces: Any) -> None:
+def load_world(world: World, nodes: Longs, forces: Floats) -> None:
     """Add forces to nodes for the coming tick.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
-    nodes : Any, shape (k,)
+    nodes : Longs, shape (k,)
         Indices of the nodes.
-    forces : Any, shape (k, 3), N
+    forces : Floats, shape (k, 3), N
         Force on each.
     """
     load_nodes(world.state, nodes, forces)
 
 
 @kernel
-def prescribe_world(world: Any, nodes: Any, positions: Any, ticks: int) -> None:
+def prescribe_world(world: World, nodes: Longs, positions: Floats, ticks: int) -> None:
     """Move nodes to positions within some ticks, from the next one on, and hold them there.
 
     The whole organ moves from here on, from where the region and the rest of it are.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
-    nodes : Any, shape (k,)
+    nodes : Longs, shape (k,)
         Indices of the nodes.
-    positions : Any, shape (k, 3), m
+    positions : Floats, shape (k, 3), m
         Where each goes.
     ticks : int
         Number of ticks that this takes.
@@ -151,28 +119,28 @@ def prescribe_world(world: Any, nodes: Any, positions: Any, ticks: int) -> None:
 
 
 @kernel
-def free_world(world: Any) -> None:
+def free_world(world: World) -> None:
     """Release prescribed nodes.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
     """
     free_nodes(world.model, world.state)
 
 
 @kernel
-def pose_world(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> None:
+def pose_world(world: World, body: int, pose: Floats, stamp: int, sequence: int) -> None:
     """Apply a body's newest pose.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
     body : int
         Index of the body.
-    pose : Any, shape (7,), m and quaternion xyzw
+    pose : Floats, shape (7,), m and quaternion xyzw
         The pose.
     stamp : int, ns
         Its time; 0 where it has none.
@@ -183,16 +151,16 @@ def pose_world(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> N
 
 
 @kernel
-def push_world(world: Any, body: int, force: Any, sequence: int) -> None:
+def push_world(world: World, body: int, force: Floats, sequence: int) -> None:
     """Apply the newest external force at a body's tip.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
     body : int
         Index of the body.
-    force : Any, shape (3,), N
+    force : Floats, shape (3,), N
         The force.
     sequence : int
         Number of the force.
@@ -201,14 +169,14 @@ def push_world(world: Any, body: int, force: Any, sequence: int) -> None:
 
 
 @kernel
-def touch_world(world: Any, found: Any, sequence: int) -> None:
+def touch_world(world: World, found: ContactSet, sequence: int) -> None:
     """Apply a contact set.
 
     Parameters
     ----------
-    world : Any
+    world : World
         World of the organ; updated.
-    found : Any
+    found : ContactSet
         The contact set.
     sequence : int
         Number of the set.

@@ -58,12 +58,14 @@ def check_config(config: Mapping[str, Any]) -> None:
     _check(config["first"], "first.", dict.fromkeys(config["first"], _is_whole))
     parameters, of_tool = config["parameters"], {"shape": _is_name, "radius": _is_number, "length": _is_number}
     chosen: dict[str, Fits] = {"rate": _is_rate, "model": _is_name, "local_region": _is_name}
-    chosen |= {name: _is_name for name in ("return_target", "integrator") if name in parameters}
+    chosen |= {name: _is_name for name in ("integrator", "return_target") if name in parameters}
     for tool in config["tools"]:
         chosen |= {f"{tool}.{name}": fits for name, fits in {**of_tool, "mesh": _is_name}.items()}
         if f"{tool}.smoothing" in parameters:  # bags from before this parameter lack it
             chosen[f"{tool}.smoothing"] = _is_number
     _check(parameters, "parameters.", chosen)
+    if parameters.get("return_target", "rest") != "rest":
+        raise ValueError("its return springs follow the skeleton, which this version's don't do; record it again")
 
 
 def organs_of(config: Mapping[str, Any]) -> dict[str, Any]:

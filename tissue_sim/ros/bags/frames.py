@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
-from tissue_sim.model.contact.shapes import CAPSULE, SPHERE
+from tissue_sim.model.data.shapes import CAPSULE, SPHERE
 from tissue_sim.organ.meshes.mesh_formats import GLTF_TO_LPS
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.comparison import Shown

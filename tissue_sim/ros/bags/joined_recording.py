@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.array_types import Longs
+from tissue_sim.model.data.links import POINT, Links, make_links
 from tissue_sim.model.data.records import copy_of
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.runtime.joined_box import JoinedRow
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath
-from tissue_sim.model.stepping.ligament_links import POINT, Links, make_links
 from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, OrganContactSet, make_organ_contacts, organ_contact_set
 from tissue_sim.model.stepping.state_check import MOST
 from tissue_sim.ros.bags import bag

@@ -74,7 +74,6 @@ class OrganPlayer:
             rate=parameters["rate"],
             local_region=parameters["local_region"],
             shapes=tools.shapes,
-            return_target=parameters.get("return_target", "rest"),
             integrator=parameters.get("integrator", "symplectic"),
             shape_gravity=config["shape_gravity"],
         )

@@ -13,12 +13,12 @@ import numpy as np
 
 from tissue_sim.handles import handle, row
 from tissue_sim.model.data.records import copy_of, field_of
+from tissue_sim.model.data.world import make_world
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.runtime import loop as rt
 from tissue_sim.model.runtime import mailboxes as mb
 from tissue_sim.model.runtime.joined_box import make_joined_box
 from tissue_sim.model.stepping.organ_contact import OrganContactSet, used_words
-from tissue_sim.model.stepping.world import make_world
 from tissue_sim.ros.shared.pause_control import PauseControl
 from tissue_sim.ros.shared.priority import prefer
 

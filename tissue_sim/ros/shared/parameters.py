@@ -20,13 +20,14 @@ from tissue_sim.contact.quaternions import unit_quaternion
 from tissue_sim.contact.tools import SHAPE_NAMES, Tool
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS, Settings
-from tissue_sim.model.elasticity.assembly import MODEL_NAMES, RETURN_TARGETS
 from tissue_sim.model.simulation import acceleration_of
 from tissue_sim.ros.shared.appearance import MARKER_COLOURS
 from tissue_sim.ros.shared.frames import IDENTITY, Frames, Placed, Transform
 from tissue_sim.ros.shared.priority import HIGHEST
 from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, POSE_TYPES, WRENCH_FRAMES, WRENCH_TYPES, ToolTopics
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
+
+SERVED_MODELS = ("auto", "hybrid", "cells")
 
 
 @dataclass(frozen=True)
@@ -79,9 +80,8 @@ NODE_SPECS = (
     Spec("marker_rate", 60.0, "markers and surfaces published per second, Hz", 1.0, 240.0, live=True),
     Spec("marker_colour", "none", "quantity that the markers' colours show", live=True, choices=MARKER_COLOURS),
     Spec("contact_rate", 250.0, "contact sets found per second, Hz", 20.0, 1000.0, live=True),
-    Spec("model", "auto", "model variant; auto: cells if the organ has them, otherwise hybrid", choices=MODEL_NAMES),
+    Spec("model", "auto", "model variant; auto: cells if the organ has them, otherwise hybrid", choices=SERVED_MODELS),
     Spec("integrator", "symplectic", "time integration of the nodes", choices=INTEGRATORS),
-    Spec("return_target", "rest", "target of the return springs", choices=RETURN_TARGETS),
     Spec("local_region", "off", "part of the organ that moves under a small load", choices=LOCAL_REGIONS),
     Spec("region_force", 0.3, "N, load above which the whole organ moves", 0.0, 100.0, True, setting="region_force"),
     Spec("friction", 0.6, "Coulomb coefficient between tools and tissue", 0.0, 5.0, True, setting="friction"),

@@ -15,8 +15,8 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.gap import gap_and_normal
-from tissue_sim.model.contact.shapes import Shapes
 from tissue_sim.model.contact.tool_motion import set_frame
+from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State, make_state
 from tissue_sim.ros.node.output.organ_publisher import REPEAT_AFTER
 from tissue_sim.ros.shared.organs import Organs

@@ -103,7 +103,7 @@ class LoopReport:
             part = report.part(f"organ {title}", f"{name}." if name else "")
             _add_organ(part, one)
             if not joined.alone:
-                part.values["skipped.unfelt"] = int(joined.unfelt.ticks[number])
+                part.values["skipped.unfelt"] = int(joined.threshold.ticks[number])
         if len(results) > 1:
             _add_all(report, results)
         report.problems["dropped_ticks"] = timing.dropped

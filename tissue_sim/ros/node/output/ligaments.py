@@ -9,8 +9,8 @@ from geometry_msgs.msg import Point
 from visualization_msgs.msg import Marker
 
 from tissue_sim.array_types import Floats
+from tissue_sim.model.data.links import POINT
 from tissue_sim.model.joined import Joined
-from tissue_sim.model.stepping.ligament_links import POINT
 from tissue_sim.ros.node.output.markers import MarkerBytes, empty_marker
 from tissue_sim.ros.shared.appearance import LIGAMENT
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
-from tissue_sim.model.contact.shapes import Shapes
+from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
@@ -87,7 +87,6 @@ class ServedScene:
             "rate": values["rate"],
             "local_region": values["local_region"],
             "shapes": shapes,
-            "return_target": values["return_target"],
             "integrator": values["integrator"],
             "gravity": values["gravity"],
             "shape_gravity": [0.0, 0.0, 0.0] if values["shape_is_unloaded"] else None,

@@ -1,0 +1,204 @@
+"""Active contacts: the contact points that touch a tool in a substep, or nearly do, with the tool as it is there."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.culling import FAST, largest_tissue_speed
+from tissue_sim.model.contact.gap import INNER_SIDE, gap_and_normal, point_in_body
+from tissue_sim.model.data.records import Record, Vector
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.shapes import Shapes
+from tissue_sim.model.data.state import State
+from tissue_sim.model.data.world import World
+
+NEAR = 5e-5  # m: distance within which points may come to touch while others are resolved
+MOST_ACTIVE = 256  # contact points resolved in a substep
+RECOVERY_SPEED = 0.2  # m/s, largest speed at which a point that already lay inside a tool comes out
+
+
+class ActiveContact(Record):
+    """Contact point that touches a tool in a substep, or nearly does."""
+
+    entry: int  # its index in the contact set
+    body: int
+    node: Annotated[Longs, (3,)]
+    weight: Vector  # of its nodes
+    mobility: Vector  # 1/kg, the velocity that an impulse on the point gives each node
+    normal: Vector  # the tool's, outward
+    offset: float  # m, distance of the tool's surface along the normal from the tool's origin, less the forgiven depth
+    arm: Vector  # m, from the tool's origin to the point
+    tool_motion: Vector  # m, motion of the tool at the point in the substep, less the tool's origin
+    response: float  # m / (N s), of nodes and tool to an impulse
+    # Tissue between nodes yields to an impulse by its compliance, m / (N s); with it, the stiffness is the impulse that
+    # moves the point a metre, N s/m, or 0 where none does. Both along the tool's normal and across it.
+    compliance: float
+    stiffness: float
+    compliance_across: float
+    stiffness_across: float
+    pressed: float  # N s along the normal
+    held: Vector  # N s across it
+    yielded: Vector  # m, by which tissue between nodes had yielded across the normal when the substep began
+
+
+@kernel
+def gather_contacts(world: World, step: float, spread: bool) -> int:
+    """List the points that touch or nearly touch in scratch.active, with the impulses of the last substep.
+
+    The impulses of points that are not listed are forgotten. When more come close than the list holds, the first ones
+    are kept.
+
+    Parameters
+    ----------
+    world : World
+        Model, state, shapes, settings and working memory; updated.
+    step : float, s
+        The substep.
+    spread : bool
+        True when add_contact_impulses has already applied these impulses, whatever the tool's normal is now.
+
+    Returns
+    -------
+    int
+        Number of the points.
+    """
+    state, shapes, scratch = world.state, world.shapes, world.scratch
+    if scratch.watching[0] == 0:
+        return 0
+    softening = world.settings.stiffness_scale * step
+    found, tissue = 0, largest_tissue_speed(state)
+    for index in range(scratch.watching[0]):
+        entry = scratch.watched[index]
+        body = state.contacts.body[entry]
+        pressed = state.contact_pressed[0, entry]
+        if pressed == 0.0:
+            # The contact moves a compliant tool, too.
+            speed = tissue if scratch.give[body] == 0.0 else FAST
+            scratch.watched_gap[index] -= step * (scratch.watched_speed[index] + speed)
+            if scratch.watched_gap[index] >= NEAR:
+                continue
+        near = False
+        if state.bodies[body].engaged and found < len(scratch.active):
+            contact = scratch.active[found]
+            contact.entry, contact.body = entry, body
+            gap = place_tool(state, shapes, scratch, contact)
+            scratch.watched_gap[index] = gap
+            near = pressed > 0.0 or (gap < NEAR and is_outside(state, contact))
+        if not near:
+            state.contact_pressed[0, entry] = 0.0
+            state.contact_held[0, entry] = 0.0
+            continue
+        contact = scratch.active[found]
+        contact.response = take_nodes(state, scratch.mobility, contact) * step + scratch.give[body]
+        soften(state, contact, softening)
+        forgive_depth(state, scratch, contact, gap, step)
+        given = spread and pressed > 0.0
+        normal, last_held = contact.normal, state.contact_held[1 if given else 0, entry]
+        along = last_held[0] * normal[0] + last_held[1] * normal[1] + last_held[2] * normal[2]
+        for c in range(3):
+            contact.held[c] = last_held[c] - along * normal[c]
+        contact.pressed = along if given else pressed
+        note_yielding(state, contact)
+        found += 1
+    return found
+
+
+@kernel
+def soften(state: State, contact: ActiveContact, scale: float) -> None:
+    """Set the compliances and stiffnesses of an active contact; scale: stiffness scale times the step, s."""
+    compliance = state.contacts.compliance[contact.entry]
+    contact.compliance = compliance[0] / scale if scale > 0.0 else 0.0
+    contact.compliance_across = compliance[1] / scale if scale > 0.0 else 0.0
+    whole, across = contact.response + contact.compliance, contact.response + contact.compliance_across
+    contact.stiffness = 1.0 / whole if whole > 0.0 else 0.0
+    contact.stiffness_across = 1.0 / across if across > 0.0 else 0.0
+
+
+@kernel
+def note_yielding(state: State, contact: ActiveContact) -> None:
+    """Write by how much tissue between nodes has yielded across the normal; it follows from the impulse held there."""
+    held, soft, most = contact.held, contact.compliance_across, state.contacts.most_give[contact.entry]
+    size = soft * math.sqrt(held[0] * held[0] + held[1] * held[1] + held[2] * held[2])
+    back = soft if size <= most else soft * most / size
+    for c in range(3):
+        contact.yielded[c] = back * held[c]
+
+
+@kernel
+def take_nodes(state: State, mobility: Floats, contact: ActiveContact) -> float:
+    """Copy the nodes, weights and mobilities of a contact point side by side; return its own mobility, 1/kg."""
+    entry, mobile = contact.entry, 0.0
+    for c in range(3):
+        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
+        contact.node[c], contact.weight[c] = node, weight
+        contact.mobility[c] = weight * mobility[node]
+        mobile += weight * contact.mobility[c]
+    return mobile
+
+
+@kernel
+def place_tool(state: State, shapes: Shapes, scratch: Scratch, contact: ActiveContact) -> float:
+    """Write the tool's normal, offset, arm and motion at an active contact; return the gap, m."""
+    body = contact.body
+    x, y, z, lx, ly, lz = point_in_body(state, contact.entry, scratch.origin, scratch.rotation)
+    gap, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
+    origin, last, q = scratch.origin[body], scratch.last_origin[body], scratch.last_rotation[body]
+    normal, motion, arm = contact.normal, contact.tool_motion, contact.arm
+    normal[0], normal[1], normal[2] = nx, ny, nz
+    contact.offset = nx * (x - origin[0]) + ny * (y - origin[1]) + nz * (z - origin[2]) - gap
+    motion[0] = x - last[0] - (q[0] * lx + q[1] * ly + q[2] * lz) - origin[0]
+    motion[1] = y - last[1] - (q[3] * lx + q[4] * ly + q[5] * lz) - origin[1]
+    motion[2] = z - last[2] - (q[6] * lx + q[7] * ly + q[8] * lz) - origin[2]
+    arm[0], arm[1], arm[2] = x - origin[0], y - origin[1], z - origin[2]
+    return gap
+
+
+@kernel
+def forgive_depth(state: State, scratch: Scratch, contact: ActiveContact, gap: float, step: float) -> None:
+    """Let a contact point that lay inside its tool before this substep, s, come out gradually; gap m at its end.
+
+    Tissue can close around a released tool. Pushed out at once, a point would be faster the shorter the substep is. The
+    yielding of tissue under the last force is no such depth.
+    """
+    entry, normal, origin = contact.entry, contact.normal, scratch.origin[contact.body]
+    given = min(contact.compliance * state.contact_pressed[0, entry], state.contacts.most_give[entry])
+    approach = 0.0
+    for c in range(3):
+        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
+        for axis in range(3):
+            approach -= normal[axis] * weight * step * state.velocity[node, axis]
+    for axis in range(3):
+        approach += normal[axis] * (contact.tool_motion[axis] + origin[axis])
+    contact.offset -= max(0.0, -gap - approach - given - step * RECOVERY_SPEED)
+
+
+@kernel
+def is_outside(state: State, contact: ActiveContact) -> bool:
+    """Return whether the tool is on the tissue's outer side at an active contact, as in gap_from_outside."""
+    outward, normal = state.contacts.normal[contact.entry], contact.normal
+    facing = outward[0] * normal[0]
+    facing += outward[1] * normal[1]
+    facing += outward[2] * normal[2]
+    return facing < INNER_SIDE
+
+
+@kernel
+def whole_impulse(contact: ActiveContact) -> tuple[float, float, float]:
+    """Return the impulse on an active contact in this substep, N s."""
+    normal, pressed, held = contact.normal, contact.pressed, contact.held
+    return pressed * normal[0] + held[0], pressed * normal[1] + held[1], pressed * normal[2] + held[2]
+
+
+@kernel
+def place_again(state: State, shapes: Shapes, scratch: Scratch, contact: ActiveContact, step: float) -> None:
+    """Update the tool at an active contact's present place, and split its impulse into pressed and held anew."""
+    px, py, pz = whole_impulse(contact)
+    forgive_depth(state, scratch, contact, place_tool(state, shapes, scratch, contact), step)
+    normal, held = contact.normal, contact.held
+    pressed = max(0.0, px * normal[0] + py * normal[1] + pz * normal[2])
+    contact.pressed = pressed
+    held[0], held[1], held[2] = px - pressed * normal[0], py - pressed * normal[1], pz - pressed * normal[2]
+    note_yielding(state, contact)

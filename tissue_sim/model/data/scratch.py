@@ -1,0 +1,86 @@
+"""Working memory: what a tick would otherwise allocate."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from tissue_sim.array_types import Floats, Ints, Longs, Singles
+from tissue_sim.model.data.blocks import Blocks
+from tissue_sim.model.data.records import Record
+
+
+class Plan(Record):
+    """Plan of a tick."""
+
+    substeps: int
+    handled: bool  # a hand touches, pulls or leads nodes, not a link, another organ or the weight
+    forced: bool  # anything pulls or leads nodes
+    whole: bool  # the whole organ moves
+    regional: bool  # a region of cells moves
+    looking: bool  # its last substep is checked for oscillation
+    coarse: bool  # its steps are coarse, with the larger masses that they need
+
+
+class Scratch(NamedTuple):
+    """Working arrays of a tick; nothing in them outlives it except the region's lists."""
+
+    plan: Plan
+    force: Floats  # (n, 3) N
+    impulse: Floats  # (T, 6) N s on the tissue
+    mobility: Floats  # (n,) 1/kg
+    push: Floats  # (3n,) s/kg, and
+    shrink: Floats  # (3n,), of integrators.symplectic_euler_whole
+    mobility_key: Floats  # (5,) settings that they were computed for
+    coarse: Floats  # (n,) factors on the nodes' masses in coarse steps
+    velocity_before: Floats  # (n, 3) m/s, at the beginning of its last substep
+    origin: Floats  # (T, 3) m at the substep's end
+    rotation: Floats  # (T, 9)
+    last_origin: Floats  # (T, 3) at its beginning
+    last_rotation: Floats  # (T, 9)
+    held: Floats  # (T, 7) where it is held at the substep's end
+    goal: Floats  # (T, 7) where it would be then, if it may move there, and
+    before: Floats  # (T, 7) where it was
+    fraction: Floats  # (T,) of that way, which it may move
+    give: Floats  # (T,) m, yielding of a tool to an impulse of 1 N s
+    active: Any  # (N,) ActiveContact: contact points resolved in this substep
+    work: Floats  # (9 BLOCK,)
+    compressed: Any  # (S,) CompressedCell: cells resolved in this substep
+    compressing: Longs  # (1,) how many
+    watched: Longs  # (C,) contact points that may touch in this tick
+    watched_gap: Floats  # (C,) m, least distance from the tools
+    watched_speed: Floats  # (C,) m/s, at which it may shrink by the tool's motion
+    watching: Longs  # (1,) how many
+    wall: Longs  # (C,) contact points that are mostly held
+    walls: Longs  # (1,) how many
+    # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
+    fresh: Ints
+    was: Longs
+    region_node: Ints  # (n,)
+    moved_node: Ints  # (n,) those with mass
+    moved: Longs  # (1,) how many
+    boundary_node: Ints  # (n,)
+    edges: Blocks
+    links: Blocks
+    cells: Blocks
+    edge_slopes: Floats  # their rows of Model.reduction
+    link_slopes: Floats
+    cell_slopes: Floats
+    edge_mark: Longs
+    link_mark: Longs
+    cell_mark: Longs
+    node_mark: Longs
+    stamp: Longs  # (1,) value of the marks of valid lists
+    stale: Longs  # (1,) 1 when the region's lists have to be made again
+    # Of the modal region: m modes, r = 3 MOST_BOUNDARY rows, d = 3 MOST_DRIVE columns.
+    drive_node: Ints  # (n,) nodes of the region, then those at its edge
+    drive: Floats  # (n, 3) N
+    drive_rows: Singles  # (d, m) modes at the loads
+    edge_rows: Singles  # (d + m, r) effect of each load and each mode at the edge
+    edge_share: Singles  # (d + m,) amount of each
+    edge_move: Singles  # (r,) m
+    mode_sum: Singles  # (m,)
+    mode_rest: Floats  # (m,)
+    mode_move: Floats  # (m,)
+    propagator: Floats  # (5, m)
+    propagator_key: Floats  # (3,)
+    field: Floats  # (3n,) m
