@@ -8,11 +8,11 @@ import pytest
 from helpers.scenes import ball
 from tissue_sim.handles import handle
 from tissue_sim.model.contact.volume_limit import (
+    COMPRESSED_PASSES,
     HARDEST,
     LEAST,
     NEARLY,
     RECOVERY_RATE,
-    SQUEEZED_PASSES,
     enforce_volume_limit,
     find_compressed_cells,
     slopes_of,
@@ -49,12 +49,13 @@ class Pressed:
         self.before = swelling(self.model, self.x)
         self.x[node] += STEP * self.v[node]
         self.mobility = self.model.inverse_mass.copy()
+        self.scratch.mobility[:] = self.mobility
         self._held = [handle(one) for one in (self.simulation.state, self.scratch)]
-        self.found = find_compressed_cells(handle(self.model), self._held[0], self.mobility, self._held[1], STEP)
+        self.found = find_compressed_cells(handle(self.model), self._held[0], self._held[1], STEP)
 
     def hold(self):
         """One pass."""
-        return enforce_volume_limit(self._held[0], self.mobility, self._held[1], self.found, STEP)
+        return enforce_volume_limit(self._held[0], self._held[1], self.found, STEP)
 
 
 def volume_and_slopes(x, nodes, volume):
@@ -72,7 +73,7 @@ def naive_hold(pressed, passes):
     number = {frozenset(cell): (k, penalty) for k, (cell, penalty) in enumerate(zip(cells, penalties, strict=True))}
     volumes = np.abs(np.linalg.det(MODEL.rest[cells[:, 1:]] - MODEL.rest[cells[:, :1]])) / 6.0
     todo = []
-    for nodes in pressed.scratch.squeezed_node[: pressed.found]:
+    for nodes in pressed.scratch.compressed[: pressed.found].node:
         cell, penalty = number[frozenset(nodes)]
         before, slope = volume_and_slopes(x - STEP * v, nodes, volumes[cell])
         give = STEP * np.sum(mobility[nodes, None] * slope**2)
@@ -111,15 +112,15 @@ def test_the_volume_and_its_slopes_are_those_of_differences_where_the_cell_was()
 def test_cells_are_found_and_held_as_the_twin_has_them(share, speed):
     pressed = Pressed(share, speed)
     now = swelling(pressed.model, pressed.x)
-    listed = {frozenset(nodes) for nodes in pressed.scratch.squeezed_node[: pressed.found]}
+    listed = {frozenset(nodes) for nodes in pressed.scratch.compressed[: pressed.found].node}
     looked_at = (pressed.before < STIFF) & (now <= LEAST + NEARLY)
     assert listed >= {frozenset(cell) for cell in pressed.model.cells[looked_at]} != set()
     assert listed <= {frozenset(cell) for cell in pressed.model.cells[now <= LEAST + NEARLY]}
-    x, v, impulse = naive_hold(pressed, SQUEEZED_PASSES)
-    for _ in range(SQUEEZED_PASSES):
+    x, v, impulse = naive_hold(pressed, COMPRESSED_PASSES)
+    for _ in range(COMPRESSED_PASSES):
         pressed.hold()
     assert impulse.max() > 0.0
-    np.testing.assert_allclose(pressed.scratch.squeezed[: pressed.found, 3], impulse, rtol=1e-9)
+    np.testing.assert_allclose(pressed.scratch.compressed[: pressed.found].impulse, impulse, rtol=1e-9)
     np.testing.assert_allclose(pressed.x, x, atol=1e-12)
     np.testing.assert_allclose(pressed.v, v, atol=1e-9)
 
@@ -133,7 +134,7 @@ def test_a_node_that_would_turn_cells_inside_out_is_stopped_and_momentum_is_kept
     assert pressed.before.min() > LEAST
     assert swelling(MODEL, pressed.x).min() < 0.0
     assert pressed.found > 0
-    for _ in range(SQUEEZED_PASSES):
+    for _ in range(COMPRESSED_PASSES):
         pressed.hold()
     assert swelling(MODEL, pressed.x).min() > 0.5 * LEAST
     np.testing.assert_allclose(mass @ pressed.v, momentum, rtol=1e-9, atol=1e-12)
@@ -160,7 +161,7 @@ def test_a_load_that_presses_a_cell_flat_settles_with_what_holds_it():
     _, settled = simulation.settle(force, 1e-4, 4.0, 0.3)
     assert settled
     assert swelling(simulation.model, simulation.positions).min() == pytest.approx(LEAST, abs=1e-6)
-    assert simulation.scratch.squeezed[: simulation.scratch.squeezing[0], 3].max() > 0.0
+    assert simulation.scratch.compressed.impulse[: simulation.scratch.compressing[0]].max() > 0.0
     assert simulation.state.count.faults == 0
 
 

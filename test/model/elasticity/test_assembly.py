@@ -131,8 +131,6 @@ def test_cells_are_those_of_the_organ_and_the_only_thing_that_resists():
 def test_cells_are_refused_where_there_are_none_or_with_what_they_do_not_have():
     with pytest.raises(UserError, match=r"organ 'ball' has no cells; add them with tissue_sim calibrate"):
         assemble(ball(), "cells")
-    with pytest.raises(UserError, match="use return target rest"):
-        assemble(with_cells(ball()), "cells", "implied")
     with pytest.raises(UserError, match="frozen region supports springs only; use local region off, modal or auto"):
         Simulation(with_cells(ball()), model="cells", local_region="frozen")
 
