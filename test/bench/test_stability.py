@@ -12,7 +12,7 @@ from tissue_sim.bench import stability
 from tissue_sim.bench.organs import press_node
 from tissue_sim.bench.sweeps.cells import AXES, SMALL_ORGAN, Cell, axes_named, cells_of
 from tissue_sim.bench.sweeps.inversion_check import InversionCheck
-from tissue_sim.bench.sweeps.loads import PATCH_NODES, PROBE, Poke, far_node, patch_around, ten_points
+from tissue_sim.bench.sweeps.loads import PATCH_NODES, PROBE, Line, Poke, far_node, patch_around, ten_points
 from tissue_sim.bench.sweeps.trial import critical_step_of, organ_of, run_cell, simulation_of, with_mass_ratio
 from tissue_sim.cli import main
 from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS
@@ -83,7 +83,8 @@ def test_loads_act_where_they_say():
 def test_probe_goes_to_its_depth_and_away():
     organ = kidney()
     start, inward = np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, -1.0])
-    front = Poke(organ, start, inward, 0.02, 1e-3, hold=10, speed=0.15).path @ inward + PROBE.radius - start @ inward
+    path = Poke(organ, Line(start, inward, 0.02), 1e-3, hold=10, speed=0.15).path
+    front = path @ inward + PROBE.radius - start @ inward
     assert front.max() == pytest.approx(0.02)
     assert front[0] < 0.0
     assert front[-1] < -0.02

@@ -7,7 +7,7 @@ import pytest
 
 from helpers.blocks import box
 from helpers.scenes import ball
-from tissue_sim.calibration.dynamics import frequencies, lowest_frequencies, release, swing
+from tissue_sim.calibration.dynamics import Forces, Start, Steps, frequencies, lowest_frequencies, release, swing
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
 from tissue_sim.errors import UserError
@@ -47,7 +47,7 @@ def test_first_frequencies_of_a_beam(beam):
 @pytest.mark.parametrize("linear", [True, False])
 def test_energy_of_an_undamped_swing_is_kept(beam, linear):
     period = 1.0 / frequencies(beam, 1)[0]
-    motion = swing(beam, first_mode(beam), 0.75 * period, period / 40.0, 0.0, tip(beam), linear)
+    motion = swing(beam, Start(first_mode(beam)), Forces(0.0, linear), Steps(0.75 * period, period / 40.0), tip(beam))
     assert np.ptp(motion.displacement[:, 0, 1]) == pytest.approx(2e-3, rel=0.02)
     assert np.ptp(motion.energy) / motion.energy[0] < (1e-9 if linear else 1e-3)
 
@@ -56,20 +56,22 @@ def test_energy_of_an_undamped_swing_is_kept(beam, linear):
 def test_second_order_in_the_step(beam, linear, smoothed):
     """Where the tip is fastest; the linear one against the closed form."""
     period, rate = 1.0 / frequencies(beam, 1)[0], 0.2
-    start, steps = first_mode(beam), (12, 24, 48)
-    runs = [swing(beam, start, 0.75 * period, period / count, rate, tip(beam), linear, smoothed) for count in steps]
+    start, forces, end = first_mode(beam), Forces(rate, linear), tip(beam)
+    steps = [Steps(0.75 * period, period / count) for count in (12, 24, 48)]
+    runs = [swing(beam, Start(start, smoothed=smoothed), forces, some, end) for some in steps]
     ends = np.array([run.displacement[-1, 0, 1] for run in runs])
     order = np.log2(abs(ends[0] - ends[1]) / abs(ends[1] - ends[2]))
     assert order == pytest.approx(2.0, abs=0.3 if smoothed else 0.2)
     omega, half = 2.0 * np.pi / period, 0.5 * rate
     damped, time = np.sqrt(omega**2 - half**2), runs[-1].time[-1]
     wanted = np.exp(-half * time) * (np.cos(damped * time) + half / damped * np.sin(damped * time))
-    assert ends[-1] == pytest.approx(wanted * start[tip(beam)[0], 1], abs=0.01 * 1e-3)
+    assert ends[-1] == pytest.approx(wanted * start[end[0], 1], abs=0.01 * 1e-3)
 
 
 def test_swing_decays_with_half_the_damping_rate(beam):
     rate, period = 0.4, 1.0 / frequencies(beam, 1)[0]
-    motion = swing(beam, first_mode(beam), 3.2 * period, period / 50.0, rate, tip(beam), linear=True)
+    steps = Steps(3.2 * period, period / 50.0)
+    motion = swing(beam, Start(first_mode(beam)), Forces(rate, linear=True), steps, tip(beam))
     around = [slice(50 * k - 10, 50 * k + 10) for k in (1, 2, 3)]
     y = motion.displacement[:, 0, 1]
     peaks, times = np.array([y[k].max() for k in around]), np.array([motion.time[k][y[k].argmax()] for k in around])
@@ -83,7 +85,8 @@ def test_a_load_let_fall_swings_twice_as_far_as_it_holds(beam, linear):
     period = 1.0 / frequencies(beam, 1)[0]
     held = first_mode(beam)
     load = (beam.stiffness @ held.ravel()).reshape(held.shape)
-    motion = swing(beam, np.zeros_like(held), period, period / 40.0, 0.0, tip(beam), linear, load=load)
+    steps, forces = Steps(period, period / 40.0), Forces(0.0, linear, load)
+    motion = swing(beam, Start(np.zeros_like(held)), forces, steps, tip(beam))
     wanted = held[tip(beam)[0], 1] * (1.0 - np.cos(2.0 * np.pi * motion.time / period))
     np.testing.assert_allclose(motion.displacement[:, 0, 1], wanted, atol=0.03 * wanted.max())
 
@@ -92,7 +95,8 @@ def test_a_velocity_to_begin_with(beam):
     period = 1.0 / frequencies(beam, 1)[0]
     shape = first_mode(beam)
     omega, end = 2.0 * np.pi / period, tip(beam)
-    motion = swing(beam, 0.0 * shape, period, period / 40.0, 0.0, end, True, velocity=omega * shape)
+    start, steps = Start(0.0 * shape, omega * shape), Steps(period, period / 40.0)
+    motion = swing(beam, start, Forces(0.0, linear=True), steps, end)
     wanted = shape[end[0], 1] * np.sin(omega * motion.time)
     np.testing.assert_allclose(motion.displacement[:, 0, 1], wanted, atol=0.02 * wanted.max())
 
@@ -117,7 +121,7 @@ def test_organ_let_go_starts_where_it_settled_and_comes_to_rest():
     force = np.zeros((organ.n_surface, 3))
     top = int(np.argmax(organ.surface_positions[:, 2]))
     force[top] = [0.02, 0.0, -0.05]
-    motion = release(body, force, 0.6, 1.5e-2, 20.0, [top])
+    motion = release(body, force, Steps(0.6, 1.5e-2), 20.0, [top])
     assert motion.displacement.shape == (41, 1, 3)
     np.testing.assert_allclose(motion.displacement[0, 0], body.settle(force).displacement[top], atol=1e-9)
     size = np.linalg.norm(motion.displacement[:, 0], axis=1)
@@ -126,8 +130,8 @@ def test_organ_let_go_starts_where_it_settled_and_comes_to_rest():
     assert motion.energy[-1] < 3e-3 * motion.energy[0]
     assert np.all(np.diff(motion.energy) < 1e-6 * motion.energy[0])
     np.testing.assert_allclose(motion.time[[0, 1, -1]], [0.0, 1.5e-2, 0.6], atol=1e-12)
-    straight = release(body, 1e-3 * force, 0.02, 5e-3, 60.0, linear=True)
-    bent = release(body, 1e-3 * force, 0.02, 5e-3, 60.0)
+    straight = release(body, 1e-3 * force, Steps(0.02, 5e-3), 60.0, linear=True)
+    bent = release(body, 1e-3 * force, Steps(0.02, 5e-3), 60.0)
     assert straight.displacement.shape == (5, organ.n_surface, 3)
     off = np.linalg.norm(straight.displacement - bent.displacement) / np.linalg.norm(bent.displacement)
     assert off < 2e-3
@@ -144,7 +148,7 @@ def test_a_nearly_incompressible_solid_is_let_go_from_far(step):
     start[:, 0] = 0.2 * along
     start[:, 1:] = -0.1 * (solid.nodes[:, 1:] - 0.01) * np.minimum(1.0, along / 0.01)[:, None]
     start[:, 1] += 0.2 * along**2 / 0.04
-    motion = swing(solid, start, 2.0 * step, step, 40.0, np.arange(len(along)), smoothed=2)
+    motion = swing(solid, Start(start, smoothed=2), Forces(40.0), Steps(2.0 * step, step), np.arange(len(along)))
     assert np.all(np.diff(motion.energy) < 0.0)
     assert np.linalg.norm(motion.displacement[-1]) < np.linalg.norm(start)
 
@@ -166,4 +170,4 @@ def test_frequencies_go_with_the_root_of_the_stiffness():
 @pytest.mark.parametrize(("seconds", "step"), [(0.1, 0.0), (0.1, -1e-3), (1e-3, 1e-2), (float("nan"), 1e-3)])
 def test_motion_that_is_none_is_refused(beam, seconds, step):
     with pytest.raises(UserError, match="give a shorter step"):
-        swing(beam, first_mode(beam), seconds, step, 0.0, tip(beam))
+        swing(beam, Start(first_mode(beam)), Forces(0.0), Steps(seconds, step), tip(beam))

@@ -12,7 +12,7 @@ from tissue_sim.calibration.calibrate import CELL_BOUNDS
 from tissue_sim.calibration.cases import fit_cases, held_out_cases, principal
 from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.evaluation import errors
-from tissue_sim.calibration.fit import BOUNDS, Misfit, fit
+from tissue_sim.calibration.fit import BOUNDS, Misfit, Penalties, fit
 from tissue_sim.calibration.stiffness import Settings, first_stiffness, prepared
 from tissue_sim.model.elasticity.assembly import assemble
 
@@ -112,7 +112,7 @@ def test_a_known_model_is_recovered_in_what_it_does():
     misfit = Misfit(SPRINGS, force, linear_answers(TRUTH, force))
     wanted = linear_answers(TRUTH, judged)
     before = errors(linear_answers(START, judged), wanted).mean()
-    found = fit(misfit, START, 90, shrink=1e-7, soften=0.0)
+    found = fit(misfit, START, 90, penalties=Penalties(shrink=1e-7, soften=0.0))
     after = errors(linear_answers(found, judged), wanted).mean()
     assert before > 0.08
     assert after < 0.1 * before
@@ -130,7 +130,7 @@ def test_the_same_fit_gives_the_same_bits_and_stays_within_its_bounds():
 def test_softening_lowers_the_trace():
     force = fit_cases(ORGAN, 20, 0)
     misfit = Misfit(SPRINGS, force, linear_answers(TRUTH, force))
-    hard, soft = (fit(misfit, START, 25, soften=soften) for soften in (0.0, 0.01))
+    hard, soft = (fit(misfit, START, 25, penalties=Penalties(soften=soften)) for soften in (0.0, 0.01))
     assert SPRINGS.trace() @ soft < 0.95 * (SPRINGS.trace() @ hard)
 
 

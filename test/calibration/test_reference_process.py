@@ -12,7 +12,7 @@ from helpers.scenes import ball
 from tissue_sim.calibration import reference_process as background
 from tissue_sim.calibration.cases import held_out_cases
 from tissue_sim.calibration.checkpoint import Checkpoint
-from tissue_sim.calibration.dynamics import lowest_frequencies, release
+from tissue_sim.calibration.dynamics import Steps, lowest_frequencies, release
 from tissue_sim.calibration.evaluation import RELEASE_STEP, RELEASE_TIME
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.inertia import MODES
@@ -50,7 +50,7 @@ def test_answers_are_those_of_the_body_and_are_kept(tmp_path):
     np.testing.assert_allclose(found.displacement, [one.displacement for one in settled], atol=1e-9)
     np.testing.assert_allclose(found.volume, [one.volume_change for one in settled], atol=1e-9)
     np.testing.assert_array_equal(found.converged, 1.0)
-    wanted = release(body, cases.force[0], RELEASE_TIME, RELEASE_STEP, RATE, [5])
+    wanted = release(body, cases.force[0], Steps(RELEASE_TIME, RELEASE_STEP), RATE, [5])
     np.testing.assert_allclose(motion["displacement"], wanted.displacement[:, 0], atol=1e-9)
     again = reference_of(replace(organ, poisson_ratio=0.5), tmp_path, cases)  # which would fail
     np.testing.assert_array_equal(again.answer(body, lambda: None).displacement, found.displacement)

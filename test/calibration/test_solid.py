@@ -9,7 +9,7 @@ from skfem.helpers import ddot, eye, sym_grad, trace
 
 from helpers.blocks import box, faces, pressed
 from tissue_sim.calibration.fe_mesh import quadratic
-from tissue_sim.calibration.solid import Solid, shape_functions
+from tissue_sim.calibration.solid import Material, Solid, shape_functions
 
 E, NU = 10e3, 0.3
 
@@ -23,13 +23,13 @@ def test_stiffness_is_that_of_skfem():
     """The same matrix from skfem's own forms, which share nothing with the kernel."""
     mesh = skfem.MeshTet.init_tensor(*[np.linspace(0.0, 1.0, 3)] * 3)
     nodes, elements = quadratic(mesh)
-    solid = Solid(nodes, elements, np.zeros(nodes.shape, dtype=bool), E, NU, 1000.0)
+    solid = Solid(nodes, elements, np.zeros(nodes.shape, dtype=bool), Material(E, NU, 1000.0))
     basis = skfem.CellBasis(mesh, skfem.ElementVector(skfem.ElementTetP2()), intorder=2)
 
     @skfem.BilinearForm
     def elasticity(u, v, _):
         strain = sym_grad(u)
-        stress = 2.0 * solid.mu * strain + solid.lam * eye(trace(strain), 3)
+        stress = 2.0 * solid.moduli.mu * strain + solid.moduli.lam * eye(trace(strain), 3)
         return ddot(stress, sym_grad(v))
 
     order = np.empty((len(nodes), 3), dtype=int)  # where skfem keeps each axis of each node
@@ -80,7 +80,9 @@ def test_manufactured_solution_converges_with_the_third_order():
             for j in range(3):
                 k = 3 - i - j
                 second[..., i, j] = -(np.pi**2) * bulk if i == j else np.pi**2 * c[..., i] * c[..., j] * s[..., k]
-        force = 3.0 * np.pi**2 * solid.mu * bulk[..., None] * a - (solid.lam + solid.mu) * second @ a
+        force = (
+            3.0 * np.pi**2 * solid.moduli.mu * bulk[..., None] * a - (solid.moduli.lam + solid.moduli.mu) * second @ a
+        )
         parts = np.einsum("eq,qa,eqx->eax", det * weights, values, force)
         load = np.zeros_like(solid.nodes)
         np.add.at(load, solid.elements, parts)
@@ -122,9 +124,9 @@ def test_bar_in_tension_neo_hookean(traction):
 
     def stresses(stretch):
         along, across = stretch
-        volume = solid.lam * np.log(along * across**2)
-        pull = solid.mu * (along - 1.0 / along) + volume / along - traction
-        return pull, solid.mu * (across - 1.0 / across) + volume / across
+        volume = solid.moduli.lam * np.log(along * across**2)
+        pull = solid.moduli.mu * (along - 1.0 / along) + volume / along - traction
+        return pull, solid.moduli.mu * (across - 1.0 / across) + volume / across
 
     along, across = fsolve(stresses, [1.0 + traction / E / 2.0, 1.0], xtol=1e-13)
     assert settled.converged

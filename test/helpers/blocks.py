@@ -6,7 +6,7 @@ import numpy as np
 import skfem
 
 from tissue_sim.calibration.fe_mesh import quadratic
-from tissue_sim.calibration.solid import Solid
+from tissue_sim.calibration.solid import Material, Solid
 
 
 def box(
@@ -25,7 +25,8 @@ def box(
     inner = np.setdiff1d(np.arange(points.shape[1]), mesh.boundary_nodes())
     points[:, inner] += bend * np.random.default_rng(3).uniform(-1.0, 1.0, (3, len(inner)))
     nodes, elements = quadratic(skfem.MeshTet(points, mesh.t))
-    return Solid(nodes, elements, np.zeros(nodes.shape, dtype=bool), youngs_modulus, poisson_ratio, density, stiffness)
+    material = Material(youngs_modulus, poisson_ratio, density)
+    return Solid(nodes, elements, np.zeros(nodes.shape, dtype=bool), material, stiffness)
 
 
 def faces(solid: Solid, axis: int, value: float) -> np.ndarray:

@@ -18,7 +18,7 @@ from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.bench.timing import in_one_thread
-from tissue_sim.calibration.dynamics import swing
+from tissue_sim.calibration.dynamics import Forces, Start, Steps, swing
 from tissue_sim.calibration.fem import Body
 from tissue_sim.contact.attachments import Breathing
 from tissue_sim.contact.scene import Scene
@@ -80,21 +80,12 @@ def _breathed(organ: Organ, body: Body, rate: float, name: str, way: Floats) -> 
     def weight(time: float) -> Floats:
         return body.loads(np.zeros((organ.n_surface, 3)), -WAY * inhaled_fraction(time, period)[2] * way)
 
-    rest, damping = np.zeros_like(body.solid.nodes), float(simulation.model.damping_rate)
+    rest = Start(np.zeros_like(body.solid.nodes))
+    forces = Forces(float(simulation.model.damping_rate), linear=True, load=weight)
     ticks = round(period * simulation.rate / LOOKS)
     step = ticks / simulation.rate / STEPS
     with progress.task(f"{rate:g} a minute, {name}", STEPS * LOOKS) as under_way:
-        elements = swing(
-            body.solid,
-            rest,
-            LOOKS * STEPS * step,
-            step,
-            damping,
-            surface,
-            linear=True,
-            watch=under_way.advance,
-            load=weight,
-        )
+        elements = swing(body.solid, rest, forces, Steps(LOOKS * STEPS * step, step), surface, under_way.advance)
     bent = off = most_off = 0.0
     for look in range(STEPS, len(elements.time), STEPS):
         for _ in range(ticks):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import kron
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.cholesky import Cholesky, NotPositive
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.solid import Solid
@@ -29,6 +29,33 @@ class Unsteady(UserError):
     """Error raised for a time step that doesn't converge."""
 
 
+class Start(NamedTuple):
+    """State from which a solid moves.
+
+    Frequencies far above the inverse of a time step keep neither their period nor their damping: where a start excites
+    them, as a load that vanishes suddenly does, the first `smoothed` steps damp them.
+    """
+
+    displacement: Floats  # (n, 3) m
+    velocity: Floats | None = None  # (n, 3) m/s; None for rest
+    smoothed: int = 0
+
+
+class Forces(NamedTuple):
+    """Forces on a solid that moves."""
+
+    damping_rate: float  # 1/s, damping over mass
+    linear: bool = False  # whether elasticity is
+    load: Floats | Callable[[float], Floats] | None = None  # (n, 3) N, or a function of the time, s, that returns them
+
+
+class Steps(NamedTuple):
+    """Time steps of a motion."""
+
+    seconds: float  # of all of them
+    length: float  # s, of one
+
+
 class Motion(NamedTuple):
     """Motion at t instants; the first is the start."""
 
@@ -40,12 +67,10 @@ class Motion(NamedTuple):
 def release(
     body: Body,
     force: ArrayLike,
-    seconds: float,
-    step: float,
+    steps: Steps,
     damping_rate: float,
     nodes: ArrayLike | None = None,
     linear: bool = False,
-    watch: Callable[[], None] | None = None,
 ) -> Motion:
     """Settle the body under surface forces, release it, and follow surface nodes.
 
@@ -58,18 +83,14 @@ def release(
         The finite-element body.
     force : ArrayLike, shape (n_surface, 3), N
         Forces on the surface nodes.
-    seconds : float, s
-        Duration.
-    step : float, s
-        Time step.
+    steps : Steps
+        The time steps.
     damping_rate : float, 1/s
         Damping over mass.
     nodes : ArrayLike | None, shape (k,), optional
         Surface nodes that are followed; None for all.
     linear : bool, optional
         Whether elasticity is linear.
-    watch : Callable[[], None] | None, optional
-        Called after every step.
 
     Returns
     -------
@@ -90,56 +111,40 @@ def release(
             raise UserError("the finite-element body does not converge under this load; reduce it")
         start = rest.displacement
     chosen = np.arange(body.organ.n_surface) if nodes is None else np.asarray(nodes)
-    return swing(solid, start, seconds, step, damping_rate, chosen, linear, SMOOTHED, watch)
+    return swing(solid, Start(start, smoothed=SMOOTHED), Forces(damping_rate, linear), steps, chosen)
 
 
 def swing(
     solid: Solid,
-    start: Floats,
-    seconds: float,
-    step: float,
-    damping_rate: float,
-    nodes: NDArray[Any],
-    linear: bool = False,
-    smoothed: int = 0,
+    start: Start,
+    forces: Forces,
+    steps: Steps,
+    nodes: Longs,
     watch: Callable[[], None] | None = None,
-    velocity: Floats | None = None,
-    load: Floats | Callable[[float], Floats] | None = None,
 ) -> Motion:
-    """Return the motion of a solid from displacements.
+    """Return the motion of a solid.
 
     Implicit midpoint rule: second order, symplectic, and for the linear solid it keeps the energy exactly. With d the
     displacement over half a step, (4/h^2 + 2c/h) M d + f(u + d) = (2/h) M v + p, where p is the load and c the damping
     rate.
 
-    Frequencies far above 1/h keep neither their period nor their damping: where the start excites them, as a load that
-    vanishes suddenly does, the first `smoothed` steps are two half steps of implicit Euler each, which have the same
-    matrix and damp them; the order is unchanged. The energy doesn't include that of the load.
+    The smoothed steps are two half steps of implicit Euler each, which have the same matrix and damp high frequencies;
+    the order is unchanged. The energy doesn't include that of the load.
 
     Parameters
     ----------
     solid : Solid
         The solid.
-    start : Floats, shape (n, 3), m
-        Displacements at the start.
-    seconds : float, s
-        Duration.
-    step : float, s
-        Time step.
-    damping_rate : float, 1/s
-        Damping over mass.
-    nodes : NDArray[Any], shape (k,)
+    start : Start
+        State at the start.
+    forces : Forces
+        What acts on it.
+    steps : Steps
+        The time steps.
+    nodes : Longs, shape (k,)
         Nodes that are followed.
-    linear : bool, optional
-        Whether elasticity is linear.
-    smoothed : int, optional
-        Number of steps that damp high frequencies.
     watch : Callable[[], None] | None, optional
         Called after every step.
-    velocity : Floats | None, shape (n, 3), m/s, optional
-        Velocities at the start; None for rest.
-    load : Floats | Callable[[float], Floats] | None, shape (n, 3), N, optional
-        Dead forces, or a function of the time, s, that returns them; None for none.
 
     Returns
     -------
@@ -155,18 +160,20 @@ def swing(
     ----------
     Rannacher 1984: Finite element solution of diffusion problems with irregular data.
     """
+    damping_rate, linear, load = forces
+    seconds, step = steps
     if not (math.isfinite(step) and step > 0.0 and math.isfinite(seconds) and seconds >= step):
         raise UserError(f"a motion of {seconds:g} s can't have steps of {step:g} s; give a shorter step")
     count = round(seconds / step)
     shift = 4.0 / step**2 + 2.0 * damping_rate / step
     factor = solid.factor(np.zeros_like(solid.nodes), shift)
-    moved = np.where(solid.held, 0.0, start)
-    velocity = np.zeros_like(start) if velocity is None else np.where(solid.held, 0.0, velocity)
-    pull = np.zeros_like(start) if load is None or callable(load) else load
-    half = np.zeros_like(start)
+    moved = np.where(solid.held, 0.0, start.displacement)
+    velocity = np.zeros_like(moved) if start.velocity is None else np.where(solid.held, 0.0, start.velocity)
+    pull = np.zeros_like(moved) if load is None or callable(load) else load
+    half = np.zeros_like(moved)
     history, energies = [moved[nodes]], [_energy(solid, moved, velocity, linear)]
     for number in range(count):
-        for part in range(2 if number < smoothed else 1):
+        for part in range(2 if number < start.smoothed else 1):
             if callable(load):  # at the end of a half step of Euler's, which is the middle of a whole one
                 pull = load(step * (number + 0.5 * (part + 1)))
             push = (2.0 / step) * (solid.mass @ velocity) + pull
@@ -181,7 +188,7 @@ def swing(
                     half, used = _half_step(solid, moved, push, shift, factor, np.zeros_like(half))
                 if used > WORN:
                     factor = _about(solid, moved, shift, factor)
-            if number < smoothed:
+            if number < start.smoothed:
                 moved, velocity = moved + half, (2.0 / step) * half
             else:
                 moved, velocity = moved + 2.0 * half, (4.0 / step) * half - velocity

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array, csr_array
 
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.fe_mesh import FeMesh, Grading, coordinates, fill, libraries
-from tissue_sim.calibration.solid import Solid
+from tissue_sim.calibration.solid import Material, Solid
 from tissue_sim.errors import UserError
 from tissue_sim.organ.inclusions import inclusions_of, stiffness_at
 from tissue_sim.organ.organ import Organ, signed_volume
@@ -57,10 +57,10 @@ class Body:
         self.filling = fill(organ, near, grading)
         held = np.zeros((len(self.filling.nodes), 3), dtype=bool)
         held[self.filling.facets[self.filling.clamped].ravel()] = True
-        tissue = organ.youngs_modulus, organ.poisson_ratio, organ.density
+        material = Material(organ.youngs_modulus, organ.poisson_ratio, organ.density)
         inclusions = inclusions_of(organ)
         stiffness = partial(stiffness_at, inclusions) if inclusions else None
-        self.solid = Solid(self.filling.nodes, self.filling.elements, held, *tissue, stiffness)
+        self.solid = Solid(self.filling.nodes, self.filling.elements, held, material, stiffness)
         self.load_matrix = load_matrix(organ, self.filling)  # (n, n_surface) nodal loads per surface force
 
     @property

@@ -17,8 +17,6 @@ from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.factor import Factor
 
 BOUNDS = (-6.0, 3.0)  # of the logarithm of stiffness over that at the start
-SHRINK = 3e-4  # weight of the mean square of those logarithms: what the cases don't determine stays as it was
-SOFTEN = 1e-3  # weight of the trace of the stiffness matrix over that at the start, which bounds the largest frequency
 UNTOLD = 1e-4  # fraction of the squared displacements of the linear cases: a tenth of the model's error
 MEMORY = 20  # steps that L-BFGS remembers
 PROBES = 8  # draws that the misfit's curvature is estimated from
@@ -26,6 +24,21 @@ EVEN = 0.1  # of the median curvature, added to each, so that stiffness of littl
 # The curvature's power by which each logarithm is scaled. At 1/2, which makes all curvatures equal, a hundred
 # evaluations end higher on every organ that was tried: far from the fit, the largest curvature isn't the largest gain.
 EVENED = 0.35
+
+
+class Penalties(NamedTuple):
+    """Weights of a fit's penalties.
+
+    shrink: on the mean square of the logarithms of stiffness over that at the start, so that what the cases don't
+    determine stays as it was; soften: on the trace of the stiffness matrix over that at the start, which bounds the
+    largest frequency.
+    """
+
+    shrink: float = 3e-4
+    soften: float = 1e-3
+
+
+PENALTIES = Penalties()
 
 
 class Evaluation(NamedTuple):
@@ -112,8 +125,7 @@ def fit(
     start: Floats,
     iterations: int,
     watch: Callable[[int, Floats], None] | None = None,
-    shrink: float = SHRINK,
-    soften: float = SOFTEN,
+    penalties: Penalties = PENALTIES,
     bounds: tuple[float, float] = BOUNDS,
 ) -> Floats:
     """Return the stiffness of least misfit, by L-BFGS on its logarithms.
@@ -131,10 +143,8 @@ def fit(
         Largest number of evaluations.
     watch : Callable[[int, Floats], None] | None, optional
         Called with the number of every evaluation and the errors (c,) found.
-    shrink : float, optional
-        Weight of the mean square of the logarithms.
-    soften : float, optional
-        Weight of the trace of the stiffness matrix relative to the start.
+    penalties : Penalties, optional
+        Weights of the penalties.
     bounds : tuple[float, float], optional
         Of the logarithm of stiffness relative to the start.
 
@@ -143,6 +153,7 @@ def fit(
     Floats, shape (p,)
         Stiffness.
     """
+    shrink, soften = penalties
     trace = misfit.elastic.trace()
     total = float(trace @ start)
     curvature = misfit.curvature(start) + 2.0 * shrink / len(start)

@@ -7,6 +7,7 @@ Analysis, 2nd ed. 2008, equation 6.27), whose tangent at rest is linear elastici
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,22 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel, part
 
 NODES = 10  # of a quadratic tetrahedron
+
+
+class Elements(NamedTuple):
+    """Quadratic tetrahedra at the points of a quadrature."""
+
+    nodes: Ints  # (e, 10) indices
+    slopes: Floats  # (q, 10, 3) gradients of the shape functions on the reference element
+    inverse: Floats  # (e, q, 3, 3) 1/m, of the Jacobian
+    weight: Floats  # (e, q) m^3
+
+
+class Moduli(NamedTuple):
+    """Shear modulus and Lame's first constant."""
+
+    mu: float  # Pa
+    lam: float  # Pa
 
 
 @part
@@ -42,16 +59,7 @@ def _deformation(gradients: Floats, moved: Floats, nodes: Ints, f: Floats, back:
 
 
 @kernel
-def energy_and_forces(
-    moved: Floats,
-    elements: Ints,
-    slopes: Floats,
-    inverse: Floats,
-    weight: Floats,
-    mu: float,
-    lam: float,
-    forces: Floats,
-) -> tuple[float, float]:
+def energy_and_forces(moved: Floats, elements: Elements, moduli: Moduli, forces: Floats) -> tuple[float, float]:
     """Compute the elastic energy and its gradient.
 
     Where an element is inverted (det F <= 0) the energy is infinite and `forces` is not complete.
@@ -60,18 +68,10 @@ def energy_and_forces(
     ----------
     moved : Floats, shape (n, 3), m
         Displacements.
-    elements : Ints, shape (e, 10)
-        Node indices.
-    slopes : Floats, shape (q, 10, 3)
-        Gradients of the shape functions on the reference element.
-    inverse : Floats, shape (e, q, 3, 3), 1/m
-        Inverse of the Jacobian.
-    weight : Floats, shape (e, q), m^3
-        Weights of the quadrature.
-    mu : float, Pa
-        Shear modulus.
-    lam : float, Pa
-        Lame's first constant.
+    elements : Elements
+        The elements.
+    moduli : Moduli
+        The material.
     forces : Floats, shape (n, 3), N
         Receives the gradient.
 
@@ -80,12 +80,14 @@ def energy_and_forces(
     tuple[float, float]
         Energy, J, and the least det F.
     """
+    all_nodes, slopes, inverse, weight = elements
+    mu, lam = moduli
     f, back, gradients = np.empty((3, 3)), np.empty((3, 3)), np.empty((NODES, 3))
     stress = np.empty((3, 3))
     forces[:] = 0.0
     energy, least = 0.0, math.inf
-    for e in range(len(elements)):
-        nodes = elements[e]
+    for e in range(len(all_nodes)):
+        nodes = all_nodes[e]
         for q in range(len(slopes)):
             _gradients(slopes[q], inverse[e, q], gradients)
             det = _deformation(gradients, moved, nodes, f, back)
@@ -108,46 +110,30 @@ def energy_and_forces(
 
 
 @kernel
-def tangent(
-    moved: Floats,
-    elements: Ints,
-    slopes: Floats,
-    inverse: Floats,
-    weight: Floats,
-    mu: float,
-    lam: float,
-    slots: Ints,
-    blocks: Floats,
-) -> None:
+def tangent(moved: Floats, elements: Elements, moduli: Moduli, slots: Ints, blocks: Floats) -> None:
     """Compute the second derivative of the energy.
 
     Parameters
     ----------
     moved : Floats, shape (n, 3), m
         Displacements.
-    elements : Ints, shape (e, 10)
-        Node indices.
-    slopes : Floats, shape (q, 10, 3)
-        Gradients of the shape functions on the reference element.
-    inverse : Floats, shape (e, q, 3, 3), 1/m
-        Inverse of the Jacobian.
-    weight : Floats, shape (e, q), m^3
-        Weights of the quadrature.
-    mu : float, Pa
-        Shear modulus.
-    lam : float, Pa
-        Lame's first constant.
+    elements : Elements
+        The elements.
+    moduli : Moduli
+        The material.
     slots : Ints, shape (e, 10, 10)
         Block of each pair of nodes.
     blocks : Floats, shape (b, 3, 3), N/m
         Receives the sum.
     """
+    all_nodes, slopes, inverse, weight = elements
+    mu, lam = moduli
     f, back, gradients = np.empty((3, 3)), np.empty((3, 3)), np.empty((NODES, 3))
     pushed = np.empty((NODES, 3))
     local = np.empty((NODES, NODES, 3, 3))
     blocks[:] = 0.0
-    for e in range(len(elements)):
-        nodes = elements[e]
+    for e in range(len(all_nodes)):
+        nodes = all_nodes[e]
         local[:] = 0.0
         for q in range(len(slopes)):
             _gradients(slopes[q], inverse[e, q], gradients)

@@ -15,7 +15,7 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import Cases
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
-from tissue_sim.calibration.dynamics import lowest_frequencies, release
+from tissue_sim.calibration.dynamics import Steps, lowest_frequencies, release
 from tissue_sim.calibration.evaluation import RELEASE_STEP, RELEASE_TIME, Answer
 from tissue_sim.calibration.fem import Body, Settled
 from tissue_sim.calibration.inertia import MODES
@@ -215,7 +215,7 @@ class _Bodies:
 
     def release(self, force: Floats, node: int, rate: float) -> Arrays:
         """Return the motion of a node after the release from equilibrium under forces (n_surface, 3) N."""
-        motion = release(self._made(), force, RELEASE_TIME, RELEASE_STEP, rate, [node])
+        motion = release(self._made(), force, Steps(RELEASE_TIME, RELEASE_STEP), rate, [node])
         return {"time": motion.time, "displacement": motion.displacement[:, 0]}
 
     def _made(self) -> Body:

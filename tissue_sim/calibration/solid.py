@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from scipy.sparse import bsr_array, csr_array
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.calibration.cholesky import Cholesky, Front, NotPositive, Pieces, add_elements, dissect
 from tissue_sim.calibration.fe_mesh import libraries
-from tissue_sim.calibration.neo_hookean import NODES, energy_and_forces, tangent
+from tissue_sim.calibration.neo_hookean import NODES, Elements, Moduli, energy_and_forces, tangent
 
 QUADRATURE = 2  # order: four points, exact for the products of strains of straight quadratic elements
 MASS_QUADRATURE = 7  # elements at quarter points included
@@ -31,6 +31,20 @@ MOST_TOGETHER = 16  # loads that settle together
 MEMORY = 5e8  # bytes of their matrices
 FORCING = 0.1  # of a residual, to which a step that follows is solved
 ROOM = 1e-4  # least decrease of energy of a step, relative to that of its slope (Armijo)
+
+
+class Material(NamedTuple):
+    """Material of a body."""
+
+    youngs_modulus: float  # Pa
+    poisson_ratio: float
+    density: float  # kg/m^3
+
+    @property
+    def moduli(self) -> Moduli:
+        """Its shear modulus and Lame's first constant."""
+        modulus, ratio = self.youngs_modulus, self.poisson_ratio
+        return Moduli(modulus / (2.0 * (1.0 + ratio)), modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio)))
 
 
 class Equilibrium(NamedTuple):
@@ -81,12 +95,8 @@ class Solid:
         Node indices as in FeMesh.
     held : NDArray[np.bool_], shape (n, 3)
         Axes that don't move.
-    youngs_modulus : float, Pa
-        Young's modulus.
-    poisson_ratio : float
-        Poisson's ratio.
-    density : float, kg/m^3
-        Density.
+    material : Material
+        The material.
     stiffness : Callable[[Floats], Floats] | None, optional
         Returns the factor of the moduli at quadrature points (e, q, 3) m; None for 1 everywhere.
     """
@@ -96,22 +106,18 @@ class Solid:
         nodes: Floats,
         elements: Ints,
         held: NDArray[np.bool_],
-        youngs_modulus: float,
-        poisson_ratio: float,
-        density: float,
+        material: Material,
         stiffness: Callable[[Floats], Floats] | None = None,
     ) -> None:
-        self.nodes, self.elements, self.held, self.density = nodes, elements, held, density
+        self.nodes, self.elements, self.held, self.density = nodes, elements, held, material.density
         self.ties: Floats | None = None  # (n,) N/m: springs that pull the nodes' displacements to 0
-        self.mu = youngs_modulus / (2.0 * (1.0 + poisson_ratio))
-        self.lam = youngs_modulus * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
+        self.moduli = material.moduli
         values, slopes, weights = shape_functions(QUADRATURE)
         jacobian = np.einsum("eax,qar->eqxr", nodes[elements], slopes)
-        self._slopes = slopes
-        self._inverse = np.ascontiguousarray(np.linalg.inv(jacobian))
-        self._weight = np.abs(np.linalg.det(jacobian)) * weights
+        weight = np.abs(np.linalg.det(jacobian)) * weights
         if stiffness is not None:  # energy goes with both moduli
-            self._weight *= stiffness(np.einsum("eax,qa->eqx", nodes[elements], values))
+            weight *= stiffness(np.einsum("eax,qa->eqx", nodes[elements], values))
+        self._at_points = Elements(elements, slopes, np.ascontiguousarray(np.linalg.inv(jacobian)), weight)
         n = len(self.nodes)
         keys = self.elements[:, :, None].astype(np.int64) * n + self.elements[:, None, :]
         pairs, slots = np.unique(keys, return_inverse=True)
@@ -134,7 +140,7 @@ class Solid:
             shape (3n, 3n), N/m
         """
         blocks = np.empty((len(self._columns), 3, 3))
-        tangent(displacement, *self._fixed_arguments(), self._slots, blocks)
+        tangent(displacement, self._at_points, self.moduli, self._slots, blocks)
         n = len(self.nodes)
         return bsr_array((blocks, self._columns, self._row_start), shape=(3 * n, 3 * n))
 
@@ -147,14 +153,11 @@ class Solid:
             The displacement.
         """
         forces = np.empty_like(self.nodes)
-        energy, least = energy_and_forces(displacement, *self._fixed_arguments(), forces)
+        energy, least = energy_and_forces(displacement, self._at_points, self.moduli, forces)
         if self.ties is not None:
             pull = self.ties[:, None] * displacement
             return energy + 0.5 * float(np.vdot(pull, displacement)), forces + pull, least
         return energy, forces, least
-
-    def _fixed_arguments(self) -> tuple[Any, ...]:
-        return self.elements, self._slopes, self._inverse, self._weight, self.mu, self.lam
 
     @cached_property
     def stiffness(self) -> bsr_array:
@@ -225,8 +228,9 @@ class Solid:
                 return
             blocks = np.empty((count * NODES**2, 3, 3))
             slots = np.arange(len(blocks), dtype=np.int32).reshape(count, NODES, NODES)
-            chosen = self.elements[cells], self._slopes, self._inverse[cells], self._weight[cells]
-            tangent(displacement, *chosen, self.mu, self.lam, slots, blocks)
+            every = self._at_points
+            chosen = Elements(every.nodes[cells], every.slopes, every.inverse[cells], every.weight[cells])
+            tangent(displacement, chosen, self.moduli, slots, blocks)
             if shift:
                 blocks += shift * self._element_masses[cells].reshape(-1, 1, 1) * np.eye(3)
             apart = blocks.reshape(count, NODES, NODES, 3, 3).transpose(0, 1, 3, 2, 4)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array, eye_array
@@ -37,9 +37,9 @@ class SelfFinder:
         # Approach of each node to nodes that aren't its neighbours, m, before it is within reach of one.
         self._room: Floats = np.zeros(n)
         self._before: Floats | None = None  # the surface at that time
-        self._normal, self._partner, self._apart = np.zeros((n, 3)), np.zeros(n, dtype=np.int64), np.zeros(n)
-        self._was = np.full(n, -1, dtype=np.int64)  # the triangle that each node was found at the last time, or -1
-        self._wall, self._weight, self._at = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros((4, 3))
+        self._facing = _Facing(np.zeros((n, 3)), np.zeros(n, dtype=np.int64), np.zeros(n))
+        self._walls = _Walls(np.full(n, -1, dtype=np.int64), np.zeros(n, dtype=np.int64), np.zeros((n, 3)))
+        self._corners = np.zeros((4, 3))
         start, end = self._triangles.ravel(), np.roll(self._triangles, -1, axis=1).ravel()
         edges = csr_array((np.ones(2 * len(start)), (np.r_[start, end], np.r_[end, start])), shape=(n, n))
         self._near = _Lists.of(edges + edges @ edges + eye_array(n, format="csr"))
@@ -49,7 +49,7 @@ class SelfFinder:
 
     def forget(self) -> None:
         """Note that the organ has jumped: no node counts as in front of a wall."""
-        self._was[:] = -1
+        self._walls.before[:] = -1
 
     def find(self, surface: Floats) -> tuple[Longs, Floats]:
         """Return the pairs on a surface: nodes (p, 4), one and a triangle's three, and weights (p, 3).
@@ -59,47 +59,26 @@ class SelfFinder:
         surface : Floats, shape (n, 3), m
             Points of the surface.
         """
-        surface = np.ascontiguousarray(surface)
-        near, around = self._near, self._around
-        few, count = self._within_reach(surface), 0
+        now = _Surface(np.ascontiguousarray(surface), self._triangles)
+        facing, walls = self._facing, self._walls
+        few, count = self._within_reach(now.position), 0
         if len(few):
-            count = facing_nodes(
-                surface,
-                self._triangles,
-                few,
-                *near,
-                self._was,
-                self._reach,
-                self._normal,
-                self._partner,
-                self._apart,
-            )
+            count = facing_nodes(now, few, self._near, walls.before, self._reach, facing)
         if count:
-            count = facing_walls(
-                surface,
-                self._triangles,
-                *near,
-                *around,
-                self._normal,
-                self._partner,
-                self._was,
-                self._at,
-                self._wall,
-                self._weight,
-            )
+            count = facing_walls(now, self._near, self._around, facing, walls, self._corners)
         else:
             self.forget()
         if count == 0:
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 3))
-        found = np.flatnonzero(self._wall >= 0)
-        return np.column_stack([found, self._triangles[self._wall[found]]]), self._weight[found]
+        found = np.flatnonzero(walls.triangle >= 0)
+        return np.column_stack([found, self._triangles[walls.triangle[found]]]), walls.weight[found]
 
     def _within_reach(self, surface: Floats) -> Longs:
         """Return nodes that may have come within reach of others, sorted by their first coordinate then."""
         before = self._before
         nearer = STALE if before is None else approach(surface, before, surface, before)
         if nearer >= STALE:
-            find_rooms(surface, self._order, *self._near, self._reach, STALE, self._room)
+            find_rooms(surface, self._order, self._near, self._reach, STALE, self._room)
             self._before, nearer = surface.copy(), 0.0
         return self._order[self._room[self._order] <= nearer]
 
@@ -111,93 +90,105 @@ class _Lists(NamedTuple):
     items: Longs
 
     @classmethod
-    def of(cls, table: Any) -> _Lists:
+    def of(cls, table: csr_array) -> _Lists:
         """Return the columns that each row of a sparse table has."""
         made = csr_array(table)
         made.sort_indices()
         return cls(made.indptr.astype(np.int64), made.indices.astype(np.int64))
 
 
+class _Surface(NamedTuple):
+    """Surface of an organ as it is now."""
+
+    position: Floats  # (n, 3) m
+    triangles: Longs  # (t, 3)
+
+
+class _Facing(NamedTuple):
+    """Nearest node that faces each of n nodes."""
+
+    normal: Floats  # (n, 3) outward unit normals
+    partner: Longs  # (n,) that node, or -1
+    apart: Floats  # (n,) m^2, squared distance of the two
+
+
+class _Walls(NamedTuple):
+    """Triangle that each of n nodes is in front of, or behind since it was in front of it."""
+
+    before: Longs  # (n,) the one found at the last search, or -1
+    triangle: Longs  # (n,) the one found now, or -1
+    weight: Floats  # (n, 3) of the nearest place on it
+
+
 @kernel
 def facing_walls(
-    position: Any,
-    triangles: Any,
-    near_start: Any,
-    near: Any,
-    around_start: Any,
-    around: Any,
-    normal: Any,
-    partner: Any,
-    was: Any,
-    room: Any,
-    wall: Any,
-    weight: Any,
+    surface: _Surface, near: _Lists, around: _Lists, facing: _Facing, walls: _Walls, corners: Floats
 ) -> int:
-    """Write of each node (n,) the triangle that it is in front of, or behind since the last time; returns how many are.
+    """Find the walls of nodes from those that face them; return how many nodes have one.
 
-    wall: triangles, or -1; weight (n, 3) of the nearest place on it. around: triangles near each node, from
-    around_start (n + 1,) on; room (4, 3).
+    near: neighbours of each node; around: triangles near each node; corners (4, 3) is room.
     """
+    position, triangles = surface
     count = 0
-    for node in range(len(wall)):
-        best, least, before = -1, np.inf, was[node]
-        if partner[node] >= 0:
-            for index in range(around_start[partner[node]], around_start[partner[node] + 1]):
-                triangle = around[index]
-                if is_beside(triangles[triangle], near_start, near, node):
+    for node in range(len(walls.triangle)):
+        best, least, before, partner = -1, np.inf, walls.before[node], facing.partner[node]
+        if partner >= 0:
+            for index in range(around.start[partner], around.start[partner + 1]):
+                triangle = around.items[index]
+                if is_beside(triangles[triangle], near, node):
                     continue
-                apart = reach_triangle(position, triangles[triangle], position[node], room)
+                apart = reach_triangle(position, triangles[triangle], position[node], corners)
                 if apart < least:
                     best, least = triangle, apart
                     for corner in range(3):
-                        weight[node, corner] = room[3, corner]
-        wall[node] = -1
+                        walls.weight[node, corner] = corners[3, corner]
+        walls.triangle[node] = -1
         if best < 0:
             continue
-        ahead, facing = stand(position, triangles[best], position[node], normal[node])
-        if facing >= 0.0:
+        ahead, agrees = stand(position, triangles[best], position[node], facing.normal[node])
+        if agrees >= 0.0:
             continue
         if ahead < 0.0:
             goes_on = False
             if before >= 0:
                 for corner in range(3):
-                    goes_on = goes_on or is_beside(triangles[before], near_start, near, triangles[best, corner])
+                    goes_on = goes_on or is_beside(triangles[before], near, triangles[best, corner])
             if not goes_on or least >= DEEPEST * DEEPEST:
                 continue
         elif least >= MARGIN * MARGIN:
             continue
-        wall[node] = best
+        walls.triangle[node] = best
         count += 1
-    for node in range(len(wall)):
-        was[node] = wall[node]
+    for node in range(len(walls.triangle)):
+        walls.before[node] = walls.triangle[node]
     return count
 
 
 @kernel
-def is_beside(triangle: Any, near_start: Any, near: Any, node: int) -> bool:
+def is_beside(triangle: Longs, near: _Lists, node: int) -> bool:
     """Return whether a corner of a triangle is a neighbour of a node."""
     beside = False
     for corner in range(3):
-        beside = beside or is_near(near_start, near, node, triangle[corner])
+        beside = beside or is_near(near, node, triangle[corner])
     return beside
 
 
 @kernel
-def reach_triangle(position: Any, triangle: Any, point: Any, room: Any) -> float:
-    """Return the squared distance of a triangle from a point, m^2; the weights of the place go to room[3]."""
+def reach_triangle(position: Floats, triangle: Longs, point: Floats, corners: Floats) -> float:
+    """Return the squared distance of a triangle from a point, m^2; the weights of the place go to corners[3]."""
     for corner in range(3):
         for axis in range(3):
-            room[corner, axis] = position[triangle[corner], axis]
-    nearest_of_face(room[:3], point, room[3])
+            corners[corner, axis] = position[triangle[corner], axis]
+    nearest_of_face(corners[:3], point, corners[3])
     apart = 0.0
     for axis in range(3):
-        at = room[3, 0] * room[0, axis] + room[3, 1] * room[1, axis] + room[3, 2] * room[2, axis]
+        at = corners[3, 0] * corners[0, axis] + corners[3, 1] * corners[1, axis] + corners[3, 2] * corners[2, axis]
         apart += (point[axis] - at) ** 2
     return apart
 
 
 @kernel
-def stand(position: Any, triangle: Any, point: Any, outward: Any) -> tuple[float, float]:
+def stand(position: Floats, triangle: Longs, point: Floats, outward: Floats) -> tuple[float, float]:
     """Return how far a point is in front of a triangle's plane, and how its normal agrees with it; neither to scale."""
     a, b, c = position[triangle[0]], position[triangle[1]], position[triangle[2]]
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -208,24 +199,14 @@ def stand(position: Any, triangle: Any, point: Any, outward: Any) -> tuple[float
 
 
 @kernel
-def facing_nodes(
-    position: Any,
-    triangles: Any,
-    order: Any,
-    near_start: Any,
-    near: Any,
-    was: Any,
-    reach: float,
-    normal: Any,
-    partner: Any,
-    apart: Any,
-) -> int:
-    """Write of each node (n,) the nearest one that faces it within reach, m, or -1; returns how many have one.
+def facing_nodes(surface: _Surface, order: Longs, near: _Lists, before: Longs, reach: float, facing: _Facing) -> int:
+    """Find of each node the nearest one that faces it within reach, m; return how many have one.
 
-    Those that turn their backs on each other, through the organ, count where they did before: was (n,) >= 0. order
-    (k,): those that may be, see put_in_order; near: what is no partner of each node, sorted, from near_start (n + 1,)
-    on; normal (n, 3) and apart (n,) m^2 are room.
+    Those that turn their backs on each other, through the organ, count where they did before: before (n,) >= 0, see
+    _Walls. order (k,): those that may be, see put_in_order; near: what is no partner of each node.
     """
+    position, triangles = surface
+    normal, partner, apart = facing
     n = len(normal)
     normal[:] = 0.0
     add_normals(position, triangles, normal)
@@ -250,10 +231,10 @@ def facing_nodes(
                 continue
             ahead_i = x * normal[i, 0] + y * normal[i, 1] + z * normal[i, 2]
             ahead_j = -(x * normal[j, 0] + y * normal[j, 1] + z * normal[j, 2])
-            if min(ahead_i, ahead_j) < -BEHIND * square**0.5 and was[i] < 0 and was[j] < 0:
+            if min(ahead_i, ahead_j) < -BEHIND * square**0.5 and before[i] < 0 and before[j] < 0:
                 continue
-            facing = normal[i, 0] * normal[j, 0] + normal[i, 1] * normal[j, 1] + normal[i, 2] * normal[j, 2]
-            if facing < FACING and not is_near(near_start, near, i, j):
+            agrees = normal[i, 0] * normal[j, 0] + normal[i, 1] * normal[j, 1] + normal[i, 2] * normal[j, 2]
+            if agrees < FACING and not is_near(near, i, j):
                 if square < apart[i]:
                     apart[i], partner[i] = square, j
                 if square < apart[j]:
@@ -265,7 +246,7 @@ def facing_nodes(
 
 
 @kernel
-def put_in_order(position: Any, order: Any) -> None:
+def put_in_order(position: Floats, order: Longs) -> None:
     """Sort nodes, (k,), by their first coordinate, from a nearly sorted order."""
     for place in range(1, len(order)):
         node = order[place]
@@ -277,7 +258,7 @@ def put_in_order(position: Any, order: Any) -> None:
 
 
 @kernel
-def find_rooms(position: Any, order: Any, near_start: Any, near: Any, reach: float, most: float, room: Any) -> None:
+def find_rooms(position: Floats, order: Longs, near: _Lists, reach: float, most: float, room: Floats) -> None:
     """Compute for each node (n,) the distance to the nearest other one minus the reach, m, except neighbours.
 
     most: upper limit of the result, m; order, near: see facing_nodes.
@@ -294,19 +275,19 @@ def find_rooms(position: Any, order: Any, near_start: Any, near: Any, reach: flo
             y, z = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
             square = x * x + y * y + z * z
             least = reach + max(room[i], room[j])
-            if square < least * least and not is_near(near_start, near, i, j):
+            if square < least * least and not is_near(near, i, j):
                 apart = square**0.5 - reach
                 room[i], room[j] = min(room[i], apart), min(room[j], apart)
 
 
 @kernel
-def is_near(near_start: Any, near: Any, node: int, other: int) -> bool:
+def is_near(near: _Lists, node: int, other: int) -> bool:
     """Return whether one of two nodes is in the other's list, which is sorted."""
-    low, high = near_start[node], near_start[node + 1]
+    low, high = near.start[node], near.start[node + 1]
     while low < high:
         middle = (low + high) // 2
-        if near[middle] < other:
+        if near.items[middle] < other:
             low = middle + 1
         else:
             high = middle
-    return low < near_start[node + 1] and near[low] == other
+    return low < near.start[node + 1] and near.items[low] == other

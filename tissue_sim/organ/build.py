@@ -228,7 +228,8 @@ def _surface(source: Any, name: str, given: Mapping[str, Any]) -> SurfaceMesh:
         return mesh_input.read_mesh(source if isinstance(source, str) else Path(source), given.get("unit"), **options)
     positions, triangles = (source.vertices, source.faces) if hasattr(source, "faces") else source
     unit = given.get("unit") or ("m" if options["longest"] is None else None)
-    return mesh_input.mesh_of(np.asarray(positions), np.asarray(triangles), name, unit, **options)
+    piece = mesh_input.piece_of(np.asarray(positions), np.asarray(triangles), name)
+    return mesh_input.mesh_of(piece, unit, **options)
 
 
 def _masks(source: Any, name: str, given: Mapping[str, Any], parts: Sequence[str]) -> list[Volume]:

@@ -13,6 +13,7 @@ from helpers.ros.participant import Participant
 from helpers.ros.processes import STAND_IN, Process
 from helpers.ros.stand_in import ball
 from tissue_sim.cli import main
+from tissue_sim.ros.bridge.contact_locations import Surface
 from tissue_sim.ros.bridge.player import Player
 from tissue_sim.ros.bridge.trajectory import plan
 
@@ -86,7 +87,7 @@ def node(tmp_path):
 @pytest.mark.parametrize("seconds", [0.3, 1.2])
 def test_poses_keep_to_the_path_in_time_and_end_outside(seconds, clock):
     vertices, triangles = ball()
-    path = plan(vertices, triangles, 0.005, rate=200.0)
+    path = plan(Surface(vertices, triangles, 0.005), rate=200.0)
     tools = [RecordedTool(), RecordedTool()]
     player = Player(tools, seconds)
     player.play(path, False, NoMesh(), vertices)
@@ -112,7 +113,7 @@ def test_another_organ_ends_the_path(monkeypatch, clock):
             return Mesh(vertices=[Point(x=1.0)], triangles=[])
 
     monkeypatch.setattr("tissue_sim.ros.bridge.player.LOOK_AGAIN", 0.1)
-    path = plan(vertices, triangles, 0.005, rate=200.0)
+    path = plan(Surface(vertices, triangles, 0.005), rate=200.0)
     tools = [RecordedTool(), RecordedTool()]
     found = Player(tools, 30.0).play(path, False, Meshes(), vertices)
     assert found[0].tolist() == [[1.0, 0.0, 0.0]]

@@ -20,6 +20,7 @@ from tissue_sim.contact.grasp import at_lower_pole
 from tissue_sim.contact.gripper import Jaws
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge import play as bridge
+from tissue_sim.ros.bridge.contact_locations import Surface
 from tissue_sim.ros.bridge.motion import Path as Motion
 from tissue_sim.ros.bridge.player import cast
 from tissue_sim.ros.bridge.trajectory import LIFT, plan
@@ -35,7 +36,7 @@ LIFTED = 0.006  # m, of the fold between the jaws
 # the path --------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
 def grip() -> Motion:
-    return plan(*ball(), 0.005, ("right",), ("grip",), {"right": JAWS})
+    return plan(Surface(*ball(), 0.005), ("right",), ("grip",), {"right": JAWS})
 
 
 def test_a_grip_comes_opens_closes_lifts_and_lets_go(grip):
@@ -78,7 +79,7 @@ def test_jaws_open_before_a_retreat(grip, phase):
 
 
 def test_a_grip_goes_with_other_actions_and_other_tools():
-    path = plan(*ball(), 0.005, ("probe", "grasper"), ("poke", "grip", "nip"), {"grasper": JAWS})
+    path = plan(Surface(*ball(), 0.005), ("probe", "grasper"), ("poke", "grip", "nip"), {"grasper": JAWS})
     poses, angles = path.poses, path.angles
     assert poses[-1] == pytest.approx(poses[0], abs=1e-6)
     assert not angles[:, 0].any()
@@ -89,11 +90,10 @@ def test_a_grip_goes_with_other_actions_and_other_tools():
 
 def test_what_cannot_be_gripped_is_said():
     with pytest.raises(UserError, match="needs a gripper"):
-        plan(*ball(), 0.005, ("left", "right"), ("grip",))
+        plan(Surface(*ball(), 0.005), ("left", "right"), ("grip",))
     with pytest.raises(UserError, match=r"30.* mm wide.*longer jaws"):
         plan(
-            *(part * scale for part, scale in zip(ball(), (1.5, 1), strict=True)),
-            0.005,
+            Surface(*(part * scale for part, scale in zip(ball(), (1.5, 1), strict=True)), 0.005),
             ("a",),
             ("grip",),
             {"a": Jaws(0.003, 0.012)},

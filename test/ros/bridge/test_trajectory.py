@@ -36,7 +36,7 @@ def box():
 @pytest.fixture(scope="module", params=[kidney, ball, box], ids=["kidney", "ball", "box"])
 def planned(request):
     organ = request.param()
-    return plan(*organ, RADIUS, rate=RATE), organ
+    return plan(Surface(*organ, RADIUS), rate=RATE), organ
 
 
 def test_the_path_is_smooth_and_closed(planned):
@@ -115,7 +115,7 @@ def test_jaws_face_each_other_and_squeeze(planned):
 def test_the_nip_lifts_the_kidney():
     """Tick by tick, without a node: what is between the jaws comes along, and they still hold it at the end."""
     organ = Organ.load(shipped_organ())
-    path = plan(*kidney(), RADIUS, script=("nip",), rate=1000.0)
+    path = plan(Surface(*kidney(), RADIUS), script=("nip",), rate=1000.0)
     scene = Scene(organ, [Tool("left", radius=RADIUS), Tool("right", radius=RADIUS)], ticks_a_set=4)
     begin, end = (np.flatnonzero(path.phases == name)[index] for name, index in (("nip/close", 0), ("nip/hold", -1)))
     for poses in path.poses[begin:end]:
@@ -140,12 +140,12 @@ def test_a_retreat_from_anywhere_ends_outside_without_a_jump(planned, fraction):
 
 def test_the_same_organ_gives_the_same_path():
     vertices, triangles = kidney()
-    first, second = (plan(vertices, triangles, RADIUS).poses for _ in range(2))
+    first, second = (plan(Surface(vertices, triangles, RADIUS)).poses for _ in range(2))
     assert np.array_equal(first, second)
 
 
 def test_one_tool_can_stroke_and_poke():
-    path = plan(*ball(), RADIUS, tools=("probe",), script=("poke", "stroke"))
+    path = plan(Surface(*ball(), RADIUS), tools=("probe",), script=("poke", "stroke"))
     assert path.poses.shape[1:] == (1, 7)
     assert path.phases[1] == "poke/approach"
 
@@ -161,7 +161,7 @@ def test_one_tool_can_stroke_and_poke():
 )
 def test_what_cannot_be_planned_is_said(given, message):
     with pytest.raises(UserError, match=message):
-        plan(*ball(), RADIUS, **given)
+        plan(Surface(*ball(), RADIUS), **given)
 
 
 def test_a_move_has_no_speed_at_its_ends():

@@ -16,14 +16,15 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.bench.measured.body import Material, Rate, built, calibrated, timed
+from tissue_sim.bench.measured.body import Rate, built, calibrated, timed
 from tissue_sim.bench.measured.lattice import places, rigid_motion, shell
 from tissue_sim.bench.rows import tell, until_stopped
 from tissue_sim.calibration.calibrate import Progress
-from tissue_sim.calibration.dynamics import SMOOTHED, swing
+from tissue_sim.calibration.dynamics import SMOOTHED, Forces, Start, Steps, swing
 from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.inertia import frequencies_of
+from tissue_sim.calibration.solid import Material
 from tissue_sim.errors import UserError
 from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.model.simulation import Simulation
@@ -239,18 +240,9 @@ class Elements:
 
     def follow(self, frames: int, damping_rate: float, start: Floats, speed: Floats) -> Floats:
         """Return markers (frames + 1, 3, 3) m from initial displacements and velocities (n, 3)."""
-        solid, seconds = self.body.solid, frames / FRAMES
-        motion = swing(
-            solid,
-            start,
-            seconds,
-            ELEMENT_STEP,
-            damping_rate,
-            self.end,
-            smoothed=SMOOTHED,
-            velocity=speed,
-            load=self.load,
-        )
+        forces = Forces(damping_rate, load=self.load)
+        steps = Steps(frames / FRAMES, ELEMENT_STEP)
+        motion = swing(self.body.solid, Start(start, speed, SMOOTHED), forces, steps, self.end)
         every = round(1.0 / (FRAMES * ELEMENT_STEP))
         return np.array([tip_markers(self._rest, self._rest + moved) for moved in motion.displacement[::every]])
 

@@ -13,7 +13,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.calibration.calibrate import Progress, calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
-from tissue_sim.calibration.solid import Solid
+from tissue_sim.calibration.solid import Material, Solid
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
@@ -26,14 +26,6 @@ from tissue_sim.version import __version__
 MOST_STEPS = 40  # of Newton's method
 SHORTEST = 1e-4  # of a step of it
 CLOSE = 1e-8  # fraction of the largest force that may remain
-
-
-class Material(NamedTuple):
-    """Material of a body."""
-
-    youngs_modulus: float  # Pa
-    poisson_ratio: float
-    density: float  # kg/m^3
 
 
 class Rate(NamedTuple):

@@ -10,9 +10,11 @@ It has no forces. Loaded nodes are moved to where the reference has them, and th
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.array_types import Floats, Ints, Longs, Mask
 from tissue_sim.bench.peers.engine import Answer, Load, timed
 from tissue_sim.bench.timing import Burst, time_calls
 from tissue_sim.jit import kernel
@@ -23,6 +25,13 @@ SWEEPS = 5000  # of relaxation at most
 STILL = 1e-5  # fraction of the displacement: a sweep that moves no node by more has converged
 UPDATE = 0.001  # s of an update, which is done once per tick
 SWELLING = 200  # updates in which a load rises and falls
+
+
+class Links(NamedTuple):
+    """Neighbours of each of n nodes, as compressed rows."""
+
+    start: Longs  # (n + 1,)
+    neighbours: Longs
 
 
 class ChainMail:
@@ -43,7 +52,7 @@ class ChainMail:
         self.update = UPDATE
         self.rest = np.ascontiguousarray(nodes)
         self.position = self.rest.copy()
-        self.start, self.neighbours = linked(len(nodes), edges)
+        self.links = linked(len(nodes), edges)
         self._held = np.zeros(len(nodes), dtype=np.bool_)
         self._held[organ.fixed] = True
         none = np.zeros(0, dtype=np.int64)
@@ -56,13 +65,13 @@ class ChainMail:
         driven = self._held.copy()
         driven[nodes] = True
         sources = np.concatenate([nodes, np.flatnonzero(self._held)])
-        pass_on(self.position, self.rest, self.start, self.neighbours, driven, sources, STRETCH, SHEAR)
+        pass_on(self.position, self.rest, self.links, driven, sources)
 
     def relax(self, nodes: Longs) -> float:
         """Do one sweep of relaxation about the moved nodes (k,); return the largest motion of a node, m."""
         free = ~self._held
         free[nodes] = False
-        return float(relax(self.position, self.rest, self.start, self.neighbours, np.flatnonzero(free)))
+        return float(relax(self.position, self.rest, self.links, np.flatnonzero(free)))
 
     def settle(self, load: Load) -> Answer:
         """Propagate and relax until nothing moves."""
@@ -98,15 +107,15 @@ def moved_by(load: Load) -> tuple[Longs, Floats]:
     return load.nodes, load.reached[load.nodes]
 
 
-def linked(count: int, edges: Ints) -> tuple[Longs, Longs]:
-    """Return the neighbours of each node along edges (e, 2), as compressed rows start (count + 1,), neighbours."""
+def linked(count: int, edges: Ints) -> Links:
+    """Return the neighbours of each of so many nodes along edges (e, 2)."""
     both = np.unique(np.concatenate([edges, edges[:, ::-1]]).astype(np.int64), axis=0)
     start = np.searchsorted(both[:, 0], np.arange(count + 1)).astype(np.int64)
-    return start, np.ascontiguousarray(both[:, 1])
+    return Links(start, np.ascontiguousarray(both[:, 1]))
 
 
 @kernel
-def pass_on(position, rest, start, neighbours, driven, sources, stretch, shear):  # type: ignore[no-untyped-def]
+def pass_on(position: Floats, rest: Floats, links: Links, driven: Mask, sources: Longs) -> None:
     """Propagate displacements, (n, 3) m in place: first in, first out, each node once, as Gibson does.
 
     driven (n,): nodes that stay where they are; sources (k,): where it starts.
@@ -124,8 +133,8 @@ def pass_on(position, rest, start, neighbours, driven, sources, stretch, shear):
     while head < tail:
         i = queue[head]
         head += 1
-        for slot in range(start[i], start[i + 1]):
-            j = neighbours[slot]
+        for slot in range(links.start[i], links.start[i + 1]):
+            j = links.neighbours[slot]
             if driven[j] or seen[j]:
                 continue
             around = 0.0
@@ -134,7 +143,7 @@ def pass_on(position, rest, start, neighbours, driven, sources, stretch, shear):
             moved = False
             for axis in range(3):
                 offset = rest[j, axis] - rest[i, axis]
-                slack = stretch * abs(offset) + shear * (around - abs(offset))
+                slack = STRETCH * abs(offset) + SHEAR * (around - abs(offset))
                 now = position[j, axis] - position[i, axis]
                 within = min(max(now, offset - slack), offset + slack)
                 if within != now:
@@ -147,18 +156,18 @@ def pass_on(position, rest, start, neighbours, driven, sources, stretch, shear):
 
 
 @kernel
-def relax(position, rest, start, neighbours, free):  # type: ignore[no-untyped-def]
+def relax(position: Floats, rest: Floats, links: Links, free: Longs) -> float:
     """Put every free node (f,) at the mean of where its neighbours want it; return the largest move, m."""
     largest = 0.0
     for k in range(len(free)):
         i = free[k]
-        count = start[i + 1] - start[i]
+        count = links.start[i + 1] - links.start[i]
         if count == 0:
             continue
         for axis in range(3):
             total = 0.0
-            for slot in range(start[i], start[i + 1]):
-                j = neighbours[slot]
+            for slot in range(links.start[i], links.start[i + 1]):
+                j = links.neighbours[slot]
                 total += position[j, axis] - rest[j, axis]
             wanted = rest[i, axis] + total / count
             largest = max(largest, abs(wanted - position[i, axis]))

@@ -53,20 +53,25 @@ class NodalLoad:
         return tick == self.ticks - 1
 
 
-class Poke:
-    """Probe that is moved along a line into the organ, held, drawn back and away, one pose per tick.
+class Line(NamedTuple):
+    """Line along which a probe goes in."""
 
-    start (3,) m on the surface, inward (3,) unit vector, depth m of the probe's front below the surface, hold ticks
-    there, speed m/s.
+    start: Floats  # (3,) m on the surface
+    inward: Floats  # (3,) unit vector
+    depth: float  # m of the probe's front below the surface where it ends
+
+
+class Poke:
+    """Probe that is moved along a line into the organ, held for some ticks, drawn back and away, one pose per tick.
+
+    tick_time s; speed m/s.
     """
 
-    def __init__(
-        self, organ: Organ, start: Floats, inward: Floats, depth: float, tick_time: float, hold: int, speed: float
-    ) -> None:
-        reach = np.arange(-CLEARANCE, depth, speed * tick_time)
-        back = np.arange(depth, -AWAY, -speed * tick_time)
-        reach = np.concatenate([reach, np.full(hold, depth), back])
-        self.path = start + (reach - PROBE.radius)[:, None] * inward
+    def __init__(self, organ: Organ, line: Line, tick_time: float, hold: int, speed: float) -> None:
+        reach = np.arange(-CLEARANCE, line.depth, speed * tick_time)
+        back = np.arange(line.depth, -AWAY, -speed * tick_time)
+        reach = np.concatenate([reach, np.full(hold, line.depth), back])
+        self.path = line.start + (reach - PROBE.radius)[:, None] * line.inward
         self.ticks = len(self.path)
         self._withdrawn = len(reach) - len(back)
         self._every = max(1, round(FOUND_EVERY / tick_time))
@@ -183,8 +188,8 @@ def load_on(organ: Organ, where: str, newtons: float, depth: float, tick_time: f
     inward = inward_at(organ, np.array([node]))
     if where in ("tool", "tool_far"):
         start = organ.surface_positions[node]
-        reach = depth * thickness(organ, start, inward[0])
-        return Poke(organ, start, inward[0], reach, tick_time, hold_ticks, pace.speed)
+        line = Line(start, inward[0], depth * thickness(organ, start, inward[0]))
+        return Poke(organ, line, tick_time, hold_ticks, pace.speed)
     if where == "point":
         nodes = np.array([node], dtype=np.int64)
     elif where == "ten":

@@ -6,7 +6,7 @@ import math
 import time
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -360,11 +360,14 @@ def run_cell(cell: Cell) -> Record:
                 watch.look_at_energy()
             after += 1
         state = simulation.state
-        turned = watch.witness.look(simulation.positions)
-        speed = float(np.abs(state.velocity).max())
-        left = watch.reach() / max(watch.peak, 1e-12)
+        end = End(
+            left=watch.reach() / max(watch.peak, 1e-12),
+            speed=float(np.abs(state.velocity).max()),
+            asleep=simulation.asleep,
+            turned=watch.witness.look(simulation.positions),
+        )
     gain = watch.energy_gain if watch.gained else 0.0
-    problems = tuple(problems_of(watch.finite, gain, left, speed, simulation.asleep, turned, enough))
+    problems = tuple(problems_of(watch.finite, gain, end, enough))
     faults = int(state.count.faults)
     return Record(
         axis=cell.axis,
@@ -378,12 +381,12 @@ def run_cell(cell: Cell) -> Record:
         faults=faults,
         snaps=int(state.count.snaps),
         peak=watch.peak,
-        left=left,
-        quiet_after=after * tick_time if simulation.asleep else None,
+        left=end.left,
+        quiet_after=after * tick_time if end.asleep else None,
         energy_gain=watch.energy_gain,
         energy_caught=watch.energy_caught,
         turned_most=watch.turned_most,
-        turned=turned,
+        turned=end.turned,
         substeps=watch.substeps,
         ticks=tick + after,
         newtons=0.0 if depth else newtons,
@@ -391,13 +394,19 @@ def run_cell(cell: Cell) -> Record:
     )
 
 
-def problems_of(
-    finite: bool, energy_gain: float, left: float, speed: float, asleep: bool, turned: Turned, enough: bool
-) -> list[str]:
+class End(NamedTuple):
+    """State of an organ when the watch over it ends."""
+
+    left: float  # largest displacement over its peak
+    speed: float  # m/s, of the fastest node
+    asleep: bool
+    turned: Turned  # what is inverted
+
+
+def problems_of(finite: bool, energy_gain: float, end: End, enough: bool) -> list[str]:
     """Return why a cell counts as diverged; empty when it doesn't.
 
-    energy_gain: over that at release, 0 when it is negligible; left: displacement over its peak; speed m/s; enough: the
-    time watched suffices to come to rest.
+    energy_gain: over that at release, 0 when it is negligible; enough: the time watched suffices to come to rest.
     """
     if not finite:
         return ["not finite"]
@@ -406,12 +415,12 @@ def problems_of(
         problems.append(f"energy gained without work ({100.0 * energy_gain:.3g} %)")
     if not enough:
         return problems
-    quiet = asleep or speed <= QUIET_SPEED
-    if not left <= LEFT:
-        where = "asleep away from its rest shape" if asleep else "false rest shape" if quiet else "not back at rest"
-        problems.append(f"{where} ({100.0 * left:.3g} % of the peak remains)")
+    quiet = end.asleep or end.speed <= QUIET_SPEED
+    if not end.left <= LEFT:
+        where = "asleep away from its rest shape" if end.asleep else "false rest shape" if quiet else "not back at rest"
+        problems.append(f"{where} ({100.0 * end.left:.3g} % of the peak remains)")
     elif not quiet:
-        problems.append(f"still moving ({1e3 * speed:.3g} mm/s)")
-    if turned.cells or turned.folds or turned.volume <= 0.0:
-        problems.append(f"inverted ({turned.cells} cells, {turned.folds} folds)")
+        problems.append(f"still moving ({1e3 * end.speed:.3g} mm/s)")
+    if end.turned.cells or end.turned.folds or end.turned.volume <= 0.0:
+        problems.append(f"inverted ({end.turned.cells} cells, {end.turned.folds} folds)")
     return problems

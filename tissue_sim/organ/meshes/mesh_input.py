@@ -101,41 +101,54 @@ def read_mesh(
     return _closed(_load(source), str(source), unit, longest, part, merge_parts)
 
 
-def mesh_of(
-    positions: NDArray[Any],
-    triangles: NDArray[Any],
-    name: str,
-    unit: str | None = "m",
-    *,
-    longest: float | None = None,
-    part: int | str | None = None,
-    merge_parts: bool = False,
-) -> SurfaceMesh:
-    """Return the closed surface of one organ from arrays, checked and repaired as `read_mesh` does.
+def piece_of(positions: NDArray[Any], triangles: NDArray[Any], name: str) -> Piece:
+    """Return what `mesh_of` closes, from arrays.
 
     Parameters
     ----------
-    positions
-        (n, 3), in the unit.
-    triangles
-        (t, 3), indices of their corners.
-    name
+    positions : NDArray[Any], shape (n, 3)
+        Points, in any unit.
+    triangles : NDArray[Any], shape (t, 3)
+        Indices of their corners.
+    name : str
         What the surface is called in messages.
-    unit, longest, part, merge_parts
-        As `read_mesh` takes them.
 
     Raises
     ------
     UserError
-        For arrays of other shapes or without numbers, and as `read_mesh` does.
+        For arrays of other shapes or without numbers.
     """
     for what, array in (("positions", positions), ("triangles", triangles)):
         if array.ndim != 2 or array.shape[1] != 3 or not len(array) or array.dtype.kind not in "fiu":
             raise UserError(f"surface {name}: {what} has shape {array.shape}; expected: numbers (n, 3)")
     if triangles.dtype.kind == "f":
         raise UserError(f"surface {name}: triangles must be whole numbers, indices of positions")
-    piece = Piece(name, positions.astype(np.float64), triangles.astype(np.int64))
-    return _closed(_checked(MeshFile((piece,)), Path(name)), name, unit, longest, part, merge_parts)
+    return Piece(name, positions.astype(np.float64), triangles.astype(np.int64))
+
+
+def mesh_of(
+    piece: Piece,
+    unit: str | None = "m",
+    *,
+    longest: float | None = None,
+    part: int | str | None = None,
+    merge_parts: bool = False,
+) -> SurfaceMesh:
+    """Return the closed surface of one organ, checked and repaired as `read_mesh` does.
+
+    Parameters
+    ----------
+    piece : Piece
+        Points, triangles and name.
+    unit, longest, part, merge_parts
+        As `read_mesh` takes them.
+
+    Raises
+    ------
+    UserError
+        As `read_mesh` does.
+    """
+    return _closed(_checked(MeshFile((piece,)), Path(piece.name)), piece.name, unit, longest, part, merge_parts)
 
 
 def _closed(

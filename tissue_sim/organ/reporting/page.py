@@ -158,7 +158,7 @@ def _warnings(record: BuildRecord) -> str:
 
 
 def _segmentation_part(record: BuildRecord, organ: Organ, surfaces: Surfaces) -> Iterable[str]:
-    found, patient = record.segmentation, record.frame == "LPS"
+    found = record.segmentation
     atoms = organ.atom_positions * 1e3
     balloon = "balloon" if record.balloon is not None else "surface as given"
     outlines = [
@@ -166,7 +166,8 @@ def _segmentation_part(record: BuildRecord, organ: Organ, surfaces: Surfaces) ->
         (balloon, pictures.BALLOON, surfaces.organ),
     ]
     centre = atoms[int(np.argmax(organ.atom_radius))]
-    png = pictures.slices(record.ct, record.mask, outlines, atoms, centre, patient=patient, seed=record.seed)
+    source = pictures.Source(record.ct, record.mask, record.frame == "LPS", record.seed)
+    png = pictures.slices(source, outlines, atoms, centre)
     yield f"<h2>{'Segmentation' if found else 'Outlines'}</h2>"
     note = "Slices through the organ's deepest atom."
     if record.ct is not None:

@@ -77,40 +77,48 @@ PLANES = (
 )
 
 
-def slices(
-    ct: Volume | None,
-    mask: Volume | None,
-    outlines: Sequence[tuple[str, str, Surface]],
-    atoms: Floats,
-    centre: Floats,
-    *,
-    patient: bool,
-    seed: Floats | None = None,
-) -> bytes:
-    """Return a PNG of three slices through the CT (or the mask), with the outlines of the mask and of surfaces.
+@dataclass(frozen=True, eq=False)
+class Source:
+    """What an organ was built from.
 
-    Parameters
+    Attributes
     ----------
     ct : Volume | None
         The image; None for none.
     mask : Volume | None
         The mask; None for none.
+    patient : bool
+        Whether their frame is LPS, so that the borders are lettered.
+    seed : Floats | None, shape (3,), mm
+        Seed point; None for none.
+    """
+
+    ct: Volume | None
+    mask: Volume | None
+    patient: bool
+    seed: Floats | None = None
+
+
+def slices(source: Source, outlines: Sequence[tuple[str, str, Surface]], atoms: Floats, centre: Floats) -> bytes:
+    """Return a PNG of three slices through the CT (or the mask), with the outlines of the mask and of surfaces.
+
+    Parameters
+    ----------
+    source : Source
+        What the organ was built from.
     outlines : Sequence[tuple[str, str, Surface]]
         Label, colour and surface (mm) of each outline.
     atoms : Floats, shape (a, 3), mm
         Medial atoms, shown where they lie near a slice.
     centre : Floats, shape (3,), mm
         Point through which the slices go.
-    patient : bool
-        Whether the frame is LPS, so that the borders are lettered.
-    seed : Floats | None, shape (3,), mm, optional
-        Seed point; None for none.
 
     Returns
     -------
     bytes
         The PNG file.
     """
+    ct, seed = source.ct, source.seed
     everything = np.concatenate([surface[0] for _, _, surface in outlines])
     low, high = everything.min(axis=0) - _MARGIN, everything.max(axis=0) + _MARGIN
     if ct is not None:
@@ -124,17 +132,17 @@ def slices(
     with _styled(width, tallest * inches + 0.85) as figure:
         axes = figure.subplots(1, 3, width_ratios=ratios)
         for axis, plane in zip(axes, PLANES, strict=True):
-            _slice(axis, plane, ct, mask, (low, high), centre)
+            _slice(axis, plane, ct, source.mask, (low, high), centre)
             _outline(axis, plane, outlines, centre)
             near = atoms[np.abs(atoms[:, plane.across] - centre[plane.across]) < _NEAR]
             axis.plot(near[:, plane.right], near[:, plane.up], "o", color=ATOMS, markersize=3.2, zorder=6)
             if seed is not None and abs(seed[plane.across] - centre[plane.across]) < _NEAR:
                 axis.plot(seed[plane.right], seed[plane.up], "+", color="white", markersize=9, zorder=7)
-            _borders(axis, plane, patient)
+            _borders(axis, plane, source.patient)
             axis.set_title(
-                f"{plane.name if patient else 'across'} {'xyz'[plane.across]} = {centre[plane.across]:.1f} mm"
+                f"{plane.name if source.patient else 'across'} {'xyz'[plane.across]} = {centre[plane.across]:.1f} mm"
             )
-        _slice_legend(figure, outlines, mask is not None)
+        _slice_legend(figure, outlines, source.mask is not None)
         return _png(figure)
 
 

@@ -15,16 +15,18 @@ from tissue_sim.jit import kernel
 
 
 @kernel
-def _open(depth: Floats, v: int, layer: int, row: int, dz: int, dy: int, dx: int) -> bool:
-    """Return whether a path over faces leads from voxel v to its neighbour (dz, dy, dx), inside the box of the two."""
-    a, b, c = dz * layer, dy * row, dx
-    if (dz != 0) + (dy != 0) + (dx != 0) < 2:
+def _open(depth: Floats, v: int, a: int, b: int, c: int) -> bool:
+    """Return whether a path over faces leads from voxel v to its neighbour v + a + b + c, inside the box of the two.
+
+    a, b, c are steps along z, y and x, or 0.
+    """
+    if (a != 0) + (b != 0) + (c != 0) < 2:
         return True
-    if dx == 0:
+    if c == 0:
         return depth[v + a] > 0.0 or depth[v + b] > 0.0
-    if dy == 0:
+    if b == 0:
         return depth[v + a] > 0.0 or depth[v + c] > 0.0
-    if dz == 0:
+    if a == 0:
         return depth[v + b] > 0.0 or depth[v + c] > 0.0
     if depth[v + a] > 0.0 and (depth[v + a + b] > 0.0 or depth[v + a + c] > 0.0):
         return True
@@ -72,7 +74,7 @@ def grow_tree(depth: Floats, shape: Longs) -> tuple[Longs, Longs]:
                     if k < 0 or j < 0 or i < 0 or k >= nz or j >= ny or i >= nx:
                         continue
                     w = (k * ny + j) * nx + i
-                    if parent[w] == -2 and depth[w] > 0.0 and _open(depth, v, ny * nx, nx, dz, dy, dx):
+                    if parent[w] == -2 and depth[w] > 0.0 and _open(depth, v, dz * ny * nx, dy * nx, dx):
                         parent[w] = v
                         heapq.heappush(heap, (-depth[w], w))
     return parent, order
@@ -120,7 +122,7 @@ def approach(depth: Floats, shape: Longs, sources: Longs, distance: Floats, near
                     if depth[w] <= 0.0:
                         continue
                     there = d + np.sqrt(float(dx * dx + dy * dy + dz * dz))
-                    if there < distance[w] and _open(depth, v, ny * nx, nx, dz, dy, dx):
+                    if there < distance[w] and _open(depth, v, dz * ny * nx, dy * nx, dx):
                         distance[w] = there
                         nearest[w] = nearest[v]
                         heapq.heappush(heap, (there, w))
@@ -170,7 +172,7 @@ def middle_way(depth: Floats, shape: Longs, source: int, target: int) -> Longs:
                     if depth[w] <= 0.0:
                         continue
                     there = c + np.sqrt(float(dx * dx + dy * dy + dz * dz)) / (depth[v] * depth[w])
-                    if there < cost[w] and _open(depth, v, ny * nx, nx, dz, dy, dx):
+                    if there < cost[w] and _open(depth, v, dz * ny * nx, dy * nx, dx):
                         cost[w] = there
                         before[w] = v
                         heapq.heappush(heap, (there, w))

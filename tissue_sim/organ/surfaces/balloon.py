@@ -16,11 +16,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import ConvexHull
 
-from tissue_sim.array_types import Floats, Ints
+from tissue_sim.array_types import Floats, Ints, Singles
 from tissue_sim.errors import UserError
 from tissue_sim.jit import kernel
 from tissue_sim.organ.organ import signed_volume
@@ -242,7 +241,7 @@ def _move_to_wall(
     whole = float(np.count_nonzero(wall.level < 0.0)) * h**3
     volume = signed_volume(positions, triangles)
     for step in range(1, p.steps + 1):
-        expand(positions, triangles, vertex_normals(positions, triangles), level, h, p.tension, sign * p.pressure * h)
+        expand(positions, triangles, level, h, p.tension, sign * p.pressure * h)
         if step % 3 == 0:
             transport(positions, triangles, RATIO, max(points // 25, 1))
             flip(positions, triangles)
@@ -271,19 +270,19 @@ def fibonacci_sphere(points: int) -> tuple[Floats, Ints]:
 def expand(
     positions: Floats,
     triangles: Ints,
-    normal: Floats,
-    level: NDArray[np.float32],
+    level: Singles,
     h: float,
     tension: float,
     pressure: float,
 ) -> None:
     """Do one step of the balloon's forces, in place.
 
-    normal (n, 3): of the points; level: allowed where it is 0 or less; pressure in mm per step, tension without unit. A
-    move that would leave the organ is halved up to three times, then tried along the surface only, so that points at
-    the wall still slide.
+    level: allowed where it is 0 or less, on a grid of h mm; pressure in mm per step, tension without unit. A move that
+    would leave the organ is halved up to three times, then tried along the surface only, so that points at the wall
+    still slide.
     """
     n = positions.shape[0]
+    normal = vertex_normals(positions, triangles)
     force = pressure * normal
     for t in range(triangles.shape[0]):
         for k in range(3):

@@ -6,6 +6,8 @@ the point that became free. Compiled; arrays are changed in place.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
@@ -15,8 +17,23 @@ MOST_NEIGHBOURS = 32  # triangles at a point; the changes below never exceed it
 _KEEP_NORMAL = 0.3  # cosine: a change that turns a triangle further is refused
 
 
+class Stars(NamedTuple):
+    """Triangles around each of n points."""
+
+    triangles: Ints  # (n, MOST_NEIGHBOURS), filled with -1
+    number: Ints  # (n,)
+
+
+class Free(NamedTuple):
+    """Point and two triangles that a collapse leaves over, and a split uses."""
+
+    point: int
+    first: int
+    second: int
+
+
 @kernel
-def stars(triangles: Ints, n: int) -> tuple[Ints, Ints]:
+def stars(triangles: Ints, n: int) -> Stars:
     """Return the triangles around each point.
 
     Parameters
@@ -28,8 +45,8 @@ def stars(triangles: Ints, n: int) -> tuple[Ints, Ints]:
 
     Returns
     -------
-    tuple[Ints, Ints]
-        Triangles, shape (n, MOST_NEIGHBOURS), filled with -1, and their number, shape (n,).
+    Stars
+        The triangles.
 
     Raises
     ------
@@ -45,44 +62,42 @@ def stars(triangles: Ints, n: int) -> tuple[Ints, Ints]:
                 raise ValueError("too many triangles at a point")
             star[v, count[v]] = t
             count[v] += 1
-    return star, count
+    return Stars(star, count)
 
 
 @kernel
-def _remove(star, count, v, t):  # type: ignore[no-untyped-def]
-    for k in range(count[v]):
-        if star[v, k] == t:
-            count[v] -= 1
-            star[v, k] = star[v, count[v]]
-            star[v, count[v]] = -1
+def _remove(star: Stars, v: int, t: int) -> None:
+    for k in range(star.number[v]):
+        if star.triangles[v, k] == t:
+            star.number[v] -= 1
+            star.triangles[v, k] = star.triangles[v, star.number[v]]
+            star.triangles[v, star.number[v]] = -1
             return
 
 
 @kernel
-def _add(star, count, v, t):  # type: ignore[no-untyped-def]
-    star[v, count[v]] = t
-    count[v] += 1
+def _add(star: Stars, v: int, t: int) -> None:
+    star.triangles[v, star.number[v]] = t
+    star.number[v] += 1
 
 
 @kernel
-def along_edge(triangles, star, count, a, b):  # type: ignore[no-untyped-def]
+def along_edge(triangles: Ints, star: Stars, a: int, b: int) -> tuple[int, int]:
     """Return the triangle that runs along the directed edge a -> b, and its third corner; -1, -1 if there is none.
 
     Parameters
     ----------
-    triangles : shape (t, 3)
+    triangles : Ints, shape (t, 3)
         Corner indices, counter-clockwise seen from outside.
-    star : shape (n, MOST_NEIGHBOURS)
+    star : Stars
         Triangles around each point; updated.
-    count : shape (n,)
-        Number of triangles around each point; updated.
-    a
+    a : int
         First point of the edge.
-    b
+    b : int
         Last point of the edge.
     """
-    for k in range(count[a]):
-        t = star[a, k]
+    for k in range(star.number[a]):
+        t = star.triangles[a, k]
         for c in range(3):
             if triangles[t, c] == a and triangles[t, (c + 1) % 3] == b:
                 return t, triangles[t, (c + 2) % 3]
@@ -90,9 +105,9 @@ def along_edge(triangles, star, count, a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _joined(triangles, star, count, a, b):  # type: ignore[no-untyped-def]
-    for k in range(count[a]):
-        t = star[a, k]
+def _joined(triangles: Ints, star: Stars, a: int, b: int) -> bool:
+    for k in range(star.number[a]):
+        t = star.triangles[a, k]
         if triangles[t, 0] == b or triangles[t, 1] == b or triangles[t, 2] == b:
             return True
     return False
@@ -150,7 +165,7 @@ def flip_edges(positions: Floats, triangles: Ints) -> int:
         Number of flips.
     """
     n = positions.shape[0]
-    star, count = stars(triangles, n)
+    star = stars(triangles, n)
     flips = 0
     for t in range(triangles.shape[0]):
         for k in range(3):
@@ -158,15 +173,15 @@ def flip_edges(positions: Floats, triangles: Ints) -> int:
             if a > b:
                 continue
             c = triangles[t, (k + 2) % 3]
-            s, d = along_edge(triangles, star, count, b, a)
-            if s < 0 or c == d or count[a] <= 3 or count[b] <= 3:
+            s, d = along_edge(triangles, star, b, a)
+            if s < 0 or c == d or star.number[a] <= 3 or star.number[b] <= 3:
                 continue
-            if count[c] >= MOST_NEIGHBOURS - 1 or count[d] >= MOST_NEIGHBOURS - 1:
+            if star.number[c] >= MOST_NEIGHBOURS - 1 or star.number[d] >= MOST_NEIGHBOURS - 1:
                 continue
             pa, pb, pc, pd = positions[a], positions[b], positions[c], positions[d]
             if not _wider(pc, pd, pa, pb):
                 continue
-            if _joined(triangles, star, count, c, d):
+            if _joined(triangles, star, c, d):
                 continue
             one, other = _normal(pa, pb, pc), _normal(pb, pa, pd)
             old = (one[0] + other[0], one[1] + other[1], one[2] + other[2])
@@ -174,54 +189,52 @@ def flip_edges(positions: Floats, triangles: Ints) -> int:
                 continue
             triangles[t, 0], triangles[t, 1], triangles[t, 2] = a, d, c
             triangles[s, 0], triangles[s, 1], triangles[s, 2] = d, b, c
-            _remove(star, count, a, s)
-            _remove(star, count, b, t)
-            _add(star, count, d, t)
-            _add(star, count, c, s)
+            _remove(star, a, s)
+            _remove(star, b, t)
+            _add(star, d, t)
+            _add(star, c, s)
             flips += 1
             break
     return flips
 
 
 @kernel
-def collapse_edge(positions, triangles, star, count, a, b):  # type: ignore[no-untyped-def]
-    """Collapse b into a at their midpoint, in place.
+def collapse_edge(positions: Floats, triangles: Ints, star: Stars, a: int, b: int) -> tuple[int, int]:
+    """Collapse b into a at their midpoint, in place; return the two triangles that become free, -1 where it can't be.
 
     Parameters
     ----------
-    positions : shape (n, 3)
+    positions : Floats, shape (n, 3)
         Points of the surface.
-    triangles : shape (t, 3)
+    triangles : Ints, shape (t, 3)
         Corner indices, counter-clockwise seen from outside.
-    star : shape (n, MOST_NEIGHBOURS)
+    star : Stars
         Triangles around each point; updated.
-    count : shape (n,)
-        Number of triangles around each point; updated.
-    a
+    a : int
         Point that stays.
-    b
+    b : int
         Point that becomes free.
     """
-    t, c = along_edge(triangles, star, count, a, b)
-    s, d = along_edge(triangles, star, count, b, a)
-    if t < 0 or s < 0 or c == d or count[c] <= 3 or count[d] <= 3:
+    t, c = along_edge(triangles, star, a, b)
+    s, d = along_edge(triangles, star, b, a)
+    if t < 0 or s < 0 or c == d or star.number[c] <= 3 or star.number[d] <= 3:
         return -1, -1
-    if count[a] + count[b] - 4 >= MOST_NEIGHBOURS - 1 or count[a] + count[b] - 4 < 4:
+    if star.number[a] + star.number[b] - 4 >= MOST_NEIGHBOURS - 1 or star.number[a] + star.number[b] - 4 < 4:
         return -1, -1
     common = 0
-    for k in range(count[a]):
-        q = star[a, k]
+    for k in range(star.number[a]):
+        q = star.triangles[a, k]
         for m in range(3):
             if triangles[q, m] == a:
                 v = triangles[q, (m + 1) % 3]
-                if v != b and _joined(triangles, star, count, b, v):
+                if v != b and _joined(triangles, star, b, v):
                     common += 1
     if common != 2:
         return -1, -1
     middle = 0.5 * (positions[a] + positions[b])
     for v in (a, b):
-        for k in range(count[v]):
-            q = star[v, k]
+        for k in range(star.number[v]):
+            q = star.triangles[v, k]
             if q == t or q == s:
                 continue
             old = _normal(positions[triangles[q, 0]], positions[triangles[q, 1]], positions[triangles[q, 2]])
@@ -231,65 +244,60 @@ def collapse_edge(positions, triangles, star, count, a, b):  # type: ignore[no-u
                 corners[m] = middle if w == v else positions[w]
             if not _agree(old, _normal(corners[0], corners[1], corners[2])):
                 return -1, -1
-    _remove(star, count, a, t)
-    _remove(star, count, b, t)
-    _remove(star, count, c, t)
-    _remove(star, count, a, s)
-    _remove(star, count, b, s)
-    _remove(star, count, d, s)
-    while count[b] > 0:
-        q = star[b, count[b] - 1]
+    _remove(star, a, t)
+    _remove(star, b, t)
+    _remove(star, c, t)
+    _remove(star, a, s)
+    _remove(star, b, s)
+    _remove(star, d, s)
+    while star.number[b] > 0:
+        q = star.triangles[b, star.number[b] - 1]
         for m in range(3):
             if triangles[q, m] == b:
                 triangles[q, m] = a
-        _remove(star, count, b, q)
-        _add(star, count, a, q)
+        _remove(star, b, q)
+        _add(star, a, q)
     positions[a] = middle
     return t, s
 
 
 @kernel
-def split_edge(positions, triangles, star, count, a, b, free, t_new, s_new):  # type: ignore[no-untyped-def]
-    """Split edge a - b at its midpoint with a free point and two free triangles, in place.
+def split_edge(positions: Floats, triangles: Ints, star: Stars, a: int, b: int, free: Free) -> None:
+    """Split edge a - b at its midpoint, in place.
 
     Parameters
     ----------
-    positions : shape (n, 3)
+    positions : Floats, shape (n, 3)
         Points of the surface.
-    triangles : shape (t, 3)
+    triangles : Ints, shape (t, 3)
         Corner indices, counter-clockwise seen from outside.
-    star : shape (n, MOST_NEIGHBOURS)
+    star : Stars
         Triangles around each point; updated.
-    count : shape (n,)
-        Number of triangles around each point; updated.
-    a
+    a : int
         First point of the edge.
-    b
+    b : int
         Last point of the edge.
-    free
-        Free point.
-    t_new
-        Free triangle.
-    s_new
-        Free triangle.
+    free : Free
+        Point and triangles that it uses.
     """
-    t, c = along_edge(triangles, star, count, a, b)
-    s, d = along_edge(triangles, star, count, b, a)
-    positions[free] = 0.5 * (positions[a] + positions[b])
-    triangles[t, 0], triangles[t, 1], triangles[t, 2] = a, free, c
-    triangles[t_new, 0], triangles[t_new, 1], triangles[t_new, 2] = free, b, c
-    triangles[s, 0], triangles[s, 1], triangles[s, 2] = free, a, d
-    triangles[s_new, 0], triangles[s_new, 1], triangles[s_new, 2] = b, free, d
-    _remove(star, count, b, t)
-    _remove(star, count, b, s)
-    _add(star, count, b, t_new)
-    _add(star, count, b, s_new)
-    _add(star, count, free, t)
-    _add(star, count, free, s)
-    _add(star, count, free, t_new)
-    _add(star, count, free, s_new)
-    _add(star, count, c, t_new)
-    _add(star, count, d, s_new)
+    middle, t_new, s_new = free
+    t, c = along_edge(triangles, star, a, b)
+    s, d = along_edge(triangles, star, b, a)
+    positions[middle] = 0.5 * (positions[a] + positions[b])
+    triangles[t, 0], triangles[t, 1], triangles[t, 2] = a, middle, c
+    triangles[t_new, 0], triangles[t_new, 1], triangles[t_new, 2] = middle, b, c
+    triangles[s, 0], triangles[s, 1], triangles[s, 2] = middle, a, d
+    triangles[s_new, 0], triangles[s_new, 1], triangles[s_new, 2] = b, middle, d
+    _remove(star, b, t)
+    _remove(star, b, s)
+    _add(star, b, t_new)
+    _add(star, b, s_new)
+    _add(star, middle, t)
+    _add(star, middle, s)
+    _add(star, middle, t_new)
+    _add(star, middle, s_new)
+    _add(star, c, t_new)
+    _add(star, d, s_new)
 
 
 def transport(positions: Floats, triangles: Ints, ratio: float, most: int) -> int:
@@ -375,7 +383,7 @@ def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int,
         Number of points moved.
     """
     n = positions.shape[0]
-    star, count = stars(triangles, n)
+    star = stars(triangles, n)
     edges, length = sized_edges(positions, triangles, size)
     m = len(edges)
     order = np.argsort(length)
@@ -391,22 +399,22 @@ def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int,
         while long >= 0:
             c, d = edges[order[long], 0], edges[order[long], 1]
             ready = not (used[c] or used[d]) and c != a and c != b and d != a and d != b
-            if ready and along_edge(triangles, star, count, c, d)[0] >= 0:
+            if ready and along_edge(triangles, star, c, d)[0] >= 0:
                 break
             long -= 1
         if long < 0 or length[order[long]] < ratio * length[short]:
             break
         c, d = edges[order[long], 0], edges[order[long], 1]
-        _, left = along_edge(triangles, star, count, c, d)
-        _, right = along_edge(triangles, star, count, d, c)
+        _, left = along_edge(triangles, star, c, d)
+        _, right = along_edge(triangles, star, d, c)
         if left == a or left == b or right == a or right == b:
             continue
-        if count[left] >= MOST_NEIGHBOURS - 2 or count[right] >= MOST_NEIGHBOURS - 2:
+        if star.number[left] >= MOST_NEIGHBOURS - 2 or star.number[right] >= MOST_NEIGHBOURS - 2:
             continue
-        t, s = collapse_edge(positions, triangles, star, count, a, b)
+        t, s = collapse_edge(positions, triangles, star, a, b)
         if t < 0:
             continue
-        split_edge(positions, triangles, star, count, c, d, b, t, s)
+        split_edge(positions, triangles, star, c, d, Free(b, t, s))
         size[b] = 0.5 * (size[c] + size[d])
         used[a] = used[b] = used[c] = used[d] = True
         moved += 1

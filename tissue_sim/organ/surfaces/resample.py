@@ -9,7 +9,16 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
-from tissue_sim.organ.surfaces.remesh import MOST_NEIGHBOURS, along_edge, collapse_edge, sized_edges, split_edge, stars
+from tissue_sim.organ.surfaces.remesh import (
+    MOST_NEIGHBOURS,
+    Free,
+    Stars,
+    along_edge,
+    collapse_edge,
+    sized_edges,
+    split_edge,
+    stars,
+)
 
 
 @kernel
@@ -40,7 +49,7 @@ def thin_out(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Int
     """
     n = positions.shape[0]
     positions, triangles = positions.copy(), triangles.copy()
-    star, count = stars(triangles, n)
+    star = stars(triangles, n)
     edges, _ = _edges_by_length(positions, triangles, np.ones(n))
     used = np.zeros(n, dtype=np.bool_)
     gone = np.zeros(n, dtype=np.bool_)
@@ -52,15 +61,15 @@ def thin_out(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Int
         a, b = edges[e, 0], edges[e, 1]
         if used[a] or used[b]:
             continue
-        t, s = collapse_edge(positions, triangles, star, count, a, b)
+        t, s = collapse_edge(positions, triangles, star, a, b)
         if t < 0:
             continue
         dead[t] = dead[s] = True
         gone[b] = True
         removed += 1
-        for k in range(count[a]):
+        for k in range(star.number[a]):
             for m in range(3):
-                used[triangles[star[a, k], m]] = True
+                used[triangles[star.triangles[a, k], m]] = True
         used[b] = True
     new = np.cumsum(~gone) - 1
     left = triangles[~dead]
@@ -113,9 +122,9 @@ def split_long(positions: Floats, triangles: Ints, size: Floats, limit: float, m
     larger[:n] = positions
     more = np.zeros((faces + 2 * most, 3), dtype=np.int32)
     more[:faces] = triangles
-    star = np.full((n + most, MOST_NEIGHBOURS), -1, dtype=np.int32)
-    count = np.zeros(n + most, dtype=np.int32)
-    star[:n], count[:n] = stars(triangles, n)
+    star = Stars(np.full((n + most, MOST_NEIGHBOURS), -1, dtype=np.int32), np.zeros(n + most, dtype=np.int32))
+    before = stars(triangles, n)
+    star.triangles[:n], star.number[:n] = before.triangles, before.number
     edges, length = _edges_by_length(positions, triangles, size)
     used = np.zeros(faces + 2 * most, dtype=np.bool_)
     added = 0
@@ -123,12 +132,12 @@ def split_long(positions: Floats, triangles: Ints, size: Floats, limit: float, m
         if added >= most or length[e] < limit:
             break
         a, b = edges[e, 0], edges[e, 1]
-        t, c = along_edge(more, star, count, a, b)
-        s, d = along_edge(more, star, count, b, a)
-        if used[t] or used[s] or count[c] >= MOST_NEIGHBOURS - 2 or count[d] >= MOST_NEIGHBOURS - 2:
+        t, c = along_edge(more, star, a, b)
+        s, d = along_edge(more, star, b, a)
+        if used[t] or used[s] or star.number[c] >= MOST_NEIGHBOURS - 2 or star.number[d] >= MOST_NEIGHBOURS - 2:
             continue
         t_new, s_new = faces + 2 * added, faces + 2 * added + 1
-        split_edge(larger, more, star, count, a, b, n + added, t_new, s_new)
+        split_edge(larger, more, star, a, b, Free(n + added, t_new, s_new))
         used[t] = used[s] = used[t_new] = used[s_new] = True
         added += 1
     return larger[: n + added], more[: faces + 2 * added]

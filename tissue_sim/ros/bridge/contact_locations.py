@@ -67,7 +67,7 @@ class Surface:
     """
 
     def __init__(self, vertices: Floats, triangles: Longs, radius: float) -> None:
-        self._vertices, self._triangles, self._radius = vertices, triangles, radius
+        self._vertices, self._triangles, self.radius = vertices, triangles, radius
         self._low, self._high = vertices.min(axis=0), vertices.max(axis=0)
         self._thinnest = float((self._high - self._low).min())
         self.scale = min(1.0, self._thinnest / REFERENCE)  # of depths and ways
@@ -105,7 +105,7 @@ class Surface:
         if across @ across >= self.ball.radius**2:
             return None
         place, end = (self.ball.leave(self.ball.centre + across, side * way) for side in (-1.0, 1.0))
-        probe = fcl.CollisionObject(fcl.Sphere(self._radius - depth), fcl.Transform(place))
+        probe = fcl.CollisionObject(fcl.Sphere(self.radius - depth), fcl.Transform(place))
         while (gap := fcl.distance(probe, self._surface)) > POINT:
             place = place + gap * way
             if (end - place) @ way < 0.0:
@@ -152,7 +152,7 @@ class Surface:
         for shift in (0.12, 0.0, 0.24, -0.12):
             seen = self.touch(self.ball.centre + shift * self._length * self._along, FRONT)
             square = seen and self.touch(seen.place, -self.normal(seen))
-            if seen and square and np.linalg.norm(square.place - seen.place) < self._radius:
+            if seen and square and np.linalg.norm(square.place - seen.place) < self.radius:
                 return square
         raise UserError("found no point on the organ's front to poke; leave 'poke' out of the script")
 
@@ -173,7 +173,7 @@ class Surface:
         for index in sides[:: 1 + len(sides) // MOST_SAMPLES]:
             inward = -normals[index]
             near, far = self.touch(points[index], inward), self.touch(points[index], -inward)
-            if near and far and (gap := float((far.place - near.place) @ inward) - 2.0 * self._radius) > 0.0:
+            if near and far and (gap := float((far.place - near.place) @ inward) - 2.0 * self.radius) > 0.0:
                 # Squareness counts most: a jaw slides off a slope.
                 slope = 1.0 - min(self.normal(far) @ inward, self.normal(near) @ -inward)
                 deep = self._high[2] - 0.5 * (near.place[2] + far.place[2])

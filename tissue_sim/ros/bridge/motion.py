@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -73,6 +73,37 @@ class Ball(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Leg:
+    """A leg of a path. The mappings give, by the number of a tool, what changes; everything else stays.
+
+    Attributes
+    ----------
+    phase : str
+        Name of what happens, such as `poke/hold`.
+    to : Mapping[int, Floats], shape (3,) or (k, 3), m
+        Where tools go, or the points that they go through.
+    speed : float, m/s
+        Peak speed, also of the tips of jaws.
+    seconds : float, s
+        How long it takes at least.
+    angle : Mapping[int, float], rad
+        Angle between jaws at the end.
+    turn : Mapping[int, Floats], shape (4,)
+        Rotation at the end.
+    outward : Mapping[int, Floats], shape (3,)
+        The way out of the tissue.
+    """
+
+    phase: str
+    to: Mapping[int, Floats] = field(default_factory=dict)
+    speed: float = FAST
+    seconds: float = 0.0
+    angle: Mapping[int, float] = field(default_factory=dict)
+    turn: Mapping[int, Floats] = field(default_factory=dict)
+    outward: Mapping[int, Floats] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Path:
     """Poses of T tools at a rate.
 
@@ -85,7 +116,7 @@ class Path:
     reach : float, m
         Distance from the hinge of jaws to their tips.
     phases : NDArray[np.str_], shape (m,)
-        Name of what happens, such as `poke/hold`.
+        Name of the leg of each pose.
     poses : Floats, shape (m, T, 7), m and quaternion xyzw
         The poses.
     angles : Floats, shape (m, T), rad
@@ -125,47 +156,23 @@ class Path:
         """Time from its first pose to the first of the next round, s."""
         return len(self.poses) / self.rate
 
-    def then(
-        self,
-        phase: str,
-        to: Mapping[int, Floats] | None = None,
-        speed: float = FAST,
-        seconds: float = 0.0,
-        angle: Mapping[int, float] | None = None,
-        turn: Mapping[int, Floats] | None = None,
-        outward: Mapping[int, Floats] | None = None,
-    ) -> Path:
+    def then(self, leg: Leg) -> Path:
         """Return this path with one more leg.
-
-        The mappings give, by the number of a tool, what changes; everything else stays.
 
         Parameters
         ----------
-        phase : str
-            Name of the leg.
-        to : Mapping[int, Floats] | None, shape (3,) or (k, 3), m, optional
-            Where it goes, or the points that it goes through.
-        speed : float, m/s, optional
-            Peak speed, also of the tips of jaws.
-        seconds : float, s, optional
-            How long it takes at least.
-        angle : Mapping[int, float] | None, rad, optional
-            Angle between its jaws at the end.
-        turn : Mapping[int, Floats] | None, shape (4,), optional
-            Its rotation at the end.
-        outward : Mapping[int, Floats] | None, shape (3,), optional
-            The way out of the tissue.
+        leg : Leg
+            The leg.
         """
         before, shut = self.poses[-1], self.angles[-1]
-        to, angle, turn, outward = to or {}, angle or {}, turn or {}, outward or {}
-        ways = [np.vstack([pose[:3], to.get(tool, pose[:3])]) for tool, pose in enumerate(before)]
+        ways = [np.vstack([pose[:3], leg.to.get(tool, pose[:3])]) for tool, pose in enumerate(before)]
         along = [np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))) for way in ways]
-        turns = [Rotation.from_quat([pose[3:], turn.get(tool, pose[3:])]) for tool, pose in enumerate(before)]
-        opening = np.array([angle.get(tool, now) for tool, now in enumerate(shut)]) - shut
+        turns = [Rotation.from_quat([pose[3:], leg.turn.get(tool, pose[3:])]) for tool, pose in enumerate(before)]
+        opening = np.array([leg.angle.get(tool, now) for tool, now in enumerate(shut)]) - shut
         turning = max((end * start.inv()).magnitude() for start, end in turns)
         going = max(0.5 * self.reach * np.abs(opening).max(), *(length[-1] for length in along))
-        least = PEAK_OVER_MEAN * max(going / speed, turning / TURNING)
-        n = int(np.ceil(self.rate * max(least, SHORTEST if least > 1e-6 else 0.0, seconds) - 1e-9))
+        least = PEAK_OVER_MEAN * max(going / leg.speed, turning / TURNING)
+        n = int(np.ceil(self.rate * max(least, SHORTEST if least > 1e-6 else 0.0, leg.seconds) - 1e-9))
         if n == 0:
             return self
         share = minimum_jerk(np.arange(1, n + 1) / n)
@@ -174,10 +181,10 @@ class Path:
             for way, length in zip(ways, along, strict=True)
         ]
         rotations = [Slerp([0.0, 1.0], pair)(share).as_quat() for pair in turns]
-        out = np.array([outward.get(tool, np.zeros(3)) for tool in range(len(before))])
+        out = np.array([leg.outward.get(tool, np.zeros(3)) for tool in range(len(before))])
         return replace(
             self,
-            phases=np.append(self.phases, [phase] * n),
+            phases=np.append(self.phases, [leg.phase] * n),
             poses=np.concatenate([self.poses, np.concatenate([places, rotations], axis=2).swapaxes(0, 1)]),
             angles=np.concatenate([self.angles, shut + share[:, None] * opening]),
             outward=np.concatenate([self.outward, np.broadcast_to(out, (n, *out.shape))]),
@@ -195,4 +202,4 @@ class Path:
         inside = {tool: way for tool, way in enumerate(self.outward[index]) if way.any()}
         opened = {tool: float(self.angles[:, tool].max()) for tool in inside}
         out = {tool: self.ball.leave(self.poses[index, tool, :3], way) for tool, way in inside.items()}
-        return replace(self, **here).then("open", speed=OPENING, angle=opened).then("retreat", out)
+        return replace(self, **here).then(Leg("open", speed=OPENING, angle=opened)).then(Leg("retreat", out))

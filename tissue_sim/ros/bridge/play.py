@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
     from shape_msgs.msg import Mesh
 
+    from tissue_sim.ros.bridge.contact_locations import Surface
     from tissue_sim.ros.bridge.player import Player, cast
     from tissue_sim.ros.bridge.registration import Registration
     from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
@@ -83,7 +84,8 @@ def run(args: argparse.Namespace) -> int:
         player = Player(tools, args.seconds, relinked)
         while organ is not None:
             vertices, triangles = organ
-            path = plan(vertices, triangles, radius, [tool.name for tool in tools], script, jaws, args.rate)
+            surface = Surface(vertices, triangles, radius)
+            path = plan(surface, [tool.name for tool in tools], script, jaws, args.rate)
             print(
                 f"organ of {len(vertices)} nodes: {', '.join(script)} in {path.duration:.1f} s, repeatedly, at"
                 f" {args.rate:g} Hz",

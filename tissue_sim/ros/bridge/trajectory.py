@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.gripper import Jaws
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge.contact_locations import FRONT, UP, Surface, Touch, looking
-from tissue_sim.ros.bridge.motion import FAST, Path
+from tissue_sim.ros.bridge.motion import Leg, Path
 from tissue_sim.ros.bridge.script import SCRIPT, check
 
 # Depths and ways in m, of a tool of a radius in m; thin organs get proportionally smaller values.
@@ -25,26 +24,20 @@ POKE_HOLD, LIFT_HOLD, PAUSE = 0.5, 1.0, 1.0
 
 
 def plan(
-    vertices: Floats,
-    triangles: Longs,
-    radius: float,
+    surface: Surface,
     tools: Sequence[str] = ("left", "right"),
     script: Sequence[str] = SCRIPT,
     grippers: Mapping[str, Jaws] | None = None,
     rate: float = 500.0,
 ) -> Path:
-    """Return a closed path for spheres over a closed rest surface.
+    """Return a closed path for spheres over a closed rest surface that they meet.
 
     The first tool strokes and pokes; a nip takes the first two; a grip the first that has jaws.
 
     Parameters
     ----------
-    vertices : Floats, shape (n, 3), m
-        Points of the surface.
-    triangles : Longs, shape (t, 3)
-        Its triangles.
-    radius : float, m
-        Radius of the spheres.
+    surface : Surface
+        The surface, and the radius of the spheres.
     tools : Sequence[str], optional
         Names of the tools.
     script : Sequence[str], optional
@@ -63,7 +56,7 @@ def plan(
     holders = [(index, grippers[tool]) for index, tool in enumerate(tools) if grippers and tool in grippers]
     if "grip" in script and not holders:
         raise UserError(f"a grip needs a gripper, but {', '.join(tools)} has no jaws; name a tool with jaws")
-    planner = _Planner(Surface(vertices, triangles, radius), radius, len(tools), holders[:1], rate)
+    planner = _Planner(surface, len(tools), holders[:1], rate)
     for action in script:
         getattr(planner, action)()
     return planner.closed_path()
@@ -72,11 +65,9 @@ def plan(
 class _Planner:
     """Builder of a path from actions, each of which begins and ends outside of the organ."""
 
-    def __init__(
-        self, surface: Surface, radius: float, n_tools: int, gripper: Sequence[tuple[int, Jaws]], rate: float
-    ) -> None:
+    def __init__(self, surface: Surface, n_tools: int, gripper: Sequence[tuple[int, Jaws]], rate: float) -> None:
         self._surface, self._scale, self._gripper = surface, surface.scale, gripper
-        self._stroke_depth = self._scale * min(STROKE_DEPTH, 0.8 * radius)
+        self._stroke_depth = self._scale * min(STROKE_DEPTH, 0.8 * surface.radius)
         self._placed: set[int] = set()
         # A tool without an action waits behind the organ, each a little farther round.
         outward = [Rotation.from_rotvec(0.5 * (tool - 1) * UP).apply(FRONT) for tool in range(n_tools)]
@@ -90,18 +81,18 @@ class _Planner:
         share = np.linspace(0.0, 1.0, len(touches))
         line = CubicSpline(share, [touch.place for touch in touches])(np.linspace(0.0, 1.0, 20 * len(touches)))
         self._enter("stroke", {0: touches[0]}, HOVER + depth)
-        self._then("press", {0: touches[0].place}, PRESS)
-        self._then("draw", {0: line}, STROKE)
-        self._then("lift", {0: touches[-1].at(-HOVER - depth)}, PRESS)
+        self._then(Leg("press", {0: touches[0].place}, PRESS))
+        self._then(Leg("draw", {0: line}, STROKE))
+        self._then(Leg("lift", {0: touches[-1].at(-HOVER - depth)}, PRESS))
         self._leave()
 
     def poke(self) -> None:
         """Press the first tool in, square to the front."""
         touch = self._surface.poke_location()
         self._enter("poke", {0: touch})
-        self._then("press", {0: touch.at(self._scale * POKE_DEPTH)}, PRESS)
-        self._then("hold", seconds=POKE_HOLD)
-        self._then("release", {0: touch.at(-HOVER)}, PRESS)
+        self._then(Leg("press", {0: touch.at(self._scale * POKE_DEPTH)}, PRESS))
+        self._then(Leg("hold", seconds=POKE_HOLD))
+        self._then(Leg("release", {0: touch.at(-HOVER)}, PRESS))
         self._leave()
 
     def nip(self) -> None:
@@ -116,11 +107,11 @@ class _Planner:
         lift *= self._scale * LIFT / np.linalg.norm(lift)
         closed = {tool: jaw.at(self._scale * SQUEEZE) for tool, jaw in enumerate(jaws)}
         self._enter("nip", dict(enumerate(jaws)))
-        self._then("close", closed, CLOSE)
-        self._then("lift", {tool: place + lift for tool, place in closed.items()}, LIFTING)
-        self._then("hold", seconds=LIFT_HOLD)
-        self._then("lower", closed, LIFTING)
-        self._then("open", {tool: jaw.at(-HOVER) for tool, jaw in enumerate(jaws)}, CLOSE)
+        self._then(Leg("close", closed, CLOSE))
+        self._then(Leg("lift", {tool: place + lift for tool, place in closed.items()}, LIFTING))
+        self._then(Leg("hold", seconds=LIFT_HOLD))
+        self._then(Leg("lower", closed, LIFTING))
+        self._then(Leg("open", {tool: jaw.at(-HOVER) for tool, jaw in enumerate(jaws)}, CLOSE))
         self._leave()
 
     def grip(self) -> None:
@@ -129,11 +120,11 @@ class _Planner:
         grasp = self._surface.grasp(jaws)
         touch = Touch(grasp.place, -grasp.out, grasp.turn)
         self._enter("grip", {tool: touch}, grasp.depth + HOVER, angle={tool: grasp.opened})
-        self._then("enter", {tool: touch.place}, PRESS)
-        self._then("close", {}, CLOSE, angle={tool: grasp.closed})
-        self._then("lift", {tool: touch.at(-self._scale * LIFT)}, LIFTING)
-        self._then("hold", seconds=LIFT_HOLD)
-        self._then("open", {}, CLOSE, angle={tool: grasp.opened})
+        self._then(Leg("enter", {tool: touch.place}, PRESS))
+        self._then(Leg("close", {}, CLOSE, angle={tool: grasp.closed}))
+        self._then(Leg("lift", {tool: touch.at(-self._scale * LIFT)}, LIFTING))
+        self._then(Leg("hold", seconds=LIFT_HOLD))
+        self._then(Leg("open", {}, CLOSE, angle={tool: grasp.opened}))
         self._leave()
 
     def closed_path(self) -> Path:
@@ -141,11 +132,17 @@ class _Planner:
         home, last = self._path.poses[[0, -1]]
         back = {tool: self._path.ball.arc(last[tool, :3], pose[:3]) for tool, pose in enumerate(home)}
         shut = dict.fromkeys(back, 0.0)
-        path = self._path.then("return", back, angle=shut, turn={tool: pose[3:] for tool, pose in enumerate(home)})
-        return path.then("pause", seconds=PAUSE)
+        turn = {tool: pose[3:] for tool, pose in enumerate(home)}
+        path = self._path.then(Leg("return", back, angle=shut, turn=turn))
+        return path.then(Leg("pause", seconds=PAUSE))
 
-    def _enter(self, action: str, touches: dict[int, Touch], hover: float = HOVER, **how: Any) -> None:
-        """Go around the organ, then straight in to a distance, m, before the place where tools touch."""
+    def _enter(
+        self, action: str, touches: dict[int, Touch], hover: float = HOVER, angle: Mapping[int, float] | None = None
+    ) -> None:
+        """Go around the organ, then straight in to a distance, m, before the place where tools touch.
+
+        angle: between jaws when they are there, rad.
+        """
         ball, turn = self._path.ball, {tool: touch.turn for tool, touch in touches.items()}
         self._action, self._out = action, {tool: -touch.way for tool, touch in touches.items()}
         starts = {tool: ball.leave(touch.place, -touch.way) for tool, touch in touches.items()}
@@ -153,13 +150,15 @@ class _Planner:
             self._path.poses[:, tool] = np.append(starts[tool], turn[tool])
         self._placed |= set(touches)
         around = {tool: ball.arc(self._path.poses[-1, tool, :3], start) for tool, start in starts.items()}
-        self._path = self._path.then(f"{action}/approach", around, turn=turn)
-        self._then("approach", {tool: touch.at(-hover) for tool, touch in touches.items()}, **how)
+        self._path = self._path.then(Leg(f"{action}/approach", around, turn=turn))
+        before = {tool: touch.at(-hover) for tool, touch in touches.items()}
+        self._then(Leg("approach", before, angle=angle or {}))
 
-    def _then(self, step: str, to: Mapping[int, Floats] | None = None, speed: float = FAST, **how: Any) -> None:
-        self._path = self._path.then(f"{self._action}/{step}", to, speed, **how, outward=self._out)
+    def _then(self, leg: Leg) -> None:
+        """Add a leg of the action, during which the way out of the tissue stays the same."""
+        self._path = self._path.then(replace(leg, phase=f"{self._action}/{leg.phase}", outward=self._out))
 
     def _leave(self) -> None:
         """Go straight out, until the tools are clear of the organ."""
         last = self._path.poses[-1, :, :3]
-        self._then("retreat", {tool: self._path.ball.leave(last[tool], way) for tool, way in self._out.items()})
+        self._then(Leg("retreat", {tool: self._path.ball.leave(last[tool], way) for tool, way in self._out.items()}))

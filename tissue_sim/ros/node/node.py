@@ -47,6 +47,7 @@ from tissue_sim.ros.node.shared.duplicate_nodes import DuplicateNodes
 from tissue_sim.ros.node.shared.guarded_node import GuardedNode
 from tissue_sim.ros.node.shared.served_organ import ServedOrgan, ServedScene, told
 from tissue_sim.ros.node.shared.served_tool import ServedTool
+from tissue_sim.ros.node.shared.shared_parts import SharedParts
 from tissue_sim.ros.node.shared.sim_clock import SimClock
 from tissue_sim.ros.node.tools.passivity import DevicePort
 from tissue_sim.ros.node.tools.tool_port import ToolPort
@@ -99,6 +100,7 @@ class TissueNode(GuardedNode):
         self.sim_clock = SimClock(self, self.loop)
         files = {one.name: (one.organ, one.organ.to_bytes) for one in self.served}
         self.recorder = Recorder(self.get_fully_qualified_name(), self.organs, files, self._config())
+        self.shared = SharedParts(self, self.organs, self.recorder, self.sim_clock, self.backlog)
         self.ports = [self._port(index, name, tools) for index, name in enumerate(values.tools)]
         warn, of_organ = self.get_logger().warning, self.recorder.of_organ
         searches = [
@@ -124,9 +126,7 @@ class TissueNode(GuardedNode):
             for one, recorder in zip(self.served, of_organ, strict=True)
         ]
         if self.scene.is_scene:
-            self.presenters.append(
-                ScenePublisher(self, self.served, self.frame_id, self.ports, self.organs, self.scene.joined, values)
-            )
+            self.presenters.append(ScenePublisher(self, self.served, self.frame_id, self.ports, self.organs, values))
         self.tool_presenter = ToolPublisher(self, self.frame_id, self.organs, self.ports, tools, self._broadcast)
         self.contact_points = ContactPoints(self, self.frame_id, self.organs, tools)
         self._warm_up.append(partial(warm_up, tools.shapes))
@@ -160,9 +160,7 @@ class TissueNode(GuardedNode):
         tools = self.tool_presenter
         show = [*(one.present for one in self.presenters), tools.present, tools.broadcast_tips]
         show += [self.contact_points.present, self.recorder.poll]
-        outlet = self._outlet = PublishingThread(
-            self.organs, self.ports, show, self.live, self.sim_clock, self.backlog, self._report, self.get_logger()
-        )
+        outlet = self._outlet = PublishingThread(self.shared, self.ports, show, self.live, self._report)
         self._parts = [
             *self.ports,
             self.contact_points,
@@ -252,7 +250,7 @@ class TissueNode(GuardedNode):
         other = "false" if topics.reliable else "true"
         for topic in filter(None, topics.names.values()):
             self.remedies[self.resolve_topic_name(topic)] = f"set {name}.reliable:={other}, or another QoS there"
-        port = ToolPort(self, tool, self.organs, self.recorder, self.sim_clock, self.backlog, self._woken)
+        port = ToolPort(self.shared, tool, self._woken)
         port.output.device = DevicePort(
             port.pose_freshness,
             values[f"{name}.motion_scale"],

@@ -13,6 +13,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node.output import publishing_thread as outlet
 from tissue_sim.ros.node.output.publishing_thread import PublishingThread
 from tissue_sim.ros.node.shared.backlog import Backlog
+from tissue_sim.ros.node.shared.shared_parts import SharedParts
 from tissue_sim.ros.shared.cdr import check_force, check_position
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
@@ -67,14 +68,17 @@ def scene(request, monkeypatch):
         parts.told.append(report)
 
     parts.outlet = PublishingThread(
-        Organs(Loop(Joined([Simulation(ball(1))]))),
+        SharedParts(
+            node=SimpleNamespace(get_logger=lambda: parts.logger),
+            organs=Organs(Loop(Joined([Simulation(ball(1))]))),
+            recorder=None,
+            clock=SimpleNamespace(watch=lambda: None),
+            backlog=Backlog(lambda task: task()),
+        ),
         [SimpleNamespace(input=SimpleNamespace(poses=0), output=parts.output)],
         [parts.presenter.present, parts.presenter.present_tools],
         live,
-        SimpleNamespace(watch=lambda: None),
-        Backlog(lambda task: task()),
         tell,
-        parts.logger,
     )
     yield parts
     parts.outlet.stop()

@@ -98,8 +98,8 @@ def _scripted(action: str, every: int = 1, faster: int = 1) -> Callable[[Organ, 
 
     def steps(organ: Organ, tools: Sequence[Tool]) -> Steps:
         jaws = {tool.name: tool.jaws for tool in tools if tool.shape == "gripper"}
-        names, triangles, rate = [tool.name for tool in tools], organ.surface_triangles.astype(np.int64), 1.0 / STEP
-        path = plan(organ.surface_positions, triangles, tools[0].radius, names, (action,), jaws, rate / every)
+        names, rate = [tool.name for tool in tools], 1.0 / STEP
+        path = plan(_surface(organ, tools[0].radius), names, (action,), jaws, rate / every)
         acting = np.char.startswith(path.phases, action)
         acting &= ~np.isin(path.phases, (f"{action}/approach", f"{action}/retreat"))
         for index in np.flatnonzero(acting)[::faster]:

@@ -10,21 +10,19 @@ from contextlib import contextmanager
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import shown
-from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.input.freshness import Freshness
-from tissue_sim.ros.node.shared.backlog import Backlog, InputThrottle
+from tissue_sim.ros.node.shared.backlog import InputThrottle
 from tissue_sim.ros.node.shared.served_tool import NewestPose, ServedTool, turned
+from tissue_sim.ros.node.shared.shared_parts import SharedParts
 from tissue_sim.ros.shared.cdr import UNSTAMPED, Stamped, check_force, check_position, unit_pose
 from tissue_sim.ros.shared.frames import Transform, UnknownFrame
 from tissue_sim.ros.shared.messages import NumbersTemplate
-from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.qos import RELIABLE, STREAM
 from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, N_POSE, N_WRENCH, POSE_TYPES, Incoming
 
@@ -47,18 +45,12 @@ class ToolInput:
 
     Parameters
     ----------
-    node : Node
-        The node.
+    parts : SharedParts
+        The node and its parts.
     tool : ServedTool
         The tool.
-    organs : Organs
-        The organs.
-    recorder : Recorder
-        The recorder.
     freshness : tuple[Freshness, Freshness]
         Freshness of poses and of forces.
-    backlog : Backlog
-        How far the executor is behind.
     pose_came : Callable[[], None]
         Called after each pose that was applied.
     force_came : Callable[[], None]
@@ -67,18 +59,16 @@ class ToolInput:
 
     def __init__(
         self,
-        node: Node,
+        parts: SharedParts,
         tool: ServedTool,
-        organs: Organs,
-        recorder: Recorder,
         freshness: tuple[Freshness, Freshness],
-        backlog: Backlog,
         pose_came: Callable[[], None],
         force_came: Callable[[], None],
     ) -> None:
-        self._tool, self._organs, self._recorder = tool, organs, recorder
+        node, recorder = parts.node, parts.recorder
+        self._tool, self._organs, self._recorder = tool, parts.organs, recorder
         self._pose_freshness, self._force_freshness = freshness
-        self._pose_gate, self._force_gate = InputThrottle(backlog), InputThrottle(backlog)
+        self._pose_gate, self._force_gate = InputThrottle(parts.backlog), InputThrottle(parts.backlog)
         self._pose_came, self._force_came = pose_came, force_came
         self._log, self._count_publishers = node.get_logger(), node.count_publishers
         self.newest, self._angle = tool.nowhere, 0.0  # rad between a gripper's jaws

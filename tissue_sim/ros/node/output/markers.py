@@ -9,17 +9,16 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose
-from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Floats, Ints, Longs, Pixels, Singles
 from tissue_sim.jit import kernel
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.shared.appearance import SHADES, TISSUE
@@ -33,6 +32,23 @@ SKELETON_COLOUR = (0.95, 0.90, 0.55, 1.0)
 ARROW_LENGTH = 0.03  # m for 1 N
 LEAST_FORCE = 1e-4  # N, least force with an arrow
 ADD, DELETE = int(Marker.ADD), int(Marker.DELETE)
+
+
+class Template(NamedTuple):
+    """Message as numbers, and where the stamp, the action and the points of each of its markers are."""
+
+    words: Ints
+    numbers: Floats
+    stamps: Longs  # index in words
+    actions: Longs  # index in words
+    starts: Longs  # index of the first point in numbers
+
+
+class Drawn(NamedTuple):
+    """Nodes whose positions are the points of markers, one marker after the other."""
+
+    nodes: Longs  # (k,)
+    ends: Longs  # (m,) of each marker's nodes
 
 
 class MarkerBytes:
@@ -51,16 +67,8 @@ class MarkerBytes:
         Points of each marker.
     colours : shape (c, 4) each
         Red, green, blue, alpha of each marker.
-    words
-        The message as int32, for kernels.
-    numbers
-        The message as float64, for kernels.
-    stamps
-        Index of each marker's stamp in words.
-    actions
-        Index of each marker's action in words.
-    starts
-        Index of each marker's first point in numbers.
+    template
+        The message, for kernels.
     """
 
     def __init__(self, markers: Sequence[Marker]) -> None:
@@ -76,24 +84,24 @@ class MarkerBytes:
         raw = serialize_message(MarkerArray(markers=list(markers)))
         self._bytes = _aligned(raw)
         body = self._bytes[CDR_HEADER:]
-        self.words = body[: len(body) // 4 * 4].view("<i4")
-        self.numbers = body[: len(body) // 8 * 8].view("<f8")
-        self.stamps, self.actions, self.starts = (np.zeros(len(markers), dtype=np.int64) for _ in range(3))
+        words, numbers = body[: len(body) // 4 * 4].view("<i4"), body[: len(body) // 8 * 8].view("<f8")
+        places = (np.zeros(len(markers), dtype=np.int64) for _ in range(3))
+        self.template = template = Template(words, numbers, *places)
         self.poses, self.points, self.colours = [], [], []
         at = 0
         for index, marker in enumerate(markers):
             n_points, n_colours = len(marker.points), len(marker.colors)
             at = raw.find(struct.pack("<iI", 0x5EED, 0x5EED0000 + index), at)
-            self.stamps[index] = (at - CDR_HEADER) // 4
+            template.stamps[index] = (at - CDR_HEADER) // 4
             at = raw.find(struct.pack("<i", 0x5EED000), at)
-            self.actions[index] = (at - CDR_HEADER) // 4
+            template.actions[index] = (at - CDR_HEADER) // 4
             at = raw.find(struct.pack("<d", SENTINEL), at)
             self.poses.append(self._bytes[at : at + 56].view("<f8"))
             self.poses[-1][0] = 0.0
             at += 56
             if n_points:
                 at = raw.find(struct.pack("<d", SENTINEL), at)
-            self.starts[index] = (at - CDR_HEADER) // 8
+            template.starts[index] = (at - CDR_HEADER) // 8
             self.points.append(self._bytes[at : at + 24 * n_points].view("<f8").reshape(n_points, 3))
             self.points[-1][:] = given[index]
             at += 24 * n_points
@@ -101,7 +109,7 @@ class MarkerBytes:
                 at = raw.find(struct.pack("<f", COLOUR_SENTINEL), at)
             self.colours.append(self._bytes[at : at + 16 * n_colours].view("<f4").reshape(n_colours, 4))
             at += 16 * n_colours
-        self.words[self.actions] = ADD
+        words[template.actions] = ADD
 
     def stamp(self, stamp: int) -> None:
         """Set the stamp of every marker, ns.
@@ -111,7 +119,7 @@ class MarkerBytes:
         stamp : int, ns
             The stamp.
         """
-        write_stamp(self.words, self.stamps, *divmod(stamp, 1_000_000_000))
+        write_stamp(self.template, stamp)
 
     def show(self, index: int, is_shown: bool) -> None:
         """Add a marker, or delete it.
@@ -123,7 +131,7 @@ class MarkerBytes:
         is_shown : bool
             Whether to add it.
         """
-        self.words[self.actions[index]] = ADD if is_shown else DELETE
+        self.template.words[self.template.actions[index]] = ADD if is_shown else DELETE
 
     def draw_force(self, index: int, start: Floats, force: Floats) -> None:
         """Show a force as an arrow; without a force the arrow is deleted.
@@ -137,7 +145,7 @@ class MarkerBytes:
         force : Floats, shape (3,), N
             The force.
         """
-        write_force(self.words, self.numbers, self.actions[index], self.starts[index], start, force)
+        write_force(self.template, index, start, force)
 
     def message(self) -> bytes:
         """Return the message as it stands."""
@@ -145,7 +153,7 @@ class MarkerBytes:
 
     def deletion(self) -> bytes:
         """Return the same markers, all deleted: for the shutdown."""
-        self.words[self.actions] = DELETE
+        self.template.words[self.template.actions] = DELETE
         return self.message()
 
 
@@ -186,8 +194,8 @@ class OrganMarkers:
                     markers.append(marker)
                     drawn.append(nodes)
             first += organ.n_nodes
-        self._nodes = np.concatenate(drawn).astype(np.int64)
-        self._ends = np.cumsum([len(nodes) for nodes in drawn])
+        ends = np.cumsum([len(nodes) for nodes in drawn])
+        self._drawn = Drawn(np.concatenate(drawn).astype(np.int64), ends)
         markers += [force_arrow(frame_id, "contacts", tool) for tool in range(n_tools)]
         self._bytes = MarkerBytes(markers)
         # Compiled here, or while somebody waits for the first message.
@@ -216,24 +224,12 @@ class OrganMarkers:
         share : Floats | None, shape (n,), optional
             Each node's place on the colour scale, 0 to 1, if they are coloured.
         """
-        template = self._bytes
-        write_organs(
-            template.words,
-            template.numbers,
-            template.stamps,
-            template.actions,
-            template.starts,
-            *divmod(stamp, 1_000_000_000),
-            positions,
-            self._nodes,
-            self._ends,
-            centre,
-            wrench,
-        )
+        made = self._bytes
+        write_organs(made.template, stamp, positions, self._drawn, centre, wrench)
         if share is not None:
             for marker, corners in self._surfaces:
-                write_colours(template.colours[marker], corners, share, SHADES)
-        return template.message()
+                write_colours(made.colours[marker], corners, share, SHADES)
+        return made.message()
 
     def deletion(self) -> bytes:
         """Return the same markers, all deleted: for the shutdown."""
@@ -243,40 +239,30 @@ class OrganMarkers:
 # kernels ---------------------------------------------------------------------------------------
 @kernel
 def write_organs(
-    words: Any,
-    numbers: Any,
-    stamps: Longs,
-    actions: Longs,
-    starts: Longs,
-    seconds: int,
-    nanoseconds: int,
-    positions: Floats,
-    nodes: Longs,
-    ends: Longs,
-    centre: Floats,
-    wrench: Floats,
+    template: Template, stamp: int, positions: Floats, drawn: Drawn, centre: Floats, wrench: Floats
 ) -> None:
-    """Write markers by their nodes (k,), of which each has those up to its end (m,), and an arrow for each tool."""
-    write_stamp(words, stamps, seconds, nanoseconds)
+    """Write markers by their nodes, and behind these an arrow for each tool."""
+    write_stamp(template, stamp)
     first = 0
-    for marker in range(len(ends)):
-        write_points(numbers, starts[marker], positions, nodes[first : ends[marker]])
-        first = ends[marker]
+    for marker in range(len(drawn.ends)):
+        end = drawn.ends[marker]
+        write_points(template.numbers, template.starts[marker], positions, drawn.nodes[first:end])
+        first = end
     for tool in range(len(centre)):
-        arrow = len(ends) + tool
-        write_force(words, numbers, actions[arrow], starts[arrow], centre[tool], wrench[tool])
+        write_force(template, len(drawn.ends) + tool, centre[tool], wrench[tool])
 
 
 @kernel
-def write_stamp(words: Any, stamps: Longs, seconds: int, nanoseconds: int) -> None:
-    """Write the time of every marker."""
-    for index in range(len(stamps)):
-        words[stamps[index]] = seconds
-        words[stamps[index] + 1] = nanoseconds
+def write_stamp(template: Template, stamp: int) -> None:
+    """Write the time of every marker, ns."""
+    for index in range(len(template.stamps)):
+        at = template.stamps[index]
+        template.words[at] = stamp // 1_000_000_000
+        template.words[at + 1] = stamp % 1_000_000_000
 
 
 @kernel
-def write_points(numbers: Any, start: int, positions: Floats, nodes: Longs) -> None:
+def write_points(numbers: Floats, start: int, positions: Floats, nodes: Longs) -> None:
     """Write the positions (n, 3) m of nodes (k,), one after the other."""
     for index in range(len(nodes)):
         node, at = nodes[index], start + 3 * index
@@ -286,18 +272,18 @@ def write_points(numbers: Any, start: int, positions: Floats, nodes: Longs) -> N
 
 
 @kernel
-def write_force(words: Any, numbers: Any, action: int, at: int, start: Floats, force: Floats) -> None:
-    """Write both ends of an arrow, and whether there is one."""
-    size = 0.0
+def write_force(template: Template, index: int, start: Floats, force: Floats) -> None:
+    """Write both ends of the arrow that a marker is, and whether there is one."""
+    size, at = 0.0, template.starts[index]
     for axis in range(3):
         size += force[axis] * force[axis]
-        numbers[at + axis] = start[axis]
-        numbers[at + 3 + axis] = start[axis] + ARROW_LENGTH * force[axis]
-    words[action] = ADD if size > LEAST_FORCE * LEAST_FORCE else DELETE
+        template.numbers[at + axis] = start[axis]
+        template.numbers[at + 3 + axis] = start[axis] + ARROW_LENGTH * force[axis]
+    template.words[template.actions[index]] = ADD if size > LEAST_FORCE * LEAST_FORCE else DELETE
 
 
 @kernel
-def write_colours(colours: Any, corners: Longs, share: Floats, scale: Any) -> None:
+def write_colours(colours: Singles, corners: Longs, share: Floats, scale: Singles) -> None:
     """Write the colour (4,) of each corner from a scale (m, 4) and each node's place on it, share (n,)."""
     for index in range(len(corners)):
         place = int(min(share[corners[index]], 1.0) * (len(scale) - 1))
@@ -392,13 +378,13 @@ def force_arrow(frame_id: str, namespace: str, number: int) -> Marker:
     return marker
 
 
-def skeleton_lines(organ: Organ) -> Any:
+def skeleton_lines(organ: Organ) -> Longs:
     """Return the atom indices (2 b,) of the skeleton's line list: each atom and its parent."""
     child = np.flatnonzero(organ.atom_parent >= 0)
     return np.stack([child, organ.atom_parent[child]], axis=1).ravel()
 
 
-def _aligned(raw: bytes) -> NDArray[np.uint8]:
+def _aligned(raw: bytes) -> Pixels:
     """Return a message's bytes with its float64 aligned in memory: CDR aligns relative to the end of its header."""
     room = np.empty(len(raw) + 8, dtype=np.uint8)
     start = (-CDR_HEADER - room.ctypes.data) % 8

@@ -11,7 +11,6 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
-from tissue_sim.model.joined import Joined
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.output.ligaments import Ligaments
 from tissue_sim.ros.node.output.published_shapes import PublishedShapes, Touches
@@ -136,7 +135,6 @@ class ScenePublisher:
         frame_id: str,
         ports: Sequence[ToolPort],
         organs: Organs,
-        joined: Joined,
         values: Values,
     ) -> None:
         self._values, self._clock = values, node.get_clock()
@@ -145,6 +143,7 @@ class ScenePublisher:
         self._shown = PublishedShapes(frame_id, named, organs.each, Touches(ports, organs), len(ports))
         self._sent: tuple[object, ...] = ()
         self._had = 0
+        joined = organs.loop.joined
         self._ligaments: Ligaments | None = None
         if len(joined.links.slack):
             self._ligaments = Ligaments(frame_id, joined, self._shown.first_rows)

@@ -5,16 +5,13 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
 
 from tissue_sim.memory import give_back
 from tissue_sim.ros.node.output.loop_timing import TimingReader
 from tissue_sim.ros.node.settings import degradation as degrade
 from tissue_sim.ros.node.settings.live_settings import LiveSettings
-from tissue_sim.ros.node.shared.backlog import Backlog
-from tissue_sim.ros.node.shared.sim_clock import SimClock
+from tissue_sim.ros.node.shared.shared_parts import SharedParts
 from tissue_sim.ros.node.tools.tool_port import ToolPort
-from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import RepeatedFailure, Report
 
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
@@ -22,16 +19,6 @@ IDLE_MARKER_RATE = 20.0  # Hz, of checks for motion while nothing moves
 REPORT_EVERY = 1.0  # s
 GIVE_BACK_EVERY = 60.0  # s
 AFTER_FAILURE = 0.01  # s until the next turn
-
-
-class Logger(Protocol):
-    """Receiver of lines for people."""
-
-    def info(self, message: str) -> Any:
-        """Log something that happens."""
-
-    def warning(self, message: str) -> Any:
-        """Log something that needs attention."""
 
 
 class PublishingThread:
@@ -42,40 +29,31 @@ class PublishingThread:
 
     Parameters
     ----------
-    organs : Organs
-        The organs.
+    parts : SharedParts
+        The node and its parts.
     ports : Sequence[ToolPort]
         The tools' ports.
     show : Sequence[Callable[[], None]]
         Functions that publish markers.
     live : LiveSettings
         Settings while the node runs.
-    sim_clock : SimClock
-        The clock that ticks follow.
-    backlog : Backlog
-        How far the executor is behind.
     tell : Callable[[], None]
         Publishes the report.
-    logger : Logger
-        Receives lines for people.
     """
 
     def __init__(
         self,
-        organs: Organs,
+        parts: SharedParts,
         ports: Sequence[ToolPort],
         show: Sequence[Callable[[], None]],
         live: LiveSettings,
-        sim_clock: SimClock,
-        backlog: Backlog,
         tell: Callable[[], None],
-        logger: Logger,
     ) -> None:
-        self._organs, self._ports, self._show = organs, list(ports), list(show)
-        self._live, self._sim_clock, self._tell, self._logger = live, sim_clock, tell, logger
-        self._backlog = backlog
-        self._trouble = RepeatedFailure("outlet", logger.warning)
-        self._load = TimingReader(organs)
+        self._organs, self._sim_clock, self._backlog = parts.organs, parts.clock, parts.backlog
+        self._ports, self._show, self._live, self._tell = list(ports), list(show), live, tell
+        self._logger = parts.node.get_logger()
+        self._trouble = RepeatedFailure("outlet", self._logger.warning)
+        self._load = TimingReader(parts.organs)
         self._ladder = degrade.DegradationLadder()
         self._seen: tuple[int, ...] = ()
         self._next_marker = self._next_look = self._next_report = self._next_return = 0.0

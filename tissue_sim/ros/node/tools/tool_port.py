@@ -9,19 +9,15 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
-from rclpy.node import Node
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.input.freshness import Freshness
 from tissue_sim.ros.node.input.tool_input import ToolInput
-from tissue_sim.ros.node.shared.backlog import Backlog
 from tissue_sim.ros.node.shared.served_tool import NewestPose, ServedTool
-from tissue_sim.ros.node.shared.sim_clock import SimClock
+from tissue_sim.ros.node.shared.shared_parts import SharedParts
 from tissue_sim.ros.node.tools.tool_output import ToolOutput
 from tissue_sim.ros.shared.frames import Frames, Placed, Transform, UnknownFrame
-from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import Report
 
 SAY_EVERY = 1.0  # s between two lines that a tool is held off
@@ -34,32 +30,16 @@ class ToolPort:
 
     Parameters
     ----------
-    node : Node
-        The node.
+    parts : SharedParts
+        The node and its parts.
     tool : ServedTool
         The tool.
-    organs : Organs
-        The organs.
-    recorder : Recorder
-        The recorder.
-    clock : SimClock
-        The clock that ticks follow.
-    backlog : Backlog
-        How far the executor is behind.
     woken : threading.Event
         Set when there is something new to find contacts for.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        tool: ServedTool,
-        organs: Organs,
-        recorder: Recorder,
-        clock: SimClock,
-        backlog: Backlog,
-        woken: threading.Event,
-    ) -> None:
+    def __init__(self, parts: SharedParts, tool: ServedTool, woken: threading.Event) -> None:
+        node, organs = parts.node, parts.organs
         self._tool, self._organs, self._woken = tool, organs, woken
         self._answered = 0  # sequence number of the pose
         self._log = node.get_logger()
@@ -67,10 +47,10 @@ class ToolPort:
         self.held_off, self._said = 0, -math.inf  # how often; monotonic s of the last line about it
         self._unsaid: list[str] = []  # organs that it appeared in since that
         self._saying = threading.Lock()
-        self.pose_freshness, self.force_freshness = Freshness(clock, organs), Freshness(clock, organs)
-        self.output = ToolOutput(node, tool, organs, recorder)
+        self.pose_freshness, self.force_freshness = Freshness(parts.clock, organs), Freshness(parts.clock, organs)
+        self.output = ToolOutput(node, tool, organs, parts.recorder)
         freshness = self.pose_freshness, self.force_freshness
-        self.input = ToolInput(node, tool, organs, recorder, freshness, backlog, self._came, woken.set)
+        self.input = ToolInput(parts, tool, freshness, self._came, woken.set)
 
     @property
     def name(self) -> str:
