@@ -1,5 +1,7 @@
 """A node is paused and stepped: no force, no tick but those asked for, and a bag that repeats all of it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from std_srvs.srv import SetBool, Trigger
@@ -7,6 +9,7 @@ from std_srvs.srv import SetBool, Trigger
 from helpers.ros.clients import Client
 from helpers.ros.processes import UNHURRIED, press_until_felt, running_node
 from tissue_sim.cli import main
+from tissue_sim.ros.node.services.pausing import Pausing
 
 MOST_KICK = 1.5  # of the force that settles
 
@@ -144,3 +147,29 @@ def test_a_clock_that_is_followed_ends_a_pause_and_refuses_another(client, node)
     assert client.set_parameter("use_sim_time", False).successful
     before = tick(client)
     assert client.spin_until(lambda: tick(client) > before + 100)
+
+
+class Services:
+    """What Pausing needs of a node: a place for its services, and the warnings that it logs."""
+
+    def __init__(self):
+        self.warnings = []
+
+    def create_service(self, *_, **__):
+        return SimpleNamespace(send_response=None)
+
+    def get_logger(self):
+        return SimpleNamespace(warning=self.warnings.append, info=lambda _: None)
+
+
+@pytest.mark.parametrize("in_time", [True, False])
+def test_a_step_that_goes_on_without_new_contacts_says_so_once(in_time):
+    node = Services()
+    loop = SimpleNamespace(tick_time=1e-3, hold=SimpleNamespace(active=True, step=lambda: True))
+    contacts = SimpleNamespace(rate=250.0, catch_up=lambda _: in_time)
+    clock = SimpleNamespace(jumped=[], active=False)
+    pausing = Pausing(node, loop, clock, lambda: 12, contacts)
+    pausing.begin_step()
+    assert pausing.take(12) == 12
+    assert len(node.warnings) == (0 if in_time else 1)
+    assert all("went on with older contacts" in line for line in node.warnings)

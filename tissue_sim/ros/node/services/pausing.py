@@ -19,6 +19,10 @@ from tissue_sim.ros.shared.report import Report
 BY_CLOCK = "use_sim_time is set: ticks follow /clock, so pause and step at its publisher"
 NEXT_TICK = "the node is paused: the organs return to rest with the next tick"
 LONGEST_SEARCH = 1.0  # s that a step waits for contacts before it takes its next ticks without them
+LATE_CONTACTS = (
+    f"a step went on with older contacts, as finding new ones took more than {LONGEST_SEARCH:g} s: another run may"
+    " differ; reduce the load on this machine"
+)
 PAUSED = "paused: no ticks and no forces until ~/pause is called with data: false"
 
 
@@ -150,10 +154,12 @@ class Pausing:
             When the loop doesn't answer.
         """
         try:
-            due = time.monotonic()
+            due, warned = time.monotonic(), False
             for taken in range(ticks):
                 if taken % max(1, round(1.0 / (self._contacts.rate * self._loop.tick_time))) == 0:
-                    self._contacts.catch_up(LONGEST_SEARCH)
+                    if not self._contacts.catch_up(LONGEST_SEARCH) and not warned:
+                        self._log.warning(LATE_CONTACTS)
+                        warned = True
                 if self._cancelled.is_set() or not self._loop.hold.step():
                     return taken
                 due += self._loop.tick_time
