@@ -136,6 +136,8 @@ def _lines(path: Path) -> list[str]:
 
 # in the child -----------------------------------------------------------------------------------------
 
+_warm: set[Callable] = set()  # what has prepared an input before
+
 
 def _serve(pipe: Connection, folder: Path) -> None:
     """Use one input after the other: None goes out when it is ready, and then its outcome."""
@@ -172,6 +174,9 @@ def _prepared(folder: Path, prepare: Callable[..., Ready], arguments: tuple) -> 
     except Exception as error:
         return "failed", f"not even prepared: {told(error)}"
     gc.collect()
+    if prepare not in _warm:
+        _warm.add(prepare)
+        gc.freeze()  # what is loaded now stays, so that no collection scans it again
     return ready
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis.configuration import set_hypothesis_home_dir
+from hypothesis.internal.conjecture.engine import ConjectureRunner
 
 # The checkout stays as it is.
 set_hypothesis_home_dir(Path(tempfile.gettempdir()) / f"tissue_sim_hypothesis_{os.getuid()}")
@@ -21,6 +22,9 @@ with contextlib.suppress(ImportError):
     from hypothesis.internal.conjecture import providers
 
     providers._get_local_constants = lambda: providers._local_constants
+# And it would vary every example five times by copying parts of it to others: meshes were refused for half as many
+# different reasons.
+ConjectureRunner.generate_mutations_from = lambda runner, data: None
 settings.register_profile(
     "repeatable",
     database=None,
