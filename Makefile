@@ -1,6 +1,6 @@
 # `make help` lists the targets.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-touched test-slow test-least regress bags lint style format organ colcon pins audit clean FORCE
+.PHONY: help demo test test-all test-touched test-slow test-least fuzz regress bags lint style format organ colcon pins audit clean FORCE
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
@@ -48,6 +48,12 @@ test-touched: .venv/.installed ## the extended tests that the change since BASE 
 
 test-slow: .venv/.installed ## the tests that take minutes each
 	@$(PY) -m pytest -m slow $(PYTEST)
+
+# Beside the tests of each kind, statistics tell how many of its examples were used, and how many refused.
+fuzz: .venv/.installed ## hostile files, plays and messages: EXAMPLES=200 of each kind, from SEED=1; PYTEST="-k mesh"
+	@$(PY) .ci/compile
+	@FUZZ_EXAMPLES=$(or $(EXAMPLES),200) FUZZ_SEED=$(or $(SEED),1) \
+	$(PYTEST_ON) --dist worksteal -m extended --hypothesis-show-statistics test/fuzz $(PYTEST)
 
 test-least: ## model, contact and node with the oldest supported numpy, scipy and numba; NUMBA=0.60.0 for another
 	@.ci/least $(NUMBA)

@@ -59,7 +59,7 @@ setup(
         "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],
         "cluster": ["distributed"],
         # `colcon test` runs pytest because this extra names it.
-        "test": ["mcap", "pytest", "pytest-timeout", "pytest-xdist", "ruff", "mypy", "pip-audit"],
+        "test": ["hypothesis", "mcap", "pytest", "pytest-timeout", "pytest-xdist", "ruff", "mypy", "pip-audit"],
         "docs": ["sphinx", "myst-parser", "furo", "sphinx-autoapi"],
         "colcon": ["colcon-common-extensions"],
     },

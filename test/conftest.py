@@ -37,7 +37,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What starts processes comes first: it takes long and waits, and would go on alone at the end."""
-    items.sort(key=lambda item: not {"ros", "bench"} & set(item.path.parts))
+    items.sort(key=lambda item: not {"ros", "bench", "fuzz"} & set(item.path.parts))
 
 
 @pytest.fixture

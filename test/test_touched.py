@@ -26,7 +26,7 @@ def touched(tmp_path, monkeypatch):
         "test/model/elasticity/test_forces.py": plain,
         "test/organ/test_kidney.py": "from helpers.solids import box\n" + marked,
         "test/ros/bags/test_bits.py": marked,
-        "test/bench/fuzz/test_fuzz.py": marked,
+        "test/fuzz/test_files.py": marked,
         "test/test_pins.py": marked,
     }.items():
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
@@ -39,7 +39,7 @@ def test_a_folder_is_tested_by_its_mirror_and_by_what_stands_on_it(touched):
     assert set(found) == {
         "test/model/elasticity/test_cells.py",
         "test/ros/bags/test_bits.py",
-        "test/bench/fuzz/test_fuzz.py",
+        "test/fuzz/test_files.py",
     }
     assert set(found.values()) == {"tissue_sim/model/elasticity/cells.py"}, "each with its reason"
     assert touched.touched(["CHANGELOG.rst"]) == {}

@@ -65,10 +65,6 @@ BENCHMARKS = {
         "silicone bodies that others have measured, against finite elements and the real-time model",
     ),
     "stability": ("tissue_sim.bench.stability", "where each integrator and local region is stable"),
-    "fuzz": (
-        "tissue_sim.bench.fuzz.command",
-        "hostile files, scenes and messages: used, or refused with one line",
-    ),
 }
 
 

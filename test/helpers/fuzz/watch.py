@@ -1,13 +1,10 @@
 """Side effects of an input: files outside its folder, programs, connections."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import struct
 import sys
 from pathlib import Path
-from typing import Any
 
 _OPENED, _CREATED, _REMOVED = 0x20, 0x100, 0x200  # of inotify(7)
 _EVENT = struct.Struct("iIII")
@@ -26,21 +23,19 @@ class Watch:
     def __init__(self, folder: Path) -> None:
         self.armed = False
         self._seen: list[str] = []
-        self._events = -1
-        if hasattr(_libc, "inotify_init1"):
-            self._events = _libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
-            _libc.inotify_add_watch(self._events, os.fsencode(folder), _OPENED | _CREATED | _REMOVED)
+        self._events = _libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
+        _libc.inotify_add_watch(self._events, os.fsencode(folder), _OPENED | _CREATED | _REMOVED)
         sys.addaudithook(self._hear)
 
-    def _hear(self, event: str, arguments: tuple[Any, ...]) -> None:
+    def _hear(self, event: str, arguments: tuple) -> None:
         if self.armed and (event in _FORBIDDEN or (event == "open" and arguments[0] == ELSEWHERE)):
             self._seen.append(f"{event} {arguments[0]!r:.60}")
 
     def seen(self, own: frozenset[str]) -> list[str]:
-        """Return what happened since the last call, except for the names `own`."""
+        """What happened since the last call, except for the names `own`."""
         found, self._seen = self._seen, []
         try:
-            data = os.read(self._events, 1 << 16) if self._events >= 0 else b""
+            data = os.read(self._events, 1 << 16)
         except BlockingIOError:
             data = b""
         at = 0

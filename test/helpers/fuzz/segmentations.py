@@ -1,20 +1,20 @@
 """DICOM segmentations: fields that lie, segments that aren't there, frames that lie nowhere, parts cut off."""
 
-from __future__ import annotations
-
-import struct
-from functools import lru_cache
+import tempfile
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+from hypothesis import strategies as st
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.pixels import pack_bits
 from pydicom.uid import UID, ExplicitVRLittleEndian
 
-from tissue_sim.bench.fuzz.cases import Case, Input
-from tissue_sim.bench.fuzz.files.images import changed_field, check_place
-from tissue_sim.bench.fuzz.files.mutations import Rng, of_bytes, some
+from helpers.fuzz.child import Input, Ready
+from helpers.fuzz.dicom import changed_field
+from helpers.fuzz.images import check_place
+from helpers.fuzz.mutations import Draw, of_bytes, some, way
 from tissue_sim.organ.imaging.masks import read_mask
 
 _STORAGE = {"BINARY": "66.4", "FRACTIONAL": "66.4", "LABELMAP": "66.7"}  # behind 1.2.840.10008.5.1.4.1.1.
@@ -47,47 +47,44 @@ _TAGS = {
 }
 
 
-def prepare(case: Case, folder: Path) -> Input:
-    """Prepare a segmentation with one or more mutations, from which one segment is requested."""
-    rng = case.rng()
-    kind, label = some(rng, tuple(_STORAGE)), some(rng, _LABELS)
-    data, told = _written(kind), []
-    for _ in range(int(rng.integers(1, 4))):
-        data, what = _lying(rng, data) if rng.random() < 0.7 else of_bytes(rng, data)
-        told.append(what)
-    path = folder / "seg.dcm"
-    path.write_bytes(data)
-    return Input(f"{kind}, label {label}: {'; '.join(told)}", lambda: use(path, label))
+def prepare(path: Path, label: int | str | None) -> Ready:
+    """Read one of each kind, intact."""
+    _use_intact()
+    return lambda: _use(path, label)
 
 
-def warm_up(folder: Path) -> None:
-    """Read one of each kind."""
+@cache
+def _use_intact() -> None:
     for kind in _STORAGE:
-        path = folder / f"{kind}.dcm"
+        path = Path(tempfile.gettempdir()) / f"{kind}.dcm"
         path.write_bytes(_written(kind))
-        use(path, "liver")
+        _use(path, "liver")
 
 
-def use(path: Path, label: int | str | None) -> str:
-    """Read a segment: its place is finite."""
+def _use(path: Path, label: int | str | None) -> str:
     volume = read_mask(path, label)
     check_place(volume)
     return f"{' x '.join(map(str, volume.size))} voxels, {np.count_nonzero(volume.array)} of the segment"
 
 
-def _lying(rng: Rng, data: bytes) -> tuple[bytes, str]:
-    """Give a field of the file another value at one of its occurrences."""
-    name = some(rng, sorted(_TAGS))
-    tag, places, at = struct.pack("<HH", *_TAGS[name]), [], -1
-    while (at := data.find(tag, at + 1)) >= 0:
-        places.append(at)
-    return changed_field(rng, data, name, some(rng, places)) if places else of_bytes(rng, data)
+@st.composite
+def segmentations(draw: Draw) -> Input:
+    """Segmentations with one or more mutations, from which one segment is requested."""
+    data = _written(some(draw, tuple(_STORAGE)))
+    for _ in range(draw(st.integers(1, 3))):
+        if data:
+            data = way(draw, (_field, _field, of_bytes))(draw, data)
+    return Input({"seg.dcm": data}, "seg.dcm", prepare, (some(draw, _LABELS),))
+
+
+def _field(draw: Draw, data: bytes) -> bytes:
+    return changed_field(draw, data, _TAGS)
 
 
 # whole files --------------------------------------------------------------------------------------
 
 
-@lru_cache(maxsize=8)
+@cache
 def _written(kind: str) -> bytes:
     """Two boxes that overlap, the second without some of its slices."""
     liver, tumour = np.zeros((8, 24, 20), dtype=bool), np.zeros((8, 24, 20), dtype=bool)
@@ -108,7 +105,7 @@ def _written(kind: str) -> bytes:
 
 
 def _described(kind: str, shape: tuple[int, ...]) -> Dataset:
-    """Return a file for frames (n, rows, columns) of one kind, without the frames."""
+    """A file for frames (n, rows, columns) of one kind, without the frames."""
     file = Dataset()
     file.file_meta = FileMetaDataset()
     file.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
@@ -132,7 +129,7 @@ def _described(kind: str, shape: tuple[int, ...]) -> Dataset:
 
 
 def _of_frame(segment: int, z: int) -> Dataset:
-    """Return the functional groups of a frame: its position, and its segment; segment 0 stands for all."""
+    """The functional groups of a frame: its position, and its segment; segment 0 stands for all."""
     found = _item(PlanePositionSequence=[_item(ImagePositionPatient=[10.0, 20.0, 30.0 + 3.0 * z])])
     if segment:
         found.SegmentIdentificationSequence = [_item(ReferencedSegmentNumber=segment)]
@@ -140,7 +137,7 @@ def _of_frame(segment: int, z: int) -> Dataset:
 
 
 def _item(**values: object) -> Dataset:
-    """Return a dataset with the given elements."""
+    """A dataset with the given elements."""
     found = Dataset()
     for name, value in values.items():
         setattr(found, name, value)

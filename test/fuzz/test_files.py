@@ -1,0 +1,31 @@
+"""Hostile files of every kind: each is used, or refused with one line."""
+
+import pytest
+from hypothesis import event, given
+from hypothesis import strategies as st
+
+from helpers.fuzz.bags import bags
+from helpers.fuzz.child import Child
+from helpers.fuzz.examples import examples
+from helpers.fuzz.images import images
+from helpers.fuzz.meshes import meshes
+from helpers.fuzz.organs import organs
+from helpers.fuzz.segmentations import segmentations
+
+KINDS = {"organ": organs(), "image": images(), "segmentation": segmentations(), "mesh": meshes(), "bag": bags()}
+SECONDS = {"bag": 300.0}  # for one input; a bag may list a part thrice
+
+
+@pytest.fixture(scope="module")
+def child(tmp_path_factory):
+    with Child(tmp_path_factory.mktemp("child")) as begun:
+        yield begun
+
+
+@pytest.mark.extended
+@pytest.mark.timeout(0)  # there may be any number of examples, each of which has a time limit
+@pytest.mark.parametrize("kind", KINDS)
+@examples(6)
+@given(data=st.data())
+def test_files_are_used_or_refused(child, kind, data):
+    event(child.read(data.draw(KINDS[kind]), SECONDS.get(kind, 60.0)))

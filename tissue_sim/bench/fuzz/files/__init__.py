@@ -1,1 +1,0 @@
-"""Files mutated at random: organs, images, meshes, bags."""
