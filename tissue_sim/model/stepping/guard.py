@@ -87,12 +87,6 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def is_sound(status: Any) -> bool:
-    """Return whether the whole organ moves, and neither a fault, nor inverted cells, nor oscillation is near."""
-    return status.region == Region.WHOLE and status.turned == 0 and status.backoff <= 1 and status.shivering == 0
-
-
-@kernel
 def move_towards_rest(model: Any, state: Any, settings: Any) -> float:
     """Move every node nearer to rest, without speed.
 

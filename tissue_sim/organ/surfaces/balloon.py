@@ -23,9 +23,10 @@ from scipy.spatial import ConvexHull
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.jit import kernel
+from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.surfaces.fitting import RATIO, Finished, bring_to, finish, fit, flip, mean_edge, sample
-from tissue_sim.organ.surfaces.remesh import transport, vertex_normals
+from tissue_sim.organ.surfaces.remesh import transport
 from tissue_sim.organ.surfaces.surface import Wall, closed_wall, intersecting_pairs, marching_cubes_surface
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 
@@ -242,7 +243,7 @@ def _move_to_wall(
     whole = float(np.count_nonzero(wall.level < 0.0)) * h**3
     volume = signed_volume(positions, triangles)
     for step in range(1, p.steps + 1):
-        expand(positions, triangles, vertex_normals(positions, triangles), level, h, p.tension, sign * p.pressure * h)
+        expand(positions, triangles, surface_normals(positions, triangles), level, h, p.tension, sign * p.pressure * h)
         if step % 3 == 0:
             transport(positions, triangles, RATIO, max(points // 25, 1))
             flip(positions, triangles)
