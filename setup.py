@@ -37,7 +37,8 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.12",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},  # type checkers read the annotations (PEP 561)
+    # py.typed: type checkers read the annotations (PEP 561).
+    package_data={NAME: ["py.typed", "organ/reporting/*.jinja"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -53,7 +54,7 @@ setup(
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        "image": ["SimpleITK", "scikit-image", "matplotlib", "nibabel", "highdicom", "pydicom", "meshio"],
+        "image": ["SimpleITK", "scikit-image", "matplotlib", "jinja2", "nibabel", "highdicom", "pydicom", "meshio"],
         "viewer": ["viser", "websockets", "msgspec", "zstandard"],  # all but the first come with it
         "calibration": ["scikit-fem", "netgen-mesher", "matplotlib", "joblib", "threadpoolctl"],
         "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],

@@ -18,6 +18,7 @@ OTHERS = (
     "SimpleITK",
     "skimage",
     "matplotlib",
+    "jinja2",
     "joblib",
     "distributed",
     "pytest",

@@ -311,10 +311,12 @@ def test_installation_has_configuration_and_launch_files(prefix):
 
 
 @pytest.mark.extended
-def test_installation_has_every_module(prefix):
+def test_installation_has_every_module_and_template(prefix):
     (site,) = prefix.glob("lib/python3*/site-packages")
-    wanted = {path.relative_to(ROOT) for path in (ROOT / "tissue_sim").rglob("*.py")}
-    assert {path.relative_to(site) for path in (site / "tissue_sim").rglob("*.py")} == wanted
+    for kind in ("*.py", "*.jinja"):
+        wanted = {path.relative_to(ROOT) for path in (ROOT / "tissue_sim").rglob(kind)}
+        assert wanted
+        assert {path.relative_to(site) for path in (site / "tissue_sim").rglob(kind)} == wanted
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "launch").glob("*.py")), ids=lambda path: path.name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import ast
+import io
 import math
 import os
 import re
@@ -20,10 +20,10 @@ from tissue_sim.errors import shown
 MOST_BYTES = 1 << 30  # of all arrays at most; an organ of a million nodes takes about that
 MOST_TIMES = 200  # largest ratio of an array's size to its packed size; for real data it is 20
 _SMALL = 1 << 26  # bytes up to which the ratio doesn't matter
-_LONGEST_HEADER = 10_000  # characters, as numpy has it
 _NAME = re.compile(r"\w[\w.]{0,99}")  # no path
 _SHOWN = 40  # characters of a name in a message
 _DEFLATED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}  # by version of the format
 
 
 def read_npz(source: str | os.PathLike[str] | IO[bytes]) -> dict[str, NDArray]:
@@ -74,35 +74,20 @@ def _check(members: list[zipfile.ZipInfo]) -> None:
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:
-    with archive.open(member) as stream:
-        data = stream.read(member.file_size + 1)
+    name = shown(member.filename, _SHOWN)
+    with archive.open(member) as file:
+        data = file.read(member.file_size + 1)
     if len(data) != member.file_size:
-        raise ValueError(f"'{shown(member.filename, _SHOWN)}' is truncated")
-    dtype, fortran, shape, start = _header(data, member.filename)
-    if math.prod(shape) * dtype.itemsize != len(data) - start:
-        raise ValueError(f"'{shown(member.filename, _SHOWN)}' contains other bytes than its header says")
-    flat = np.frombuffer(data, dtype=dtype, offset=start).copy()  # may be written to
-    return flat.reshape(shape[::-1]).transpose() if fortran else flat.reshape(shape)
-
-
-def _header(data: bytes, name: str) -> tuple[np.dtype, bool, tuple[int, ...], int]:
-    """Return type, order and shape, and where the numbers begin."""
-    if data[:6] != npy.MAGIC_PREFIX or data[6:7] not in (b"\1", b"\2", b"\3"):
-        raise ValueError(f"'{shown(name, _SHOWN)}' is not an array, or is pickled")
-    wide = data[6] > 1
-    start = 12 if wide else 10
-    end = start + struct.unpack_from("<I" if wide else "<H", data, 8)[0]
-    if end - start > _LONGEST_HEADER or end > len(data):
-        raise ValueError(f"'{shown(name, _SHOWN)}' has a damaged header")
+        raise ValueError(f"'{name}' is truncated")
+    stream = io.BytesIO(data)
     try:
-        told = ast.literal_eval(data[start:end].decode("latin1").strip())
-        shape = told["shape"]
-        dtype = npy.descr_to_dtype(told["descr"])
-        fortran = bool(told["fortran_order"])
-    except (ValueError, SyntaxError, TypeError, KeyError, AttributeError, IndexError, RecursionError, MemoryError):
-        raise ValueError(f"'{shown(name, _SHOWN)}' has a damaged header") from None
+        shape, fortran, dtype = _HEADERS[npy.read_magic(stream)](stream)
+    except Exception:  # numpy's readers raise anything for a damaged header
+        raise ValueError(f"'{name}' is not an array, or has a damaged header") from None
     if dtype.hasobject:
-        raise ValueError(f"'{shown(name, _SHOWN)}' is pickled, and not read, since it could run any code")
-    if not isinstance(shape, tuple) or not all(type(n) is int and n >= 0 for n in shape) or not dtype.itemsize:
-        raise ValueError(f"'{shown(name, _SHOWN)}' has a damaged header")
-    return dtype, fortran, shape, end
+        raise ValueError(f"'{name}' is pickled, and not read, since it could run any code")
+    start = stream.tell()
+    if min(shape, default=0) < 0 or not dtype.itemsize or math.prod(shape) * dtype.itemsize != len(data) - start:
+        raise ValueError(f"'{name}' contains other bytes than its header says")
+    flat = np.frombuffer(data, dtype=dtype, offset=start).copy()  # may be written to
+    return flat.reshape(shape, order="F" if fortran else "C")

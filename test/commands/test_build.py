@@ -153,6 +153,13 @@ def test_a_report_lies_where_it_is_wanted(tmp_path):
     assert report_path(argparse.Namespace(report=None), tmp_path / "o.npz") is None
 
 
+@pytest.mark.parametrize("library", ["matplotlib", "jinja2"])
+def test_what_a_report_lacks_is_named_before_the_build(tmp_path, monkeypatch, library):
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(UserError, match=f"--report needs {library}; install the extra"):
+        report_path(argparse.Namespace(report=""), tmp_path / "o.npz")
+
+
 @pytest.mark.extended
 def test_a_mesh_has_a_report_too_beside_the_organ(tmp_path, capsys):
     egg = trimesh.creation.icosphere(subdivisions=2, radius=0.02)

@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
+from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.surfaces.remesh import vertex_normals
 from tissue_sim.organ.tool_resolution import relative_size
 from tissue_sim.organ.topology import node_area
 
@@ -119,7 +119,7 @@ def surface_of(organ: Organ) -> Surface:
     free[organ.fixed] = False
     apart = np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=1)
     edge = float(np.median(apart[apart > 0.0]))
-    normal, area = vertex_normals(positions, triangles), node_area(positions, triangles)
+    normal, area = surface_normals(positions, triangles), node_area(positions, triangles)
     return Surface(positions, normal, area, ring, free, size_of(organ), edge)
 
 

@@ -322,8 +322,9 @@ def report_path(args: argparse.Namespace, out: Path) -> Path | None:
         raise UserError(f"--report {path} must end in .html; without a file name, put --report last")
     if not path.parent.is_dir():
         raise UserError(f"folder {path.parent} for the report does not exist; make it first")
-    if importlib.util.find_spec("matplotlib") is None:
-        raise UserError(f"--report needs matplotlib; {EXTRA}")
+    for library in ("matplotlib", "jinja2"):
+        if importlib.util.find_spec(library) is None:
+            raise UserError(f"--report needs {library}; {EXTRA}")
     return path
 
 

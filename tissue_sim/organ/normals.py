@@ -13,16 +13,17 @@ def surface_normals(positions: Floats, triangles: Ints) -> Floats:
     Parameters
     ----------
     positions
-        (n, 3) m, of the surface nodes.
+        (n, 3), of the surface nodes.
     triangles
         (t, 3), counter-clockwise seen from outside.
 
     Returns
     -------
     Floats
-        (n, 3), unit vectors.
+        (n, 3), unit vectors; zero where there is no area.
     """
     a, b, c = (positions[triangles[:, corner]] for corner in range(3))
-    normal = np.zeros_like(positions)
-    np.add.at(normal, triangles.ravel(), np.repeat(np.cross(b - a, c - a), 3, axis=0))
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    share = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    sums = [np.bincount(triangles.ravel(), weights=share[:, axis], minlength=len(positions)) for axis in range(3)]
+    normal = np.stack(sums, axis=1)
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(np.float64).tiny)

@@ -13,10 +13,10 @@ from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.imaging.image import read_image
 from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
 from tissue_sim.organ.inclusions import Inclusion
+from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.pipeline import organ_from_image
 from tissue_sim.organ.request import Request
-from tissue_sim.organ.surfaces.remesh import vertex_normals
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 from tissue_sim.organ.topology import assemble_like
 
@@ -65,7 +65,7 @@ def with_tumour(kidney: Organ) -> Organ:
     """
     surface, triangles = kidney.surface_positions, kidney.surface_triangles
     deep = UNDER + TUMOUR
-    middles = surface - deep * vertex_normals(surface, triangles)
+    middles = surface - deep * surface_normals(surface, triangles)
     under = distance_to_surface(middles, surface, triangles) > _NEAREST * deep
     middle = middles[under][middles[under, 1].argmin()]
     ball = trimesh.creation.icosphere(subdivisions=2, radius=TUMOUR)

@@ -2,7 +2,6 @@
 
 import base64
 import dataclasses
-import html
 import io
 import re
 
@@ -61,7 +60,7 @@ def test_the_page_is_complete_in_itself(page):
 def test_what_comes_from_outside_is_escaped(page, record):
     assert NAME not in page
     assert "<script>" not in page
-    assert html.escape(NAME) in page
+    assert NAME in Page(page).text
     assert "<script>alert(1)</script>.nii" in Page(page).text
     assert "&lt;i&gt;odd&lt;/i&gt;" in page
     assert "<i>" not in page

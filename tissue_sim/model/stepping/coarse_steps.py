@@ -24,12 +24,11 @@ from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Plan
 from tissue_sim.model.data.settings import Integrator, Settings
-from tissue_sim.model.data.state import State
+from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.data.world import World
 from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
 from tissue_sim.model.stepping.critical_step import LONGEST_OF_CELLS, SAFETY
-from tissue_sim.model.stepping.guard import is_sound
 from tissue_sim.model.stepping.wake_threshold import rounded_up
 
 CALM_SPEED = 5e-3  # m/s, of any coordinate: a slowly changing load doesn't move a node faster
@@ -146,9 +145,11 @@ def plan_coarse(world: World, coarse: Coarse, organ: int, added: float) -> None:
 
 @kernel
 def may_be_coarse(world: World) -> bool:
-    """Return whether the whole organ moves, and nothing requires shorter steps."""
+    """Return whether the whole organ moves, and nothing requires shorter steps: fault, inverted cells, oscillation."""
+    status = world.state.status
+    sound = status.region == Region.WHOLE and status.turned == 0 and status.backoff <= 1 and status.shivering == 0
     symplectic = world.settings.integrator == Integrator.SYMPLECTIC
-    return symplectic and is_sound(world.state.status) and not has_compressed_cells(world.model)
+    return symplectic and sound and not has_compressed_cells(world.model)
 
 
 @kernel

@@ -11,7 +11,7 @@ from tissue_sim.model.data.arrays import copy, copy_nodes
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.settings import Settings
-from tissue_sim.model.data.state import Fault, Region, State, Status
+from tissue_sim.model.data.state import Fault, Region, State
 from tissue_sim.model.regions.active_region import are_placed, checked_nodes, modes_are_finite, restore_shape
 from tissue_sim.model.stepping.inputs import MAX_BACKOFF
 
@@ -87,12 +87,6 @@ def guard(model: Model, state: State, settings: Settings, scratch: Scratch) -> N
     if again:
         move_towards_rest(model, state, settings)
         copy(state.position, state.good_position)
-
-
-@kernel
-def is_sound(status: Status) -> bool:
-    """Return whether the whole organ moves, and neither a fault, nor inverted cells, nor oscillation is near."""
-    return status.region == Region.WHOLE and status.turned == 0 and status.backoff <= 1 and status.shivering == 0
 
 
 @kernel

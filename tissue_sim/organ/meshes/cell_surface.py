@@ -45,13 +45,6 @@ def surface_of(positions: Floats, cells: Mapping[str, Longs]) -> tuple[Floats, L
     return (*_used(positions, faces), notes) if is_curved else (positions, faces, notes)
 
 
-def checked(index: Longs, count: int) -> Longs:
-    """Return indices as they are. Raises ValueError where one names none of so many points."""
-    if index.size and (index.min() < 0 or index.max() >= count):
-        raise ValueError("a triangle names a point that doesn't exist")
-    return index
-
-
 def _by_corners(cells: Mapping[str, Longs], count: int) -> tuple[dict[str, Longs], bool]:
     """Return the corners (k, 3) or (k, 4) of cells of each of _CORNERS, and whether any has nodes between them."""
     parts: dict[str, list[Longs]] = {name: [np.empty((0, width), dtype=np.int64)] for name, width in _CORNERS.items()}
@@ -66,7 +59,10 @@ def _by_corners(cells: Mapping[str, Longs], count: int) -> tuple[dict[str, Longs
         if rows.shape[1] < width:
             raise ValueError(f"a {name} with fewer than {width} corners")
         is_curved |= rows.shape[1] > width
-        parts[name].append(checked(rows[:, :width], count))
+        corners = rows[:, :width]
+        if not 0 <= corners.min() <= corners.max() < count:
+            raise ValueError("a cell names a point that doesn't exist")
+        parts[name].append(corners)
     return {name: np.concatenate(part) for name, part in parts.items()}, is_curved
 
 

@@ -210,7 +210,7 @@ def _read_trian(source: Path) -> MeshFile:
     rest = np.array(words.data[words.at :].split(), dtype=np.int64)
     width = 6 if len(rest) == 6 * count else 3
     triangles = rest.reshape(count, width)[:, :3]
-    return MeshFile((Piece("", positions, cell_surface.checked(triangles, n)),))
+    return MeshFile((Piece("", positions, triangles),))
 
 
 # Gmsh -----------------------------------------------------------------------------------------
@@ -371,7 +371,7 @@ def _vtk_surface(
         faces = [split(*cells[word]) for word, split in _VTK_FACES.items() if word in cells]
         if not faces:
             raise ValueError("no polygons")
-        found = MeshFile((Piece("", positions, cell_surface.checked(np.concatenate(faces), len(positions))),))
+        found = MeshFile((Piece("", positions, np.concatenate(faces)),))
     return MeshFile(found.pieces, (*found.notes, "converted from RAS to LPS")) if is_ras else found
 
 

@@ -22,9 +22,10 @@ from scipy.spatial import ConvexHull
 from tissue_sim.array_types import Floats, Ints, Singles
 from tissue_sim.errors import UserError
 from tissue_sim.jit import kernel
+from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.surfaces.fitting import RATIO, Finished, bring_to, finish, fit, flip, mean_edge, sample
-from tissue_sim.organ.surfaces.remesh import transport, vertex_normals
+from tissue_sim.organ.surfaces.remesh import transport
 from tissue_sim.organ.surfaces.surface import Wall, closed_wall, intersecting_pairs, marching_cubes_surface
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 
@@ -241,7 +242,8 @@ def _move_to_wall(
     whole = float(np.count_nonzero(wall.level < 0.0)) * h**3
     volume = signed_volume(positions, triangles)
     for step in range(1, p.steps + 1):
-        expand(positions, triangles, level, h, p.tension, sign * p.pressure * h)
+        forces = p.tension, sign * p.pressure * h
+        expand(positions, triangles, surface_normals(positions, triangles), level, h, forces)
         if step % 3 == 0:
             transport(positions, triangles, RATIO, max(points // 25, 1))
             flip(positions, triangles)
@@ -270,19 +272,19 @@ def fibonacci_sphere(points: int) -> tuple[Floats, Ints]:
 def expand(
     positions: Floats,
     triangles: Ints,
+    normal: Floats,
     level: Singles,
     h: float,
-    tension: float,
-    pressure: float,
+    forces: tuple[float, float],
 ) -> None:
     """Do one step of the balloon's forces, in place.
 
-    level: allowed where it is 0 or less, on a grid of h mm; pressure in mm per step, tension without unit. A move that
-    would leave the organ is halved up to three times, then tried along the surface only, so that points at the wall
-    still slide.
+    level: allowed where it is 0 or less, on a grid of h mm; forces: tension without unit, and pressure in mm per step
+    along the normals (n, 3). A move that would leave the organ is halved up to three times, then tried along the
+    surface only, so that points at the wall still slide.
     """
     n = positions.shape[0]
-    normal = vertex_normals(positions, triangles)
+    tension, pressure = forces
     force = pressure * normal
     for t in range(triangles.shape[0]):
         for k in range(3):

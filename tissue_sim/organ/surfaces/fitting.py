@@ -9,7 +9,8 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
-from tissue_sim.organ.surfaces.remesh import flip_edges, relax, relax_sized, transport, transport_sized, vertex_normals
+from tissue_sim.organ.normals import surface_normals
+from tissue_sim.organ.surfaces.remesh import flip_edges, relax, relax_sized, transport, transport_sized
 from tissue_sim.organ.surfaces.resample import thicken, thin_out
 from tissue_sim.organ.surfaces.sizing import mean_edge, spread
 from tissue_sim.organ.surfaces.surface import Wall, corner_angles, intersecting_pairs
@@ -82,7 +83,7 @@ def settle(positions: Floats, triangles: Ints, wall: Wall, steps: int = _CLOSEST
         if step < steps // 2:
             relax_sized(positions, triangles, 0.2, size)
             flip(positions, triangles)
-        normal = vertex_normals(positions, triangles)
+        normal = surface_normals(positions, triangles)
         positions += normal * _shift(positions, triangles, wall.level, wall.spacing, _PLACES, reach)[:, None]
 
 

@@ -422,37 +422,6 @@ def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int,
     return moved
 
 
-@kernel
-def vertex_normals(positions: Floats, triangles: Ints) -> Floats:
-    """Return the unit normals at the points, the area-weighted mean of the triangles around each.
-
-    Parameters
-    ----------
-    positions : Floats, shape (n, 3)
-        Points of the surface.
-    triangles : Ints, shape (t, 3)
-        Corner indices, counter-clockwise seen from outside.
-
-    Returns
-    -------
-    Floats, shape (n, 3)
-        Outward normals.
-    """
-    normal = np.zeros_like(positions)
-    for t in range(triangles.shape[0]):
-        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        cross = _normal(positions[i], positions[j], positions[k])
-        for p in (i, j, k):
-            for m in range(3):
-                normal[p, m] += cross[m]
-    for p in range(positions.shape[0]):
-        length = np.sqrt(normal[p, 0] ** 2 + normal[p, 1] ** 2 + normal[p, 2] ** 2)
-        if length > 0.0:
-            for m in range(3):
-                normal[p, m] /= length
-    return normal
-
-
 def relax(positions: Floats, triangles: Ints, share: float) -> None:
     """Move every point along the surface towards the area-weighted centroid of its triangles, in place.
 
@@ -490,24 +459,27 @@ def relax_sized(positions: Floats, triangles: Ints, share: float, size: Floats) 
     Du, Faber & Gunzburger 1999: Centroidal Voronoi tessellations; the exponent is that of a density in the plane.
     """
     n = positions.shape[0]
-    normal = vertex_normals(positions, triangles)
     total = np.zeros(n)
-    middle = np.zeros((n, 3))
+    middle, normal = np.zeros((n, 3)), np.zeros((n, 3))
     for t in range(triangles.shape[0]):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        x, y, z = _normal(positions[i], positions[j], positions[k])
+        cross = _normal(positions[i], positions[j], positions[k])
+        x, y, z = cross
         area = np.sqrt(x * x + y * y + z * z) / ((size[i] + size[j] + size[k]) / 3.0) ** 4
         for m in range(3):
             at = area * (positions[i, m] + positions[j, m] + positions[k, m]) / 3.0
             for p in (i, j, k):
                 middle[p, m] += at
+                normal[p, m] += cross[m]
         for p in (i, j, k):
             total[p] += area
     for i in range(n):
         if total[i] <= 0.0:
             continue
+        length = np.sqrt(normal[i, 0] ** 2 + normal[i, 1] ** 2 + normal[i, 2] ** 2)
         along = 0.0
         for m in range(3):
+            normal[i, m] /= length if length > 0.0 else 1.0
             middle[i, m] = middle[i, m] / total[i] - positions[i, m]
             along += middle[i, m] * normal[i, m]
         for m in range(3):

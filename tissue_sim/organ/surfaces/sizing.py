@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
-from tissue_sim.organ.surfaces.remesh import vertex_normals
+from tissue_sim.organ.normals import surface_normals
 
 Wanted = Callable[[Floats], Floats]  # edge lengths (n,) wanted at points (n, 3), in their unit
 
@@ -50,7 +50,7 @@ def thickness(positions: Floats, triangles: Ints) -> Floats:
     (Ma, Bae and Choi 2012): points whose normals point less than a right angle apart count as the same side, so that
     neither curvature nor the steps of flat triangles pass for thinness.
     """
-    normal = vertex_normals(positions, triangles)
+    normal = surface_normals(positions, triangles)
     found = np.empty(len(positions))
     for first in range(0, len(positions), _CHUNK):
         here = slice(first, first + _CHUNK)

@@ -24,7 +24,7 @@ class Freshness:
     """
 
     def __init__(self, clock: SimClock, organs: Organs) -> None:
-        self._clock, self._organs = clock, organs
+        self.clock, self._organs = clock, organs
         self._came, self._stamp = -math.inf, 0  # s, ns
         self._period, self._delay = FIRST_PERIOD, 0.0  # s, on average
         self._gaps: deque[float] = deque(maxlen=GAPS)  # s
@@ -38,25 +38,21 @@ class Freshness:
         stamp : int, ns
             Its time, or UNSTAMPED.
         """
-        now = self._clock.now()
+        now = self.clock.now()
         if 0.0 < (gap := now - self._came) < LONGEST_PERIOD:  # several at one time of /clock count once for the ticks
             self._period += NEW * (gap - self._period)
         if 0.0 < gap < LONGEST_GAP:
             self._gaps.append(gap)
         elif gap > 0.0:
             self._gaps.clear()
-        age = self._clock.age_of(stamp) if stamp > 0 else 0.0
+        age = self.clock.age_of(stamp) if stamp > 0 else 0.0
         self._delay += NEW * ((age if 0.0 <= age <= LONGEST_DELAY else 0.0) - self._delay)
         self._came, self._stamp = now, stamp
-
-    def arrival_stamp(self) -> int:
-        """Return the stamp, ns, of a message without one that comes now, see `SimClock.arrival_stamp`."""
-        return self._clock.arrival_stamp()
 
     @property
     def age(self) -> float:
         """Time since the newest message, s; infinite when there was none."""
-        return self._clock.now() - self._came
+        return self.clock.now() - self._came
 
     @property
     def is_fresh(self) -> bool:

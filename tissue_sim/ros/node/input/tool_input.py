@@ -251,7 +251,7 @@ class ToolInput:
         return to_organ.is_identity and message.frame_id == self._tool.organ_frame and message.stamp != UNSTAMPED
 
     def _stamp(self, message: Stamped) -> int:
-        return message.stamp if message.stamp != UNSTAMPED else self._pose_freshness.arrival_stamp()
+        return message.stamp if message.stamp != UNSTAMPED else self._pose_freshness.clock.arrival_stamp()
 
     @staticmethod
     @contextmanager
