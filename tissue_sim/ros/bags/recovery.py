@@ -1,9 +1,9 @@
 """Bags that were broken off: the process was killed, the disk was full, the power failed.
 
-Such a bag has no metadata.yaml, and its last file lacks its end, perhaps within a record; everything before that can
-be read. rosbags reads it, up to where `_whole_records` finds that it breaks off. The readers of mcap are no help with that,
-as they unpack a chunk to whatever comes (33 kB to 1 GB), follow a length within a record beyond its end, and take zeros
-that a power cut leaves for records of nine bytes each.
+Such a bag has no metadata.yaml, and its last file lacks its end, perhaps within a record; everything before that can be
+read. rosbags reads it, up to where `_whole_records` finds that it breaks off. The readers of mcap are no help with
+that, as they unpack a chunk to whatever comes (33 kB to 1 GB), follow a length within a record beyond its end, and take
+zeros that a power cut leaves for records of nine bytes each.
 """
 
 from __future__ import annotations
