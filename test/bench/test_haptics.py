@@ -20,7 +20,8 @@ from tissue_sim.bench.device_loop import (
 )
 from tissue_sim.bench.devices import DEVICES, NO_HAND, Device, Moving
 from tissue_sim.bench.haptics import Bare, Cell, Row, as_json, coupled, dry_limit, text
-from tissue_sim.bench.haptics_plot import write_plot
+from tissue_sim.bench.haptics_plot import drawn
+from tissue_sim.bench.printing import save
 from tissue_sim.cli import main
 from tissue_sim.model.contact.virtual_coupling import passive_stiffness
 
@@ -129,7 +130,8 @@ def test_a_wrong_figure_misses_its_bound(tmp_path):
     assert any(line.split() == ["Touch", "1000", "1", "1000", "2000", "800", "1.25", "-", "-"] for line in lines)
     assert ">= 20000" in text(blind)
     assert any(line.split() == ["Premium", "1.5", "100", "none"] for line in lines)
-    assert write_plot(blind, tmp_path).stat().st_size > 0
+    save(drawn(blind), tmp_path / "haptics.png")
+    assert (tmp_path / "haptics.png").stat().st_size > 0
 
 
 def test_dry_limit():

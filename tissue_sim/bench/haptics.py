@@ -33,7 +33,7 @@ from tissue_sim.bench.device_loop import (
     tried,
 )
 from tissue_sim.bench.devices import DEVICES, GRIP, NO_HAND, Device
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, save
 from tissue_sim.bench.rows import each, stopped, tell, until_stopped
 from tissue_sim.model.contact.virtual_coupling import passive_stiffness
 from tissue_sim.organ.organ import Organ
@@ -109,9 +109,9 @@ def run(args: argparse.Namespace) -> int:
     found = as_json(*measure(cells_of(organ, observed=args.observer)))
     emit(found, text(found), args.json)
     if args.out and not stopped():
-        from tissue_sim.bench.haptics_plot import write_plot
+        from tissue_sim.bench.haptics_plot import drawn
 
-        told([write_plot(found, Path(args.out))])
+        save(drawn(found), Path(args.out) / "haptics.png")
     return exit_code(found, check=args.check)
 
 

@@ -2,38 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
-
-from tissue_sim.errors import UserError
-
-
-def write_plot(found: dict[str, Any], folder: Path) -> Path:
-    """Write haptics.png into the folder.
-
-    Parameters
-    ----------
-    found : dict[str, Any]
-        The figures.
-    folder : Path
-        The folder.
-
-    Returns
-    -------
-    Path
-        Path of the picture.
-
-    Raises
-    ------
-    UserError
-        Where it can't be written.
-    """
-    path = folder / "haptics.png"
-    try:
-        drawn(found).savefig(path, dpi=140)
-    except OSError as error:
-        raise UserError(f"cannot write to {folder}: {error.strerror}") from None
-    return path
 
 
 def drawn(found: dict[str, Any]) -> Any:

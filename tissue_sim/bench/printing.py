@@ -225,6 +225,30 @@ def emit(found: dict[str, Any], text: str, json_to: str | None) -> None:
         write_json(found, Path(json_to))
 
 
+def save(figure: Any, path: Path, dpi: float = 140.0) -> None:
+    """Write a plot, and name it on the standard error.
+
+    Parameters
+    ----------
+    figure : Any
+        Matplotlib's figure.
+    path : Path
+        The picture.
+    dpi : float, optional
+        Its resolution.
+
+    Raises
+    ------
+    UserError
+        Where it can't be written.
+    """
+    try:
+        figure.savefig(path, dpi=dpi)
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from None
+    told([path])
+
+
 def told(pictures: Iterable[Path]) -> None:
     """Name the pictures that were written on the standard error.
 

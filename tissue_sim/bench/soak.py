@@ -24,7 +24,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_priority, add_shared, check_priority, check_shared
 from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, save
 from tissue_sim.bench.soak_bag import BagFound, read_bag
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
@@ -77,9 +77,9 @@ def run(args: argparse.Namespace) -> int:
         found = as_json(measure(args.organ, args.minutes, bag_folder, args.realtime_priority, replays=args.replay))
     emit(found, text(found), args.json)
     if args.out and not rows.stopped():
-        from tissue_sim.bench.soak_plot import write_plot
+        from tissue_sim.bench.soak_plot import drawn
 
-        told([write_plot(found, Path(args.out))])
+        save(drawn(found), Path(args.out) / "soak.png")
     return exit_code(found, check=args.check)
 
 

@@ -2,45 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import UserError
-
 _NODE, _BARE, _GUIDE = "#2166ac", "#b2182b", "#777777"
 
 
-def write_plot(found: dict[str, Any], folder: Path) -> Path:
-    """Write soak.png from the figures of `bench soak`.
-
-    Parameters
-    ----------
-    found : dict[str, Any]
-        The figures.
-    folder : Path
-        The folder.
-
-    Returns
-    -------
-    Path
-        Path of the picture.
-
-    Raises
-    ------
-    UserError
-        Where it can't be written.
-    """
-    path = folder / "soak.png"
-    try:
-        _drawn(found).savefig(path, dpi=140)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from None
-    return path
-
-
-def _drawn(found: dict[str, Any]) -> Any:
+def drawn(found: dict[str, Any]) -> Any:
+    """Draw memory and lateness over the minutes."""
     from matplotlib.figure import Figure
 
     series = {name: np.array(values) for name, values in found["series"].items()}

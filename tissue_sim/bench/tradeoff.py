@@ -21,7 +21,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.peers.engine import Engine, Load
 from tissue_sim.bench.peers.rows import CALIBRATED, Row, rows_of
-from tissue_sim.bench.printing import built_or_skipped, emit, figure, noise_lines, told, with_remarks
+from tissue_sim.bench.printing import built_or_skipped, emit, figure, noise_lines, save, with_remarks
 from tissue_sim.bench.rows import each, stopped, tell, until_stopped
 from tissue_sim.bench.scaling import exponent
 from tissue_sim.bench.sizes import Sized, sized
@@ -116,9 +116,9 @@ def run(args: argparse.Namespace) -> int:
     figures = as_json(organ, found, time.perf_counter() - start)
     emit(figures, text(figures), args.json)
     if args.out and not stopped():
-        from tissue_sim.bench.tradeoff_plot import write_plot
+        from tissue_sim.bench.tradeoff_plot import drawn
 
-        told([write_plot(figures, Path(args.out))])
+        save(drawn(figures), Path(args.out) / "tradeoff.png", dpi=150)
     return 0
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from itertools import product
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from tissue_sim.bench.peers.rows import CALIBRATED
 from tissue_sim.bench.variants import BALANCED
-from tissue_sim.errors import UserError
 
 _LEAST = 0.1  # %, below which an error is drawn there
 _ANCHORS = {"left": 1, "center": 0, "right": -1}, {"bottom": 1, "center": 0, "top": -1}
@@ -28,34 +26,6 @@ class _Kind(NamedTuple):
 _CELLS = _Kind("cells with fitted stiffness", "#08519c", "o", 2.6)
 _SPRINGS = _Kind("the paper's springs", "#2f8f4e", "^", 1.0)
 _PEERS = _Kind("others", "#b5401f", "s", 1.0)
-
-
-def write_plot(found: dict[str, Any], folder: Path) -> Path:
-    """Write tradeoff.png into the folder.
-
-    Parameters
-    ----------
-    found : dict[str, Any]
-        The figures.
-    folder : Path
-        The folder.
-
-    Returns
-    -------
-    Path
-        Path of the picture.
-
-    Raises
-    ------
-    UserError
-        Where it can't be written.
-    """
-    path = folder / "tradeoff.png"
-    try:
-        drawn(found).savefig(path, dpi=150)
-    except OSError as error:
-        raise UserError(f"cannot write to {folder}: {error.strerror}") from None
-    return path
 
 
 def drawn(found: dict[str, Any]) -> Any:

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
+from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.tool_resolution import relative_size
@@ -111,7 +112,7 @@ def surface_of(organ: Organ) -> Surface:
     """
     positions, triangles = organ.surface_positions, organ.surface_triangles
     n = len(positions)
-    pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
+    pairs = directed_edges(triangles).astype(np.int64)
     pairs = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(n)[:, None], 2, axis=1)])
     pairs = np.unique(pairs, axis=0)
     ring = np.split(pairs[:, 1], np.flatnonzero(np.diff(pairs[:, 0])) + 1)

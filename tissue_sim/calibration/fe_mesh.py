@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
+from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.organ import Organ
 
 MESHER_UNIT = 1e-3  # m; Netgen's tolerances are made for lengths around 1 to 1000
@@ -208,16 +209,12 @@ def clamped_triangles(organ: Organ) -> NDArray[np.bool_]:
 
 def clamp_edges(triangles: Ints, held: NDArray[np.bool_]) -> Ints:
     """Return the edges (k, 2) between a held triangle and a free one."""
-    mine = np.sort(_sides(triangles[held]), axis=1)
-    others = np.sort(_sides(triangles[~held]), axis=1)
+    mine = np.sort(directed_edges(triangles[held]), axis=1)
+    others = np.sort(directed_edges(triangles[~held]), axis=1)
     n = int(triangles.max()) + 1
     ours, theirs = (pairs[:, 0].astype(np.int64) * n + pairs[:, 1] for pairs in (mine, others))
     found = np.intersect1d(ours, theirs)
     return np.stack([found // n, found % n], axis=1).astype(np.int32)
-
-
-def _sides(triangles: Ints) -> Ints:
-    return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
 def _along(positions: Floats, edges: Ints, apart: float) -> Floats:

@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError, shown
 from tissue_sim.npz import read_npz
+from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.shipped import shipped_organ
 
@@ -390,7 +391,7 @@ def check_surface(positions: Floats, triangles: Ints, name: str) -> None:
         Where a directed edge doesn't occur exactly once together with its opposite, where points are unused, where the
         surface falls into pieces, and where its signed volume isn't positive.
     """
-    directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
+    directed = directed_edges(triangles).astype(np.int64)
     if len(directed) == 0:
         raise UserError(f"{name}: the surface has no triangles")
     n = len(positions)

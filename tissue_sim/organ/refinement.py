@@ -10,6 +10,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Ints
+from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.surfaces.sizing import GROWTH, Wanted, local_edges, thickness
 from tissue_sim.organ.tool_resolution import relative_size
@@ -118,7 +119,7 @@ def clamp_rim(positions: Floats, triangles: Ints, fixed: Ints) -> Floats:
     """Return the middles (k, 3) m of the edges between held and free nodes; the held nodes where there are none."""
     held = np.zeros(len(positions), dtype=bool)
     held[fixed] = True
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    edges = directed_edges(triangles)
     edges = edges[held[edges[:, 0]] & ~held[edges[:, 1]]]
     found: Floats = positions[edges].mean(axis=1) if len(edges) else positions[fixed]
     return found

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.cell_mesh import tetrahedra
+from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.inclusions import Inclusion, inclusions_of, spring_factors, with_inclusions
 from tissue_sim.organ.interior import distribute_interior_atoms
 from tissue_sim.organ.medial import nearest_atoms
@@ -369,7 +370,7 @@ def surface_edges(triangles: Ints, area: Floats) -> tuple[Ints, Ints, Floats]:
     that runs along the edge i -> j, the second to the one that runs j -> i. The summed area of the two triangles has
     shape (n_edges,).
     """
-    directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    directed = directed_edges(triangles)
     opposite = np.concatenate([triangles[:, 2], triangles[:, 0], triangles[:, 1]])
     owner = np.tile(np.arange(len(triangles)), 3)
     low, high = directed.min(axis=1).astype(np.int64), directed.max(axis=1).astype(np.int64)

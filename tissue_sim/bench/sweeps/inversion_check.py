@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.organ import Organ, signed_volume
 
 _FLAT = 1e-3  # of the median, below which the sign of a volume at rest means nothing
@@ -66,7 +67,7 @@ def _volumes(positions: Floats, cells: Longs) -> Floats:
 
 def _neighbours(triangles: Ints) -> Longs:
     """Return pairs (e, 2) of triangles that share an edge."""
-    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    edges = np.sort(directed_edges(triangles), axis=1)
     owner = np.tile(np.arange(len(triangles), dtype=np.int64), 3)
     order = np.lexsort(edges.T)
     return owner[order].reshape(-1, 2)

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
+from tissue_sim.organ.edges import directed_edges
 
 WIDEST_HOLE = 0.1  # of the longest side: wider ones are refused
 _SAME = 1e-6  # of the longest side: rim points nearer than that are one
@@ -90,7 +91,7 @@ def crowded_edges(triangles: Longs) -> int:
 
 def _edges(triangles: Longs) -> tuple[Longs, Longs, Longs]:
     """Return all directed edges (k, 2), a key (k,) that opposite edges share, and how many triangles use each."""
-    directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    directed = directed_edges(triangles)
     n = int(triangles.max()) + 1 if len(triangles) else 1
     keys = directed.min(axis=1) * n + directed.max(axis=1)
     _, inverse, count = np.unique(keys, return_inverse=True, return_counts=True)
@@ -314,7 +315,7 @@ def fill(positions: Floats, triangles: Longs, gaps: Sequence[Hole]) -> Longs | N
         if len(hole.rim) > _LONGEST_RIM:
             return None
         present = np.concatenate(patches)
-        edges = np.sort(np.concatenate([present[:, [0, 1]], present[:, [1, 2]], present[:, [2, 0]]]), axis=1)
+        edges = np.sort(directed_edges(present), axis=1)
         keys = np.unique(edges[:, 0] * n + edges[:, 1])
         low = np.minimum(hole.rim[:, None], hole.rim[None, :])
         high = np.maximum(hole.rim[:, None], hole.rim[None, :])

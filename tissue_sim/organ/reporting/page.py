@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import BuildRecord
+from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.organ import Organ, SpringKind
 from tissue_sim.organ.reporting import pictures
@@ -155,6 +156,6 @@ def flat(nested: Mapping[str, Any], before: str = "") -> list[tuple[str, str]]:
 def _edges_and_angles(surface: Surface) -> tuple[Floats, Floats]:
     """Return the length of every edge, mm, and every angle, degrees."""
     positions, t = surface
-    edges = np.unique(np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1), axis=0)
+    edges = np.unique(np.sort(directed_edges(t), axis=1), axis=0)
     length = np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1)
     return length, np.rad2deg(corner_angles(positions, t)).ravel()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
+from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.surfaces.intersections import intersecting_pairs
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
@@ -102,7 +103,7 @@ def measure(positions: Floats, triangles: Ints) -> SurfaceQuality:
     SurfaceQuality
         The measures.
     """
-    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    edges = np.sort(directed_edges(triangles), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
     length = np.linalg.norm(positions[unique[:, 0]] - positions[unique[:, 1]], axis=1)
     a, b, c = (positions[triangles[:, k]] for k in range(3))
