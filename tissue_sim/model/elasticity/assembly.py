@@ -75,7 +75,8 @@ def assemble(
     ------
     UserError
         For an unknown variant or target, `volume` on an organ without interior points, `cells` on one without cells,
-        `implied` on a variant without a skeleton or return springs, and where the tissue is too soft for shape_gravity.
+        springs on one that was cut, `implied` on a variant without a skeleton or return springs, and where the tissue
+        is too soft for shape_gravity.
 
     References
     ----------
@@ -94,6 +95,8 @@ def assemble(
         raise UserError("cells have no return springs; use return target rest")
     if by_cells and not len(organ.cell_nodes):
         raise UserError(f"organ '{organ.name}' has no cells; add them with tissue_sim calibrate")
+    if organ.n_virtual and not by_cells:
+        raise UserError(f"organ '{organ.name}' was cut, and springs would join what is apart; use model cells")
     n, n_surface = organ.n_nodes, organ.n_surface
     rest = np.ascontiguousarray(organ.rest_positions)
     mass, damping = organ.mass.copy(), organ.damping.copy()
