@@ -15,9 +15,9 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.crossing import Crossing, crossing_of
 from tissue_sim.model.cutting.cut_surface import CutSurface, cut_surface, uncut_surface
+from tissue_sim.model.cutting.masses import shared_masses
 from tissue_sim.model.cutting.sheet import RESOLVED_DEPTH, Sheet
 from tissue_sim.model.cutting.virtual_nodes import Copies, copies_of
-from tissue_sim.model.elasticity.cells import shapes_of
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.sizing import mean_edge
 
@@ -220,33 +220,22 @@ def _put_together(organ: Organ, crossings: Sequence[Crossing], made: Sequence[Co
 
 
 def _organ_of(organ: Organ, parts: _Parts) -> Organ:
-    """Return the organ of cells that carry fractions of the fitted moduli, its nodes' masses shared by stiffness.
-
-    With these masses every copy of a cell is as slow by itself as the cell was, and no frequency of the whole exceeds
-    that of its stiffest part (Irons and Treharne 1971): the critical step remains.
-    """
-    n, virtual = organ.n_nodes, parts.virtual_of
-    of, fraction = parts.cell_of, parts.fraction
-    mu, lam = organ.cell_mu[of] * fraction, organ.cell_lambda[of] * fraction
-    slope, volume = shapes_of(organ.rest_positions, organ.cell_nodes)
-    # The trace of each node's block of the stiffness at rest.
-    steep = np.einsum("cax,cax->ca", slope, slope)[of] * (volume[of] * (4.0 * mu + lam))[:, None]
-    stiffness = np.bincount(parts.nodes.ravel(), steep.ravel(), n + len(virtual))
-    source = np.concatenate([np.arange(n), virtual])
-    total = np.bincount(source, stiffness, n)
-    split = np.zeros(n, dtype=bool)
-    split[virtual] = True
-    # Nodes without a copy keep their masses to the last bit.
-    share = np.where(split[source], stiffness / np.where(total > 0.0, total, 1.0)[source], 1.0)
-    return replace(
+    """Return the organ of cells that carry fractions of the fitted moduli, with virtual nodes."""
+    source = np.concatenate([np.arange(organ.n_nodes), parts.virtual_of])
+    made = replace(
         organ,
         cell_nodes=parts.nodes,
-        cell_mu=mu,
-        cell_lambda=lam,
-        virtual_of=virtual,
-        mass=organ.mass[source] * share,
-        damping=organ.damping[source] * share,
-        return_stiffness=organ.return_stiffness[source] * share,
+        cell_mu=organ.cell_mu[parts.cell_of] * parts.fraction,
+        cell_lambda=organ.cell_lambda[parts.cell_of] * parts.fraction,
+        virtual_of=parts.virtual_of,
+        mass=organ.mass[source],
+        damping=organ.damping[source],
+        return_stiffness=organ.return_stiffness[source],
+    )
+    mass = shared_masses(organ, made)
+    share = mass / organ.mass[source]
+    return replace(
+        made, mass=mass, damping=organ.damping[source] * share, return_stiffness=organ.return_stiffness[source] * share
     )
 
 
