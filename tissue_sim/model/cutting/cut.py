@@ -202,7 +202,7 @@ def _put_together(organ: Organ, crossings: Sequence[Crossing], made: Sequence[Co
         front = share < 1.0
         whole = nodes[cells[front]]
         below, above = (np.where(found < 0, found - loose, found) for found in (copies.below_apart, copies.above_apart))
-        loose += int(max(0, -min(copies.below_apart.min(), copies.above_apart.min())))
+        loose -= min(0, int(copies.below_apart.min()), int(copies.above_apart.min()))
         more += [copies.above, whole]
         more_apart += [above, whole]
         more_of += [cells, cells[front]]
@@ -224,10 +224,10 @@ def _organ_of(organ: Organ, parts: _Parts) -> Organ:
     source = np.concatenate([np.arange(organ.n_nodes), parts.virtual_of])
     made = replace(
         organ,
-        cell_nodes=parts.nodes,
+        cell_nodes=parts.nodes.astype(np.int32),
         cell_mu=organ.cell_mu[parts.cell_of] * parts.fraction,
         cell_lambda=organ.cell_lambda[parts.cell_of] * parts.fraction,
-        virtual_of=parts.virtual_of,
+        virtual_of=parts.virtual_of.astype(np.int32),
         mass=organ.mass[source],
         damping=organ.damping[source],
         return_stiffness=organ.return_stiffness[source],
@@ -243,7 +243,9 @@ def _pieces(organ: Organ, parts: _Parts) -> tuple[int, int]:
     """Return how many pieces the cells make, and how many of them no fixed node holds; 0 where none is fixed."""
     nodes = np.where(parts.apart < 0, organ.n_nodes + len(parts.virtual_of) - 1 - parts.apart, parts.apart)
     size = int(nodes.max()) + 1
-    links = coo_array((np.ones(3 * len(nodes)), (nodes[:, [0, 0, 0]].ravel(), nodes[:, 1:].ravel())), shape=(size, size))
+    links = coo_array(
+        (np.ones(3 * len(nodes)), (nodes[:, [0, 0, 0]].ravel(), nodes[:, 1:].ravel())), shape=(size, size)
+    )
     label = connected_components(links, directed=False)[1]
     used = np.unique(label[nodes[:, 0]])
     held = np.zeros(size, dtype=bool)

@@ -193,11 +193,10 @@ def _points(organ: Organ, crossing: Crossing, copies: Copies, split: Mask, first
         nodes[point[:, column]] = ends[:, [0, 1, 1, 1]]
         weights[point[:, column], 0], weights[point[:, column], 1] = 1.0 - part, part
     rest = organ.rest_positions
-    for one in alone:
-        where = (1.0 - part[one]) * rest[low[one]] + part[one] * rest[high[one]]
-        for column, node in ((0, low[one]), (1, high[one])):
-            host = _host(organ, crossing, copies, int(node), where)
-            nodes[point[one, column]], weights[point[one, column]] = host
+    for lonely in alone:
+        where = (1.0 - part[lonely]) * rest[low[lonely]] + part[lonely] * rest[high[lonely]]
+        for mine, node in zip(point[lonely], (low[lonely], high[lonely]), strict=True):
+            nodes[mine], weights[mine] = _host(organ, crossing, copies, int(node), where)
     return _Points(key, first + point, nodes, weights, edge)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from tissue_sim.array_types import Longs
@@ -33,9 +35,9 @@ def hole_triangles(triangles: Longs, rank: Longs) -> Longs:
     for start in sorted(following):
         while following[start]:
             loop = _loop(start, following)
-            first = min(range(len(loop)), key=lambda place, loop=loop: (rank[loop[place]], place))
+            first = int(np.argmin(rank[loop]))
             loop = loop[first:] + loop[:first]
-            filled += [(loop[0], one, other) for one, other in zip(loop[1:-1], loop[2:], strict=True)]
+            filled += [(loop[0], one, other) for one, other in pairwise(loop[1:])]
     return np.array(filled, dtype=np.int64).reshape(-1, 3)
 
 
@@ -48,7 +50,7 @@ def _loop(start: int, following: dict[int, list[int]]) -> list[int]:
             again = place[point]
             loop = way[again:]
             # What led to the loop is another one's.
-            for one, other in zip(way[:again], way[1 : again + 1], strict=True):
+            for one, other in pairwise(way[: again + 1]):
                 following[one].append(other)
             return loop
         place[point] = len(way)

@@ -14,7 +14,8 @@ from tissue_sim.organ.organ import Organ
 MODES = 8  # the fastest ones, which are slowed together
 MOST_ROUNDS = 30
 ENOUGH = 1.006  # times the uncut organ's largest eigenvalue: a critical step shorter by 0.3 %
-FIRST_MOVE = 0.15  # logarithm of a mass, in the first round
+FIRST_MOVE, SLOWING = 0.4, 0.6  # largest change of a mass's logarithm in the first round, and how it falls
+SHARPNESS = 60.0  # how much less a mode counts than the fastest one
 
 
 def shared_masses(organ: Organ, cut: Organ) -> Floats:
@@ -69,12 +70,11 @@ def shared_masses(organ: Organ, cut: Organ) -> Floats:
             best, least = mass, square[-1]
         if least <= most:
             break
-        over = square > most
-        excess = np.minimum(square[over] / most - 1.0, 0.5)
+        # The fastest modes count together, as slowing one alone quickens another.
         sought = np.zeros(len(source))
-        sought[among] = part[:, over] @ excess
+        sought[among] = part @ np.exp(SHARPNESS * (square / square[-1] - 1.0))
         sought /= max(float(sought[several].max()), 1e-300)
-        mass = shared(mass * np.exp(sought * (FIRST_MOVE / np.sqrt(1.0 + number) + 2.0 * float(excess.max()))))
+        mass = shared(mass * np.exp(sought * FIRST_MOVE / (1.0 + number) ** SLOWING))
     return best
 
 

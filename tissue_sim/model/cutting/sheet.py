@@ -133,7 +133,9 @@ def sheet_of(organ: Organ, polyline: ArrayLike, direction: ArrayLike, depth: flo
     """
     corners = floats_of(polyline)
     if corners.ndim != 2 or corners.shape[1:] != (3,) or not 2 <= len(corners) <= MOST_CORNERS:
-        raise UserError(f"the cut's polyline has shape {corners.shape}, expected (m, 3) with m from 2 to {MOST_CORNERS}")
+        raise UserError(
+            f"the cut's polyline has shape {corners.shape}, expected (m, 3) with m from 2 to {MOST_CORNERS}"
+        )
     if not np.all(np.isfinite(corners)):
         raise UserError("the cut's polyline contains values that are not finite")
     way, far = finite(direction, 3, "the cut's direction"), float(finite([depth], 1, "the cut's depth")[0])
