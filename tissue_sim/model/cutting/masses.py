@@ -14,8 +14,8 @@ from tissue_sim.organ.organ import Organ
 MODES = 8  # the fastest ones, which are slowed together
 MOST_ROUNDS = 30
 ENOUGH = 1.006  # times the uncut organ's largest eigenvalue: a critical step shorter by 0.3 %
-FIRST_MOVE, SLOWING = 0.4, 0.6  # largest change of a mass's logarithm in the first round, and how it falls
-SHARPNESS = 60.0  # how much less a mode counts than the fastest one
+MOST_MOVE = 0.3  # of a mass's logarithm in a round, and at most twice what the eigenvalue is still too large by
+SHARPNESS = 30.0  # how much less a mode counts than the fastest one
 
 
 def shared_masses(organ: Organ, cut: Organ) -> Floats:
@@ -64,7 +64,7 @@ def shared_masses(organ: Organ, cut: Organ) -> Floats:
     moving = np.setdiff1d(np.arange(own), organ.fixed)
     most = ENOUGH * _fastest(_stiffness(organ, moving), organ.mass[moving], 1)[0][-1]
     best, least = mass, np.inf
-    for number in range(MOST_ROUNDS):
+    for _ in range(MOST_ROUNDS):
         square, part = _fastest(matrix, mass[among], MODES)
         if square[-1] < least:
             best, least = mass, square[-1]
@@ -74,7 +74,7 @@ def shared_masses(organ: Organ, cut: Organ) -> Floats:
         sought = np.zeros(len(source))
         sought[among] = part @ np.exp(SHARPNESS * (square / square[-1] - 1.0))
         sought /= max(float(sought[several].max()), 1e-300)
-        mass = shared(mass * np.exp(sought * FIRST_MOVE / (1.0 + number) ** SLOWING))
+        mass = shared(mass * np.exp(sought * min(MOST_MOVE, 2.0 * (square[-1] / most - 1.0))))
     return best
 
 
