@@ -16,6 +16,7 @@ from tissue_sim.handles import handle
 from tissue_sim.model.contact.shapes import CAPSULE, SPHERE, Shapes, make_shapes
 from tissue_sim.model.cutting.carry import carried_over
 from tissue_sim.model.cutting.cut import CutOrgan, CutReport, cut_again, not_cut
+from tissue_sim.model.cutting.masses import fastest_mode
 from tissue_sim.model.cutting.sheet import sheet_of
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.model import Model
@@ -274,10 +275,12 @@ class Simulation:
             substeps=self._fixed_substeps,
         )
         made.take_settings(self.settings)
+        made.frequency = max(made.frequency, fastest_mode(after.organ))
         made.set_substeps()
         made.restore(carried_over(self.state, made.state, after.origin(before), before.uncut.n_nodes))
         report = after.reports[-1]._replace(
-            critical_step_before=self.critical_step, critical_step_after=made.critical_step
+            critical_step_before=self._critical_step(max(self.frequency, fastest_mode(self.organ))),
+            critical_step_after=made.critical_step,
         )
         made.cut_organ = after._replace(reports=(*after.reports[:-1], report))
         return made
@@ -427,8 +430,12 @@ class Simulation:
     @property
     def critical_step(self) -> float:
         """Longest stable step of the integrator for the present stiffness and damping, s."""
+        return self._critical_step(self.frequency)
+
+    def _critical_step(self, frequency: float) -> float:
+        """Return the critical step, s, for a largest frequency of the unscaled model, rad/s."""
         scale, damping = float(self.settings.stiffness_scale), float(self.settings.damping_scale)
-        return model_step(self.model, self.frequency, scale, damping, self.integrator)
+        return model_step(self.model, frequency, scale, damping, self.integrator)
 
     @property
     def energy(self) -> Energy:
