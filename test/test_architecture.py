@@ -41,7 +41,7 @@ MAY_IMPORT = {
 }
 # Folders of a layer, each of which may import those before it; files beside them import all, and none imports those.
 FOLDERS = {
-    "model": ("data", "elasticity", "contact", "regions", "stepping", "runtime"),
+    "model": ("data", "elasticity", "cutting", "contact", "regions", "stepping", "runtime"),
     "ros/node": ("shared", "input", "settings", "tools", "contact", "output", "services"),
 }
 LIBRARIES = {"organ", "model", "contact", "calibration"}  # what they find, others ask for and show

@@ -39,6 +39,8 @@ def full(tmp_path):
     """A file that holds every array."""
     made = trimesh.creation.icosphere(1, 0.2 * RADIUS)
     organ = with_inclusions(ball(), [Inclusion(np.asarray(made.vertices), made.faces.astype(np.int32), 5.0)])
+    arrays = {name: np.append(getattr(organ, name), 1e-6) for name in ("mass", "damping", "return_stiffness")}
+    organ = replace(organ, virtual_of=[3], **arrays)
     file = tmp_path / "full.npz"
     organ.save(file)
     return file

@@ -13,6 +13,10 @@ from tissue_sim.arguments import floats_of
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.handles import handle
+from tissue_sim.model.cutting.carry import carried_over
+from tissue_sim.model.cutting.cut import CutOrgan, CutReport, cut_again, not_cut
+from tissue_sim.model.cutting.masses import fastest_mode
+from tissue_sim.model.cutting.sheet import sheet_of
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.records import words_of
@@ -125,6 +129,7 @@ class Simulation:
         if model == "cells" and local_region == "auto" and moves_whole(organ):
             local_region = "off"
         self.organ = organ
+        self.cut_organ: CutOrgan | None = None  # its cuts and its surface, after `cut`
         self.local_region = local_region
         self.variant = model
         self.rate = float(rate)
@@ -216,7 +221,62 @@ class Simulation:
         """Whether the organ rests untouched and ticks cost nothing."""
         return bool(self.state.status.asleep)
 
+    @property
+    def cuts(self) -> tuple[CutReport, ...]:
+        """What each cut of the organ has done, in order."""
+        return self.cut_organ.reports if self.cut_organ else ()
+
     # what users do -----------------------------------------------------------------------------
+    def cut(self, polyline: ArrayLike, direction: ArrayLike, depth: float) -> Simulation:
+        """Return a simulation that continues this one with a cut in the organ; this one remains as it is.
+
+        The cut is the sheet that a straight or curved blade sweeps, in the organ's rest coordinates. See `cut_again`.
+
+        Parameters
+        ----------
+        polyline : ArrayLike, shape (m, 3), m
+            The blade's edge where it touches the surface, or above it: two points or more.
+        direction : ArrayLike, shape (3,)
+            Where it is moved; of any length.
+        depth : float, m
+            How far it is moved.
+
+        Returns
+        -------
+        Simulation
+            With `cuts`, `cut_organ`, an `organ` that has virtual nodes, and the state of this one.
+
+        Raises
+        ------
+        UserError
+            For an organ without cells, with a local region or a shape under gravity, and for a cut that is out of
+            range, misses the organ, is too shallow, or meets an earlier one.
+        """
+        if self.variant != "cells":
+            raise UserError(f"model {self.variant} can't be cut; use model cells, which a calibrated organ has")
+        if self.local_region != "off" or self.model.shape_gravity.any():
+            raise UserError("a cut needs local_region off, and shape_gravity [0, 0, 0] where there is gravity")
+        before = self.cut_organ or not_cut(self.organ)
+        after = cut_again(before, sheet_of(before.uncut, polyline, direction, depth))
+        made = Simulation(
+            after.organ,
+            model="cells",
+            rate=self.rate,
+            shapes=self.shapes,
+            integrator=self.integrator,
+            substeps=self._fixed_substeps,
+        )
+        made.take_settings(self.settings)
+        made.frequency = max(made.frequency, fastest_mode(after.organ))
+        made.set_substeps()
+        made.restore(carried_over(self.state, made.state, after.origin(before), before.uncut.n_nodes))
+        report = after.reports[-1]._replace(
+            critical_step_before=self._critical_step(max(self.frequency, fastest_mode(self.organ))),
+            critical_step_after=made.critical_step,
+        )
+        made.cut_organ = after._replace(reports=(*after.reports[:-1], report))
+        return made
+
     def apply_force(self, nodes: ArrayLike, forces: ArrayLike) -> None:
         """Add forces to nodes for the coming tick.
 
@@ -362,8 +422,12 @@ class Simulation:
     @property
     def critical_step(self) -> float:
         """Longest stable step of the integrator for the present stiffness and damping, s."""
+        return self._critical_step(self.frequency)
+
+    def _critical_step(self, frequency: float) -> float:
+        """Return the critical step, s, for a largest frequency of the unscaled model, rad/s."""
         scale, damping = float(self.settings.stiffness_scale), float(self.settings.damping_scale)
-        return model_step(self.model, self.frequency, scale, damping, self.integrator)
+        return model_step(self.model, frequency, scale, damping, self.integrator)
 
     @property
     def energy(self) -> Energy:

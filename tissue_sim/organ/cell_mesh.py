@@ -116,8 +116,10 @@ def with_cells(organ: Organ, shares: tuple[float, float] = (1.0, 1.0)) -> Organ:
     Raises
     ------
     UserError
-        Where a node belongs to no cell, or the cells fill too little of the volume.
+        Where a node belongs to no cell, the cells fill too little of the volume, or the organ was cut.
     """
+    if organ.n_virtual:
+        raise UserError(f"organ '{organ.name}' was cut: its cells can't be made anew; use the organ before the cut")
     cells = tissue_cells(organ.rest_positions, organ.surface_positions, organ.surface_triangles, organ.name)
     factors = cell_factors(inclusions_of(organ), organ.rest_positions, cells)
     mu, lam = np.outer(np.multiply(shares, organ.lame_moduli), factors)

@@ -24,7 +24,7 @@ from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.shipped import shipped_organ
 
-SCHEMA_VERSION = 5  # 2: interior_spoke; 3: springs that harden, gone; 4: cells; 5: inclusions
+SCHEMA_VERSION = 6  # 2: interior_spoke; 3: springs that harden, gone; 4: cells; 5: inclusions; 6: virtual nodes
 
 
 # Fields of the header, with their types.
@@ -65,8 +65,9 @@ def _array(dtype: type, shape: tuple[int | str, ...], empty: tuple[int, ...] | N
 class Organ:
     """Organ ready to be simulated, in SI units; every array is read-only.
 
-    Nodes are numbered surface first, then medial atoms, then interior atoms: `n = n_surface + n_atoms + n_interior`.
-    The inner nodes are the medial and interior atoms. The comments beside the fields give units and meaning.
+    Nodes are numbered surface first, then medial atoms, then interior atoms, then the virtual nodes of cut tissue:
+    `n = n_surface + n_atoms + n_interior + n_virtual`. The inner nodes are the medial and interior atoms. The comments
+    beside the fields give units and meaning.
 
     Raises
     ------
@@ -106,6 +107,8 @@ class Organ:
     inclusion_triangles: Ints = _ints("n_inclusion_triangles", 3, empty=(0, 3))  # outward
     inclusion_of: Ints = _ints("n_inclusion_triangles", empty=(0,))  # which inclusion each of them bounds
     inclusion_stiffness: Floats = _floats("n_inclusions", empty=(0,))  # times the tissue's moduli
+    # Of cut tissue: the node that each virtual node copies, at the same rest position.
+    virtual_of: Ints = _ints("n_virtual", empty=(0,))
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -123,7 +126,7 @@ class Organ:
         return (
             f"<Organ '{self.name}': {1e6 * self.volume:.1f} mL, {self.n_surface} surface nodes,"
             f" {len(self.surface_triangles)} triangles, {self.n_atoms} medial and {self.n_interior} interior atoms,"
-            f" {tissue}, {len(self.fixed)} nodes fixed>"
+            f" {tissue}, {len(self.fixed)} nodes fixed{f', {self.n_virtual} virtual' if self.n_virtual else ''}>"
         )
 
     # sizes -------------------------------------------------------------------------------------
@@ -139,8 +142,8 @@ class Organ:
 
     @property
     def n_nodes(self) -> int:
-        """Number of all nodes: surface, medial atoms, interior atoms."""
-        return self.n_surface + self.n_atoms + self.n_interior
+        """Number of all nodes: surface, medial atoms, interior atoms, virtual nodes."""
+        return self.n_surface + self.n_atoms + self.n_interior + self.n_virtual
 
     @property
     def n_interior(self) -> int:
@@ -148,9 +151,15 @@ class Organ:
         return len(self.interior_positions)
 
     @property
+    def n_virtual(self) -> int:
+        """Number of virtual nodes; 0 where nothing is cut."""
+        return len(self.virtual_of)
+
+    @property
     def rest_positions(self) -> Floats:
-        """Rest positions of all nodes, (n, 3) m: surface, medial atoms, interior."""
-        return np.concatenate([self.surface_positions, self.atom_positions, self.interior_positions])
+        """Rest positions of all nodes, (n, 3) m: surface, medial atoms, interior, virtual."""
+        own = np.concatenate([self.surface_positions, self.atom_positions, self.interior_positions])
+        return np.concatenate([own, own[self.virtual_of]])
 
     @property
     def surface_normals(self) -> Floats:
@@ -160,7 +169,9 @@ class Organ:
     @property
     def schema_version(self) -> int:
         """Schema version of its file: the oldest that can hold it, so that older packages can read it."""
-        return SCHEMA_VERSION if len(self.inclusion_stiffness) else 4
+        if self.n_virtual:
+            return SCHEMA_VERSION
+        return 5 if len(self.inclusion_stiffness) else 4
 
     @property
     def volume(self) -> float:
@@ -175,7 +186,8 @@ class Organ:
 
     # checks ------------------------------------------------------------------------------------
     def _check(self, sizes: dict[str, int]) -> None:
-        n = sizes["n_surface"] + sizes["n_atoms"] + sizes["n_interior"]
+        given = sizes["n_surface"] + sizes["n_atoms"] + sizes["n_interior"]
+        n = given + sizes["n_virtual"]
         if sizes["n"] != n:
             raise UserError(f"organ '{self.name}': mass has {sizes['n']} entries for {n} nodes")
         limits = {
@@ -186,6 +198,7 @@ class Organ:
             "cell_nodes": n,
             "inclusion_triangles": sizes["n_inclusion_points"],
             "inclusion_of": sizes["n_inclusions"],
+            "virtual_of": given,
         }
         for key, limit in limits.items():
             array = getattr(self, key)
@@ -325,6 +338,8 @@ class Organ:
             expected -= {"cell_nodes", "cell_mu", "cell_lambda"}
         if version < 5:
             expected -= {name for name in expected if name.startswith("inclusion_")}
+        if version < 6:
+            expected -= {"virtual_of"}
         if set(content) != expected:
             odd = ", ".join(shown(name, _SHOWN) for name in sorted(expected ^ set(content)))
             raise UserError(f"organ file {path} is damaged: missing or unknown arrays: {odd}")
@@ -344,9 +359,11 @@ class Organ:
         return content_digest("", self._arrays(without=() if len(self.cell_nodes) else ("cell_",)))
 
     def _arrays(self, without: tuple[str, ...] = ()) -> dict[str, Any]:
-        """Return all arrays except those whose names start so, and except inclusions where there are none."""
-        if not len(self.inclusion_stiffness):  # as files were before inclusions existed
+        """Return all arrays except those whose names start so, and those that its schema version doesn't have."""
+        if self.schema_version < 5:  # as files were before inclusions existed
             without = (*without, "inclusion_")
+        if self.schema_version < 6:
+            without = (*without, "virtual_")
         names = (item.name for item in fields(self) if "dtype" in item.metadata)
         return {name: getattr(self, name) for name in names if not name.startswith(without)}
 

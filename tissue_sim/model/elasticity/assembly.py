@@ -66,8 +66,8 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
     Raises
     ------
     UserError
-        For an unknown variant, `volume` on an organ without interior points, `cells` on one without cells, and where
-        the tissue is too soft for shape_gravity.
+        For an unknown variant, `volume` on an organ without interior points, `cells` on one without cells, springs on
+        one that was cut, and where the tissue is too soft for shape_gravity.
 
     References
     ----------
@@ -79,6 +79,8 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
     by_cells = model == "cells"
     if by_cells and not len(organ.cell_nodes):
         raise UserError(f"organ '{organ.name}' has no cells; add them with tissue_sim calibrate")
+    if organ.n_virtual and not by_cells:
+        raise UserError(f"organ '{organ.name}' was cut, and springs would join what is apart; use model cells")
     n, n_surface = organ.n_nodes, organ.n_surface
     rest = np.ascontiguousarray(organ.rest_positions)
     mass, damping = organ.mass.copy(), organ.damping.copy()

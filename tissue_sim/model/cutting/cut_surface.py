@@ -1,0 +1,253 @@
+"""The surface of a cut organ: the outer one, split along the cuts, and the walls of both lips."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Ints, Longs, Mask
+from tissue_sim.errors import UserError
+from tissue_sim.model.cutting.crossing import Crossing, section_of
+from tissue_sim.model.cutting.holes import hole_triangles
+from tissue_sim.model.cutting.virtual_nodes import Copies
+from tissue_sim.organ.organ import Organ
+
+_FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+
+
+class CutSurface(NamedTuple):
+    """Closed surface whose points lie in cells. p points, t triangles; the organ's surface nodes come first."""
+
+    nodes: Longs  # (p, 4) that each point lies between; several may be the same
+    weights: Floats  # (p, 4) of these, of sum 1
+    triangles: Ints  # (t, 3) counter-clockwise seen from outside
+    wall: Longs  # (t,) 0 for the outer surface, else the number of the cut whose wall it is, from 1 on
+
+    def at(self, positions: Floats) -> Floats:
+        """Return the points (p, 3) m, for given positions (n, 3) m of the cut organ's nodes."""
+        found: Floats = np.einsum("pk,pkx->px", self.weights, positions[self.nodes])
+        return found
+
+
+class _Points(NamedTuple):
+    """Points of a cut on edges of cells. e edges, q points."""
+
+    key: Longs  # (e,) n times the lower node, plus the higher one; ascending
+    point: Longs  # (e, 2) points on the side of the lower and of the higher node; the same where both sides meet
+    nodes: Longs  # (q, 4)
+    weights: Floats  # (q, 4)
+    edge: Longs  # (q,) the edge of each point
+
+    def at(self, end: Longs, other: Longs, n: int) -> tuple[Longs, Mask]:
+        """Return the points on edges, on the side of the first of their nodes, and whether there is one."""
+        key = np.minimum(end, other) * n + np.maximum(end, other)
+        place = np.searchsorted(self.key, key).clip(0, len(self.key) - 1)
+        return self.point[place, (end > other).astype(np.int64)], self.key[place] == key
+
+
+def uncut_surface(organ: Organ) -> CutSurface:
+    """Return the surface of an organ without cuts."""
+    own = np.arange(organ.n_surface)
+    weights = np.zeros((organ.n_surface, 4))
+    weights[:, 0] = 1.0
+    wall = np.zeros(len(organ.surface_triangles), dtype=np.int64)
+    return CutSurface(np.stack([own] * 4, axis=1), weights, organ.surface_triangles.copy(), wall)
+
+
+def cut_surface(organ: Organ, cuts: Sequence[tuple[Crossing, Copies]]) -> CutSurface:
+    """Return the surface of a cut organ.
+
+    Every point that it has more than the organ lies on an edge of cells, so that neighbours have it in common.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ before.
+    cuts : Sequence[tuple[Crossing, Copies]]
+        The cells that each cut divides, and the copies of them; no two have a node in common.
+
+    Returns
+    -------
+    CutSurface
+        The surface.
+
+    Raises
+    ------
+    UserError
+        When two cuts come so close that they split the same triangle.
+    """
+    made = uncut_surface(organ)
+    nodes, weights, triangles, wall = made.nodes, made.weights, made.triangles.astype(np.int64), made.wall
+    rank = np.arange(organ.n_surface)
+    owner = _owners(organ)
+    for number, (crossing, copies) in enumerate(cuts):
+        split = _split(organ, crossing, copies, owner)
+        points = _points(organ, crossing, copies, split, len(nodes))
+        outer, gone = _outer(organ.surface_triangles.astype(np.int64), points, crossing.positive)
+        # Triangles of the uncut organ come first, those that an earlier cut has split are marked.
+        if np.any(triangles[gone, 0] < 0):
+            raise UserError("the cut comes within a triangle of an earlier one: cuts must not meet")
+        triangles[gone] = -1
+        walls = _walls(organ, crossing, points)
+        nodes, weights = np.concatenate([nodes, points.nodes]), np.concatenate([weights, points.weights])
+        rank = np.concatenate([rank, rank.max() + 1 + points.edge])
+        triangles = np.concatenate([triangles, outer, walls])
+        wall = np.concatenate([wall, np.zeros(len(outer), dtype=np.int64), np.full(len(walls), number + 1)])
+        # Cells that were too flat to be made leave holes in the walls.
+        filling = hole_triangles(triangles[triangles[:, 0] >= 0], rank)
+        triangles = np.concatenate([triangles, filling])
+        wall = np.concatenate([wall, np.full(len(filling), number + 1)])
+    kept = triangles[:, 0] >= 0
+    return CutSurface(nodes, weights, triangles[kept].astype(np.int32), wall[kept])
+
+
+def _owners(organ: Organ) -> Longs:
+    """Return the cell (t,) of which each triangle is a face; -1 where it was too flat to be made."""
+    n = organ.n_nodes
+    faces = _face_keys(organ.cell_nodes[:, _FACES].reshape(-1, 3), n)
+    order = np.argsort(faces, kind="stable")
+    key = _face_keys(organ.surface_triangles, n)
+    place = order[np.searchsorted(faces[order], key).clip(0, len(faces) - 1)]
+    owners: Longs = np.where(faces[place] == key, place // 4, -1)
+    return owners
+
+
+def _face_keys(faces: Ints | Longs, n: int) -> Longs:
+    corner = np.sort(faces.astype(np.int64), axis=1)
+    keys: Longs = (corner[:, 0] * n + corner[:, 1]) * n + corner[:, 2]
+    return keys
+
+
+def _edge_keys(first: Longs, second: Longs, n: int) -> Longs:
+    keys: Longs = np.minimum(first, second) * n + np.maximum(first, second)
+    return keys
+
+
+def _cell_edges(cells: Ints | Longs, n: int) -> Longs:
+    """Return the keys of all edges of cells, each once."""
+    pairs = np.array([(a, b) for a in range(4) for b in range(a)])
+    quads = cells.astype(np.int64)
+    return np.unique(_edge_keys(quads[:, pairs[:, 0]], quads[:, pairs[:, 1]], n))
+
+
+def _lone_first(triangles: Longs, positive: Mask) -> tuple[Longs, Longs]:
+    """Return which triangles have corners on both sides, and these turned so that the one that is alone comes first."""
+    up = positive[triangles]
+    crossed = np.flatnonzero(up.any(axis=1) & ~up.all(axis=1))
+    chosen, up = triangles[crossed], up[crossed]
+    lone = np.argmax(up == (up.sum(axis=1) == 1)[:, None], axis=1)
+    return crossed, np.take_along_axis(chosen, (lone[:, None] + np.arange(3)) % 3, axis=1)
+
+
+def _split(organ: Organ, crossing: Crossing, copies: Copies, owner: Longs) -> Mask:
+    """Return which triangles (t,) the cut splits: those of divided cells, and of flat ones that it goes on through."""
+    n = organ.n_nodes
+    divided = np.zeros(len(organ.cell_nodes), dtype=bool)
+    divided[crossing.cells] = True
+    crossed, turned = _lone_first(organ.surface_triangles.astype(np.int64), crossing.positive)
+    edges = np.stack([_edge_keys(turned[:, 0], turned[:, corner], n) for corner in (1, 2)], axis=1)
+    split = (owner[crossed] >= 0) & divided[owner[crossed]]
+    seen, end = np.divmod(copies.edges.key, n)
+    open_edges = np.unique(_edge_keys(seen, end, n)[~copies.edges.closed])
+    alone = ~np.isin(edges, _cell_edges(organ.cell_nodes, n))  # edges of flat cells only
+    while True:
+        through = np.concatenate([open_edges, edges[split][alone[split]]])
+        found = split | ((owner[crossed] < 0) & np.isin(edges, through).any(axis=1))
+        if np.array_equal(found, split):
+            break
+        split = found
+    whole = np.zeros(len(organ.surface_triangles), dtype=bool)
+    whole[crossed] = split
+    return whole
+
+
+def _points(organ: Organ, crossing: Crossing, copies: Copies, split: Mask, first: int) -> _Points:
+    """Return the points of a cut: on the edges of divided cells between both sides, and of split triangles."""
+    n, height = organ.n_nodes, crossing.height
+    seen, end = np.divmod(copies.edges.key, n)
+    _, turned = _lone_first(organ.surface_triangles[split].astype(np.int64), crossing.positive)
+    outer = np.concatenate([_edge_keys(turned[:, 0], turned[:, corner], n) for corner in (1, 2)])
+    key = np.unique(np.concatenate([_edge_keys(seen, end, n), outer]))
+    low, high = np.divmod(key, n)
+    # What stands for the lower node on the side of the higher one, and the other way round; edges of no divided cell
+    # have both nodes themselves.
+    pair, closed = np.stack([low, high], axis=1), np.ones(len(key), dtype=bool)
+    for column, one, other in ((0, low, high), (1, high, low)):
+        place = np.searchsorted(copies.edges.key, one * n + other).clip(0, len(copies.edges.key) - 1)
+        there = copies.edges.key[place] == one * n + other
+        pair[there, column] = copies.edges.node[place[there]]
+        closed[there] = copies.edges.closed[place[there]]
+    part = height[low] / (height[low] - height[high])
+    # An edge of flat cells only is open, and no cell says what moves the points there.
+    alone = np.flatnonzero(~np.isin(key, _cell_edges(organ.cell_nodes, n)))
+    closed[alone] = False
+    edge = np.repeat(np.arange(len(key)), np.where(closed, 1, 2))
+    begin = np.concatenate([[0], np.cumsum(np.where(closed, 1, 2))])[:-1]
+    point = np.stack([begin, begin + ~closed], axis=1)
+    nodes, weights = np.empty((len(edge), 4), dtype=np.int64), np.zeros((len(edge), 4))
+    lower = np.stack([low, pair[:, 1]], axis=1)
+    upper = np.stack([pair[:, 0], high], axis=1)
+    for column, ends in ((0, lower), (1, upper)):
+        nodes[point[:, column]] = ends[:, [0, 1, 1, 1]]
+        weights[point[:, column], 0], weights[point[:, column], 1] = 1.0 - part, part
+    rest = organ.rest_positions
+    for lonely in alone:
+        where = (1.0 - part[lonely]) * rest[low[lonely]] + part[lonely] * rest[high[lonely]]
+        for mine, node in zip(point[lonely], (low[lonely], high[lonely]), strict=True):
+            nodes[mine], weights[mine] = _host(organ, crossing, copies, int(node), where)
+    return _Points(key, first + point, nodes, weights, edge)
+
+
+def _host(organ: Organ, crossing: Crossing, copies: Copies, node: int, where: Floats) -> tuple[Longs, Floats]:
+    """Return the cell or copy of a node's side next to a point that lies in none, and the point's coordinates in it."""
+    divided = np.flatnonzero((organ.cell_nodes[crossing.cells] == node).any(axis=1))
+    around = np.flatnonzero((organ.cell_nodes == node).any(axis=1))
+    around = np.setdiff1d(around, crossing.cells)
+    own = copies.above if crossing.positive[node] else copies.below
+    cells = np.concatenate([organ.cell_nodes[crossing.cells[divided]], organ.cell_nodes[around]]).astype(np.int64)
+    corner = organ.rest_positions[cells]
+    found = np.linalg.solve((corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1), (where - corner[:, 0])[:, :, None])
+    coordinates = np.concatenate([1.0 - found.sum(axis=1), found[:, :, 0]], axis=1)
+    best = int(np.argmax(coordinates.min(axis=1)))
+    return np.concatenate([own[divided], organ.cell_nodes[around]])[best], coordinates[best]
+
+
+def _outer(triangles: Longs, points: _Points, positive: Mask) -> tuple[Longs, Longs]:
+    """Return what takes the place of triangles (k, 3) that carry points of a cut, and which these are."""
+    n = len(positive)
+    crossed, turned = _lone_first(triangles, positive)
+    a, b, c = turned.T
+    (p, on_p), (q, on_q) = points.at(a, b, n), points.at(a, c, n)
+    (far_p, _), (far_q, _) = points.at(b, a, n), points.at(c, a, n)
+    both, first, second = on_p & on_q, on_p & ~on_q, on_q & ~on_p
+    made = [
+        np.stack(corners, axis=1)[chosen]
+        for chosen, corners in (
+            (both, (a, p, q)),
+            (both, (far_p, b, c)),
+            (both, (far_p, c, far_q)),
+            (first, (a, p, c)),
+            (first, (p, b, c)),
+            (second, (a, b, q)),
+            (second, (q, b, c)),
+        )
+    ]
+    return np.concatenate(made), crossed[on_p | on_q]
+
+
+def _walls(organ: Organ, crossing: Crossing, points: _Points) -> Longs:
+    """Return triangles of both walls of a cut; those where its sides meet are left out."""
+    quads = organ.cell_nodes[crossing.cells].astype(np.int64)
+    pairs = section_of(crossing.positive[quads])
+    row = np.arange(len(quads))[:, None]
+    up, down = quads[row, pairs[:, :, 0]], quads[row, pairs[:, :, 1]]
+    above = points.at(up, down, organ.n_nodes)[0]
+    below = points.at(down, up, organ.n_nodes)[0]
+    made = []
+    for corners in ([0, 1, 2], [0, 2, 3]):
+        one, other = above[:, corners], below[:, corners]
+        real = (one[:, 1] != one[:, 2]) & (one != other).any(axis=1)
+        made += [one[real], other[real][:, ::-1]]
+    return np.concatenate(made)

@@ -1,0 +1,113 @@
+"""Masses of nodes and their virtual nodes: shared so that the critical step of the uncut organ remains."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.linalg import eigsh
+
+from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.model.elasticity.cells import shapes_of, strain_rows
+from tissue_sim.model.elasticity.diagonal import diagonal
+from tissue_sim.organ.organ import Organ
+
+MODES = 8  # the fastest ones, which are slowed together
+MOST_ROUNDS = 30
+ENOUGH = 1.006  # times the uncut organ's largest eigenvalue: a critical step shorter by 0.3 %
+MOST_MOVE = 0.3  # of a mass's logarithm in a round, and at most twice what the eigenvalue is still too large by
+SHARPNESS = 30.0  # how much less a mode counts than the fastest one
+
+
+def shared_masses(organ: Organ, cut: Organ) -> Floats:
+    """Return the masses of a cut organ's nodes. The copies of a node together have its mass; others keep theirs.
+
+    At first they share it as they share the stiffness: every copy of a cell is then as slow by itself as the cell was.
+    The fastest modes of what is cut may still be faster than before, where a light copy has lost neighbours that
+    slowed it. There mass moves between copies towards those that take part in these modes, by the slope of the
+    eigenvalue.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ before.
+    cut : Organ
+        The organ after, whose masses don't count.
+
+    Returns
+    -------
+    Floats, shape (n,), kg
+        The masses.
+    """
+    own = organ.n_nodes
+    source = np.concatenate([np.arange(own), cut.virtual_of])
+    several = np.isin(source, cut.virtual_of)
+    slope, volume = shapes_of(cut.rest_positions, cut.cell_nodes)
+    # The trace of each node's block of the stiffness at rest.
+    steep = np.einsum("cax,cax->ca", slope, slope) * (volume * (4.0 * cut.cell_mu + cut.cell_lambda))[:, None]
+    stiffness = np.bincount(cut.cell_nodes.ravel(), steep.ravel(), len(source))
+
+    def shared(weight: Floats) -> Floats:
+        total = np.bincount(source, weight, own)[source]
+        mass: Floats = organ.mass[source]
+        mass[several] *= weight[several] / total[several]
+        return mass
+
+    # Modes of what is around the cut: with all else at rest none is faster than of the whole.
+    near = np.zeros(len(source), dtype=bool)
+    near[cut.cell_nodes[several[cut.cell_nodes].any(axis=1)]] = True
+    near[cut.fixed] = False
+    among = np.flatnonzero(near)
+    mass = shared(stiffness)
+    if not np.any(several[among]):
+        return mass
+    matrix = _stiffness(cut, among)
+    most = ENOUGH * fastest_mode(organ) ** 2
+    best, least = mass, np.inf
+    for _ in range(MOST_ROUNDS):
+        square, part = _fastest(matrix, mass[among], MODES)
+        if square[-1] < least:
+            best, least = mass, square[-1]
+        if least <= most:
+            break
+        # The fastest modes count together, as slowing one alone quickens another.
+        sought = np.zeros(len(source))
+        sought[among] = part @ np.exp(SHARPNESS * (square / square[-1] - 1.0))
+        sought /= max(float(sought[several].max()), 1e-300)
+        mass = shared(mass * np.exp(sought * min(MOST_MOVE, 2.0 * (square[-1] / most - 1.0))))
+    return best
+
+
+def fastest_mode(organ: Organ) -> float:
+    """Return the largest angular frequency of an organ of cells about rest, rad/s, by Lanczos' method.
+
+    Where several modes are nearly as fast, as at a cut, the power iteration of `frequency.py` can end at a slower one.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    """
+    moving = np.setdiff1d(np.arange(organ.n_nodes), organ.fixed)
+    square = _fastest(_stiffness(organ, moving), organ.mass[moving], 1)[0][-1]
+    return float(np.sqrt(max(square, 0.0)))
+
+
+def _stiffness(organ: Organ, among: Longs | Ints) -> csr_array:
+    """Return the stiffness of cells at rest (3k, 3k) N/m, of some nodes (k,) with all others held."""
+    cells = organ.cell_nodes
+    chosen = np.isin(cells, among).any(axis=1)
+    rows, owner = strain_rows(organ.rest_positions, cells[chosen])
+    moduli = np.concatenate([organ.cell_mu[chosen], organ.cell_lambda[chosen]])
+    axes = (3 * among.astype(np.int64)[:, None] + np.arange(3)).ravel()
+    rows = rows[:, axes]
+    return csr_array(rows.T @ diagonal(moduli[owner]) @ rows)
+
+
+def _fastest(stiffness: csr_array, mass: Floats, count: int) -> tuple[Floats, Floats]:
+    """Return the largest eigenvalues (m,) 1/s^2, ascending, and the nodes' parts (k, m) of these modes' energy."""
+    root = diagonal(np.repeat(1.0 / np.sqrt(mass), 3))
+    scaled = (root @ stiffness @ root).tocsr()
+    start = np.random.default_rng(0).standard_normal(scaled.shape[0])
+    square, shape = eigsh(scaled, k=min(count, scaled.shape[0] - 1), which="LA", tol=1e-4, v0=start)
+    order = np.argsort(square)
+    return square[order], np.square(shape[:, order]).reshape(len(mass), 3, -1).sum(axis=1)

@@ -1,0 +1,220 @@
+"""The sheet that a blade sweeps: a polyline moved along a direction, in the organ's rest coordinates."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tissue_sim.arguments import finite, floats_of
+from tissue_sim.array_types import Floats, Mask
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surfaces.sizing import mean_edge
+from tissue_sim.organ.winding import inside
+
+MOST_CORNERS = 1000  # of a polyline
+MOST_DEPTH = 10.0  # m
+# Fraction of a mean edge of the surface below which a cut is refused: the front is moved by about as much.
+LEAST_DEPTH = 0.5
+RESOLVED_DEPTH = 2.0  # mean edges of the surface, from which a cut counts as resolved
+SAMPLES = 4  # points of the polyline on a mean edge, at which the surface is looked for
+CLOSEST = 2.0  # mean edges, nearer than which a polyline must not come to another part of itself
+
+
+class Place(NamedTuple):
+    """Where points lie beside a sheet. k points."""
+
+    across: Floats  # (k,) m, signed distance from the sheet, which goes on straight beyond its ends
+    along: Floats  # (k,) m of the polyline, below 0 and beyond its length where it has ended
+    below: Floats  # (k,) m from the polyline along the direction
+
+
+class Sheet(NamedTuple):
+    """Ruled surface between a polyline and the same polyline moved by the depth along a direction."""
+
+    polyline: Floats  # (m, 3) m
+    direction: Floats  # (3,) unit vector
+    depth: float  # m
+    rise: float  # m by which it goes on against the direction, so that it opens the surface
+    frame: Floats  # (2, 3) axes of the plane across the direction
+    reached: float  # m, how deep below the surface it ends, where it is deepest
+
+    @property
+    def flat(self) -> Floats:
+        """The polyline's corners (m, 2) m in the plane across the direction."""
+        flat: Floats = self.polyline @ self.frame.T
+        return flat
+
+    def place(self, points: Floats) -> Place:
+        """Return where points lie beside the sheet.
+
+        Parameters
+        ----------
+        points : Floats, shape (k, 3), m
+            The points.
+        """
+        corner = self.flat
+        start, edge = corner[:-1], np.diff(corner, axis=0)
+        length = np.linalg.norm(edge, axis=1)
+        unit = edge / length[:, None]
+        offset = (points @ self.frame.T)[:, None, :] - start
+        run = np.einsum("kmx,mx->km", offset, unit)
+        # The first and the last segment go on, so that what lies before and behind the cut has a side too.
+        least = np.where(np.arange(len(unit)) == 0, -np.inf, 0.0)
+        most = np.where(np.arange(len(unit)) == len(unit) - 1, np.inf, length)
+        held = np.clip(run, least, most)
+        away = offset - held[:, :, None] * unit
+        nearest = np.argmin(np.einsum("kmx,kmx->km", away, away), axis=1)
+        row = np.arange(len(points))
+        run, away = held[row, nearest], away[row, nearest]
+        normal = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+        # At a corner the side is that of both segments' mean normal (Baerentzen and Aanaes 2005).
+        before, after = np.maximum(nearest - 1, 0), np.minimum(nearest + 1, len(unit) - 1)
+        facing = normal[nearest]
+        facing = facing + np.where((run <= least[nearest])[:, None], normal[before], 0.0)
+        facing = facing + np.where((run >= most[nearest])[:, None], normal[after], 0.0)
+        side = np.where(np.einsum("kx,kx->k", away, facing) < 0.0, -1.0, 1.0)
+        begins = np.concatenate([[0.0], np.cumsum(length)])
+        along = begins[nearest] + run
+        top = np.interp(along, begins, self.polyline @ self.direction)
+        return Place(side * np.linalg.norm(away, axis=1), along, points @ self.direction - top)
+
+    def covers(self, place: Place, more: float = 0.0) -> Mask:
+        """Return which points that lie on the sheet, or on its continuation, it reaches.
+
+        Parameters
+        ----------
+        place : Place
+            Where the points lie.
+        more : float, m, optional
+            How much farther than its front it reaches.
+        """
+        length = float(np.linalg.norm(np.diff(self.flat, axis=0), axis=1).sum())
+        within = (place.along >= -more) & (place.along <= length + more)
+        covered: Mask = within & (place.below >= -self.rise) & (place.below <= self.depth + more)
+        return covered
+
+    def deepens(self, other: Sheet) -> bool:
+        """Return whether the sheet is another one continued to the same or a greater depth."""
+        return (
+            self.polyline.shape == other.polyline.shape
+            and bool(np.array_equal(self.polyline, other.polyline))
+            and bool(np.array_equal(self.direction, other.direction))
+            and self.depth >= other.depth
+        )
+
+
+def sheet_of(organ: Organ, polyline: ArrayLike, direction: ArrayLike, depth: float) -> Sheet:
+    """Return the sheet of a cut.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    polyline : ArrayLike, shape (m, 3), m
+        Where the blade's edge begins, on the surface or above it: two points or more.
+    direction : ArrayLike, shape (3,)
+        Where it is moved to; of any length.
+    depth : float, m
+        How far it is moved.
+
+    Returns
+    -------
+    Sheet
+        The sheet.
+
+    Raises
+    ------
+    UserError
+        For numbers that are not finite or out of range, a polyline along the direction, of no length or too close to
+        itself, one that begins deep inside, and a cut that misses the organ or hardly scratches it.
+    """
+    corners = floats_of(polyline)
+    if corners.ndim != 2 or corners.shape[1:] != (3,) or not 2 <= len(corners) <= MOST_CORNERS:
+        raise UserError(
+            f"the cut's polyline has shape {corners.shape}, expected (m, 3) with m from 2 to {MOST_CORNERS}"
+        )
+    if not np.all(np.isfinite(corners)):
+        raise UserError("the cut's polyline contains values that are not finite")
+    way, far = finite(direction, 3, "the cut's direction"), float(finite([depth], 1, "the cut's depth")[0])
+    if not 0.0 < far <= MOST_DEPTH:
+        raise UserError(f"the cut's depth is {far:g} m, outside 0..{MOST_DEPTH:g}")
+    size = float(np.linalg.norm(way))
+    if not 1e-9 < size < 1e9:
+        raise UserError("the cut's direction has no length")
+    way = way / size
+    frame = _across(way)
+    corners = np.array(corners)
+    step = np.linalg.norm(np.diff(corners @ frame.T, axis=0), axis=1)
+    edge = mean_edge(organ.surface_positions, organ.surface_triangles)
+    if np.any(step < 1e-6 * edge):
+        raise UserError("two points of the cut's polyline lie on each other, or behind each other in its direction")
+    _check_apart(corners @ frame.T, step, CLOSEST * edge)
+    rise, reached = _heights(organ, _samples(corners, step, edge / SAMPLES), way, far)
+    if reached <= 0.0:
+        raise UserError(f"the cut misses organ '{organ.name}', or ends above its surface")
+    if reached < LEAST_DEPTH * edge:
+        raise UserError(
+            f"a cut {1e3 * reached:.2g} mm deep is too shallow for a surface with edges of {1e3 * edge:.2g} mm;"
+            f" cut at least {1e3 * LEAST_DEPTH * edge:.2g} mm deep, or build the organ with more points there"
+        )
+    if rise > max(far, RESOLVED_DEPTH * edge):
+        raise UserError(
+            f"the cut's polyline begins {1e3 * rise:.3g} mm inside organ '{organ.name}'; begin on its surface"
+        )
+    return Sheet(corners, way, far, rise + edge, frame, reached)
+
+
+def _across(direction: Floats) -> Floats:
+    """Return two unit vectors (2, 3) across a direction."""
+    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
+
+
+def _samples(corners: Floats, step: Floats, spacing: float) -> Floats:
+    """Return points (k, 3) on a polyline, at most so far apart."""
+    parts = [np.ceil(length / spacing).clip(1, 1000).astype(int) for length in step]
+    pieces = [
+        first + np.arange(count)[:, None] / count * (last - first)
+        for first, last, count in zip(corners[:-1], corners[1:], parts, strict=True)
+    ]
+    return np.concatenate([*pieces, corners[-1:]])
+
+
+def _check_apart(flat: Floats, step: Floats, least: float) -> None:
+    """Refuse a polyline that comes so close to itself that cells would be crossed twice."""
+    points = _samples(flat, step, 0.25 * least)
+    begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    between = np.linalg.norm(points[:, None] - points[None], axis=2)
+    apart = np.abs(begins[:, None] - begins[None]) > 2.0 * least
+    if np.any(apart & (between < least)):
+        raise UserError(f"the cut's polyline comes closer than {1e3 * least:.2g} mm to another part of itself")
+
+
+def _heights(organ: Organ, points: Floats, direction: Floats, depth: float) -> tuple[float, float]:
+    """Return how deep inside the organ the polyline is at most, and how deep below the surface the cut ends, m."""
+    x, triangles = organ.surface_positions, organ.surface_triangles
+    a, b, c = (x[triangles[:, corner]] for corner in range(3))
+    # Moeller and Trumbore 1997, all lines with all triangles.
+    side = np.cross(direction, c - a)
+    det = np.einsum("tx,tx->t", b - a, side)
+    offset = points[:, None] - a
+    with np.errstate(all="ignore"):  # triangles along the direction are never hit
+        u = np.einsum("ktx,tx->kt", offset, side) / det
+        turned = np.cross(offset, b - a)
+        v = turned @ direction / det
+        where = np.einsum("ktx,tx->kt", turned, c - a) / det
+        hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9) & np.isfinite(where)
+    before = np.where(hit & (where <= 0.0), where, -np.inf).max(axis=1)
+    after = np.where(hit & (where > 0.0), where, np.inf).min(axis=1)
+    last = np.where(hit, where, -np.inf).max(axis=1)
+    within = inside(points, x, triangles)
+    top = np.where(within, before, after)
+    good = np.isfinite(top)
+    if not good.any():
+        return 0.0, 0.0
+    reached = np.minimum(depth, last[good]) - top[good]
+    return float(np.where(within & good, -top, 0.0)[good].max()), float(reached.max())
