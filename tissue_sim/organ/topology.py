@@ -195,7 +195,14 @@ def assemble_like(organ: Organ, **changes: Any) -> Organ:
     -------
     Organ
         The new organ.
+
+    Raises
+    ------
+    UserError
+        When the organ was cut, as its cuts would heal.
     """
+    if organ.n_virtual:
+        raise UserError(f"organ '{organ.name}' was cut, and would heal if it were assembled anew; use the uncut organ")
     same = {
         "name": organ.name,
         "surface_positions": organ.surface_positions,

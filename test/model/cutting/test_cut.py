@@ -16,6 +16,7 @@ from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.topology import assemble_like
 
 DOWN = [0.0, 0.0, -1.0]
 AT = 0.054  # m, where the bar is cut
@@ -284,6 +285,10 @@ def test_springs_and_new_cells_are_refused_where_an_organ_was_cut(tmp_path):
         Simulation(organ, model="hybrid")
     with pytest.raises(UserError, match="was cut: its cells"):
         with_cells(organ)
+    with pytest.raises(UserError, match="would heal"):
+        assemble_like(organ)
+    with pytest.raises(UserError, match="virtual_of names a node outside"):
+        replace(organ, virtual_of=np.full(organ.n_virtual, organ.n_nodes - organ.n_virtual))
     organ.save(tmp_path / "cut.npz")
     back = Organ.load(tmp_path / "cut.npz")
     assert back.digest() == organ.digest()
