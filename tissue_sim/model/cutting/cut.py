@@ -1,4 +1,4 @@
-"""A cut organ: divided cells, virtual nodes with their masses, and what is told of the cut."""
+"""A cut organ: divided cells, virtual nodes with their masses, and a report of each cut."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ class CutReport(NamedTuple):
     critical_step_after: float = math.nan  # s
 
     def __str__(self) -> str:
-        told = (
+        text = (
             f"{1e6 * self.area:.1f} mm^2 cut, {1e3 * self.depth:.1f} mm deep: {self.cells_cut} cells divided"
             f" ({self.front_cells} in part), {self.new_cells} cells and {self.new_nodes} nodes more, critical step"
             f" {1e6 * self.critical_step_before:.0f} us before and {1e6 * self.critical_step_after:.0f} us after"
         )
         if self.pieces > 1:
-            told += f"; {self.pieces} pieces, {self.free_pieces} of them free"
+            text += f"; {self.pieces} pieces, {self.free_pieces} of them free"
         if not self.resolved:
-            told += f"; not resolved: a cut is from {1e3 * self.resolved_from:.1f} mm on, two edges of the surface"
-        return told
+            text += f"; not resolved: a cut is from {1e3 * self.resolved_from:.1f} mm on, two edges of the surface"
+        return text
 
 
 class CutOrgan(NamedTuple):
@@ -172,7 +172,7 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
         pieces=pieces,
         free_pieces=free,
     )
-    earlier = [told for told, one in zip(before.reports, before.sheets, strict=True) if not sheet.deepens(one)]
+    earlier = [report for report, one in zip(before.reports, before.sheets, strict=True) if not sheet.deepens(one)]
     surface = cut_surface(organ, list(zip(crossings, made, strict=True)))
     return CutOrgan(after, organ, sheets, parts.cell_of, parts.side, parts.fraction, surface, (*earlier, report))
 
