@@ -59,7 +59,7 @@ def by_page(check):
 @functools.cache
 def snippets(page: Path) -> list[str]:
     """All code on a page: inline, and the lines of its blocks without their comments."""
-    text = page.read_text()
+    text = page.read_text(encoding="utf-8")
     blocks = re.compile(r"^(```|~~~)([^\n]*)\n(.*?)^\1$", re.MULTILINE | re.DOTALL)
     code = [block for _, kind, block in blocks.findall(text) if not kind.startswith("{")]
     lines = [line.split(" # ")[0].rstrip() for block in code for line in block.splitlines()]
@@ -69,7 +69,7 @@ def snippets(page: Path) -> list[str]:
 
 def tables(page: Path) -> list[list[list[str]]]:
     """The tables of a page: rows of cells, the head first."""
-    found = re.findall(r"(?:^\|.*\n)+", page.read_text() + "\n", re.MULTILINE)
+    found = re.findall(r"(?:^\|.*\n)+", page.read_text(encoding="utf-8") + "\n", re.MULTILINE)
     return [
         [[cell.strip() for cell in row.strip("| ").split(" | ")] for row in table.splitlines() if "|---" not in row]
         for table in found
@@ -104,7 +104,7 @@ def parameters() -> tuple[set[str], set[str]]:
 
 def launch_arguments() -> dict[str, set[str]]:
     return {
-        path.name: set(re.findall(r'DeclareLaunchArgument\(\s*"(\w+)"', path.read_text()))
+        path.name: set(re.findall(r'DeclareLaunchArgument\(\s*"(\w+)"', path.read_text(encoding="utf-8")))
         for path in (ROOT / "launch").glob("*.py")
     }
 
@@ -129,7 +129,7 @@ def topics() -> dict[str, str]:
         made = re.findall(
             r"(?:create_(?:publisher|subscription|service)\(\s*|DeferredService\(node, )"
             r'(\w+), f?"((?:~|/|\{below\})\S+)"',
-            path.read_text(),
+            path.read_text(encoding="utf-8"),
         )
         found |= {re.sub(r"\{[\w.]+\}", "<tool>", name.replace("{below}", "~")): kind for kind, name in made}
     return found
@@ -137,7 +137,7 @@ def topics() -> dict[str, str]:
 
 def make_targets() -> set[str]:
     """Those that `make help` lists."""
-    return set(re.findall(r"^([a-z-]+):[^#\n]*##", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    return set(re.findall(r"^([a-z-]+):[^#\n]*##", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
 
 
 # what the pages name is there
@@ -145,7 +145,7 @@ def make_targets() -> set[str]:
 
 @by_page
 def test_links_lead_somewhere(page):
-    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
         path, _, anchor = target.partition("#")
         if path.startswith("https://"):
             continue
@@ -155,11 +155,17 @@ def test_links_lead_somewhere(page):
         goal = (page.parent / path) if path else page
         assert goal.is_file(), target
         if anchor:
-            assert anchor in {slug(line) for line in re.findall(r"^#+ (.+)$", goal.read_text(), re.MULTILINE)}, target
+            assert anchor in {
+                slug(line) for line in re.findall(r"^#+ (.+)$", goal.read_text(encoding="utf-8"), re.MULTILINE)
+            }, target
 
 
 def test_every_picture_is_shown():
-    shown = {Path(name).name for page in PAGES for name in re.findall(r"!\[[^]]*\]\(([^)]+)\)", page.read_text())}
+    shown = {
+        Path(name).name
+        for page in PAGES
+        for name in re.findall(r"!\[[^]]*\]\(([^)]+)\)", page.read_text(encoding="utf-8"))
+    }
     assert {path.name for path in [*(DOCS / "images").iterdir(), *(DOCS / "examples").glob("*.png")]} == shown
 
 
@@ -183,7 +189,7 @@ def test_commands_and_their_options_exist(page, commands):
     for snippet in snippets(page):
         given = set(re.findall(r"(?<!\S)--[a-z][\w-]*", snippet))
         if module := re.search(r"python -m (tissue_sim[\w.]*)", snippet):
-            source = (ROOT / module[1].replace(".", "/")).with_suffix(".py").read_text()
+            source = (ROOT / module[1].replace(".", "/")).with_suffix(".py").read_text(encoding="utf-8")
             assert all(f'"{option}"' in source for option in given), snippet
         elif words := COMMAND_LINE.search(snippet):
             first, *rest = words[1].split()
@@ -220,8 +226,8 @@ def test_parameters_exist(page, parameters):
 
 @by_page
 def test_topics_exist(page, topics):
-    bridges = "\n".join(path.read_text() for path in (ROOT / "config" / "bridges").glob("*.yaml"))
-    policy = set(re.findall(r'[>"](/[\w/]+)', (ROOT / "config" / "sros2_policy.xml").read_text()))
+    bridges = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "config" / "bridges").glob("*.yaml"))
+    policy = set(re.findall(r'[>"](/[\w/]+)', (ROOT / "config" / "sros2_policy.xml").read_text(encoding="utf-8")))
     known = {*topics, *FOREIGN_TOPICS, *policy, "/tissue_sim", "/ward/tissue_sim"}
     for snippet in snippets(page):
         if re.fullmatch(r"(~|<tool>|~/<tool>|left|right)(/\w+)+", snippet):
@@ -238,7 +244,7 @@ def words_of_the_code() -> set[str]:
     folders = [ROOT / name for name in ("tissue_sim", "launch", "config")]
     files = [path for folder in folders for path in folder.rglob("*.*") if path.suffix in (".py", ".yaml", ".xml")]
     files += [ROOT / name for name in ("setup.py", "package.xml", "Makefile", "constraints.txt", "docs/conf.py")]
-    known = set(re.findall(r"\w+", "\n".join(path.read_text() for path in files)))
+    known = set(re.findall(r"\w+", "\n".join(path.read_text(encoding="utf-8") for path in files)))
     known |= {part for path in files for part in path.relative_to(ROOT).parts}
     return known
 
@@ -262,7 +268,9 @@ def test_python_names_exist(page):
             module = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
             assert module.is_file(), dotted
             assert len(names) <= 1, dotted
-            defined = {node.name for node in ast.parse(module.read_text()).body if hasattr(node, "name")}
+            defined = {
+                node.name for node in ast.parse(module.read_text(encoding="utf-8")).body if hasattr(node, "name")
+            }
             assert set(names) <= defined, dotted
 
 
@@ -298,7 +306,7 @@ def test_examples_for_python_run_with_the_organ_that_ships():
 def run_blocks(page):
     """The names that a page's blocks of Python define, run one after the other."""
     names: dict = {}
-    for block in re.findall(r"^```python\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL):
+    for block in re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
         exec(compile(block, page.name, "exec"), names)
     return names
 
@@ -330,7 +338,7 @@ def test_a_page_that_is_wrong_is_named_with_the_reason(monkeypatch, tmp_path):
 
 
 def test_every_parameter_is_listed(parameters):
-    page = (DOCS / "parameters.md").read_text()
+    page = (DOCS / "parameters.md").read_text(encoding="utf-8")
     for of, names, prefix in (("node", parameters[0], ""), ("tool", parameters[1], "<tool>.")):
         assert f"```{{parameters}} {of}\n```" in page
         listed = set(re.findall(r"^\| `([^`]+)` \|", "\n".join(reference.parameters_table(of)), re.MULTILINE))
@@ -346,7 +354,7 @@ def test_every_topic_is_listed_with_its_type(topics):
 
 
 def test_every_command_is_listed():
-    page = (DOCS / "commands.md").read_text()
+    page = (DOCS / "commands.md").read_text(encoding="utf-8")
     (rows,) = (rows for head, *rows in tables(DOCS / "commands.md") if head[0] == "command")
     names = set(reference.subcommands())
     assert {row[0].strip("`") for row in rows} == {"tissue_node", *(f"tissue_sim {name}" for name in names)}
@@ -365,7 +373,7 @@ def test_every_option_is_explained(commands):
 
 
 def test_every_benchmark_has_its_place(commands):
-    text = (DOCS / "benchmarks.md").read_text()
+    text = (DOCS / "benchmarks.md").read_text(encoding="utf-8")
     for name in reference.subcommands("bench"):
         assert f"`tissue_sim bench {name}" in text
     for section in text.split("\n## ")[1:]:
@@ -394,7 +402,7 @@ def test_every_folder_of_the_package_is_described():
 
 
 def test_readme_is_one_page():
-    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
 
 
 def test_every_result_in_the_readme_has_its_command():
@@ -404,6 +412,8 @@ def test_every_result_in_the_readme_has_its_command():
 
 
 def test_every_page_is_in_the_contents():
-    contents = re.findall(r"^```\{toctree\}\n(.*?)^```$", (DOCS / "index.md").read_text(), re.MULTILINE | re.DOTALL)
+    contents = re.findall(
+        r"^```\{toctree\}\n(.*?)^```$", (DOCS / "index.md").read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
     listed = set(re.findall(r"^(\w+)$", "\n".join(contents), re.MULTILINE))
     assert listed == {path.stem for path in DOCS.glob("*.md")} - {"index"}

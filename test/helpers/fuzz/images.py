@@ -16,6 +16,7 @@ from helpers.fuzz.child import OUTSIDE, Input, Ready
 from helpers.fuzz.dicom import changed_field
 from helpers.fuzz.mutations import BOMB, ODD_FLOATS, Draw, chance, gz_bomb, odd_count, of_bytes, of_text, some, way
 from tissue_sim.organ.imaging.image import Volume, read_image
+from tissue_sim.organ.imaging.itk_output import silenced
 from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
 
@@ -106,7 +107,7 @@ def _phantom() -> tuple[Volume, Volume]:
 def _written(file: str, mask: bool, compressed: bool) -> Files:
     volume = _phantom()[mask]
     image = volume.to_sitk() if mask else sitk.Cast(volume.to_sitk(), sitk.sitkInt16)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, silenced():  # ITK may leave another locale
         sitk.WriteImage(image, str(Path(folder) / file), compressed)
         return {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
 
@@ -235,7 +236,7 @@ def _slices() -> Files:
     """A series as GDCM writes it."""
     volume = _phantom()[0]
     uid = "1.2.826.0.1.3680043.2.1125.1"
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, silenced():
         for k in range(_SLICES):
             image = sitk.Cast(volume.to_sitk()[:, :, k], sitk.sitkInt16)
             tags = {

@@ -1,5 +1,6 @@
 """Reading CTs and masks: one frame for all formats, and one line for what can't be used."""
 
+import locale
 import subprocess
 import sys
 
@@ -28,6 +29,14 @@ def test_every_format_gives_the_same_points(tmp_path, name, direction):
     volume = small_volume(direction)
     sitk.WriteImage(volume.to_sitk(), str(tmp_path / name))
     assert_same(read_image(tmp_path / name), volume)
+
+
+def test_the_locale_stays_as_it_was(tmp_path):
+    """ITK's reader of VTK images sets another, in which Python reads no text but ASCII."""
+    sitk.WriteImage(small_volume().to_sitk(), str(tmp_path / "ct.vtk"))
+    before = locale.setlocale(locale.LC_ALL)
+    read_image(tmp_path / "ct.vtk")
+    assert locale.setlocale(locale.LC_ALL) == before
 
 
 def test_a_dicom_folder_gives_the_same_points(tmp_path):

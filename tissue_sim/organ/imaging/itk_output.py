@@ -1,7 +1,8 @@
-"""Suppression of what libraries below Python print about a damaged image; users get one line of ours instead."""
+"""Suppression of what libraries below Python print about a damaged image, and of a locale that they leave behind."""
 
 from __future__ import annotations
 
+import locale
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +12,11 @@ _STREAMS = 1, 2  # the process's own
 
 @contextmanager
 def silenced() -> Iterator[None]:
-    """Discard everything that this process prints while entered; not for use beside threads that print."""
+    """Discard everything that this process prints while entered; not for use beside threads that print.
+
+    ITK's reader of VTK images leaves the process in the locale C, in which Python can't read a text that isn't ASCII.
+    """
+    before = locale.setlocale(locale.LC_ALL)
     kept = [(number, os.dup(number)) for number in _STREAMS if _is_open(number)]
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -23,6 +28,7 @@ def silenced() -> Iterator[None]:
         for number, copy in kept:
             os.dup2(copy, number)
             os.close(copy)
+        locale.setlocale(locale.LC_ALL, before)
 
 
 def _is_open(number: int) -> bool:
