@@ -223,7 +223,7 @@ class Simulation:
 
     @property
     def cuts(self) -> tuple[CutReport, ...]:
-        """What each cut of the organ has done, in order."""
+        """Return the report of each cut, in order."""
         return self.cut_organ.reports if self.cut_organ else ()
 
     # what users do -----------------------------------------------------------------------------
@@ -270,8 +270,10 @@ class Simulation:
         made.frequency = max(made.frequency, fastest_mode(after.organ))
         made.set_substeps()
         made.restore(carried_over(self.state, made.state, after.origin(before), before.uncut.n_nodes))
+        # That of an organ that was cut before is Lanczos' already.
+        frequency = self.frequency if self.cut_organ else max(self.frequency, before.frequency)
         report = after.reports[-1]._replace(
-            critical_step_before=self._critical_step(max(self.frequency, fastest_mode(self.organ))),
+            critical_step_before=self._critical_step(frequency),
             critical_step_after=made.critical_step,
         )
         made.cut_organ = after._replace(reports=(*after.reports[:-1], report))

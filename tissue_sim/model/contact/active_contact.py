@@ -8,7 +8,7 @@ from typing import Annotated
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.culling import FAST, largest_tissue_speed
-from tissue_sim.model.contact.gap import INNER_SIDE, gap_and_normal, point_in_body
+from tissue_sim.model.contact.gap import gap_and_normal, is_on_outer_side, point_in_body
 from tissue_sim.model.data.records import Record, Vector
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.shapes import Shapes
@@ -86,7 +86,9 @@ def gather_contacts(world: World, step: float, spread: bool) -> int:
             contact.entry, contact.body = entry, body
             gap = place_tool(state, shapes, scratch, contact)
             scratch.watched_gap[index] = gap
-            near = pressed > 0.0 or (gap < NEAR and is_outside(state, contact))
+            normal = contact.normal
+            outside = gap < NEAR and is_on_outer_side(state, entry, (normal[0], normal[1], normal[2]))
+            near = pressed > 0.0 or outside
         if not near:
             state.contact_pressed[0, entry] = 0.0
             state.contact_held[0, entry] = 0.0
@@ -173,16 +175,6 @@ def forgive_depth(state: State, scratch: Scratch, contact: ActiveContact, gap: f
     for axis in range(3):
         approach += normal[axis] * (contact.tool_motion[axis] + origin[axis])
     contact.offset -= max(0.0, -gap - approach - given - step * RECOVERY_SPEED)
-
-
-@kernel
-def is_outside(state: State, contact: ActiveContact) -> bool:
-    """Return whether the tool is on the tissue's outer side at an active contact, as in gap_from_outside."""
-    outward, normal = state.contacts.normal[contact.entry], contact.normal
-    facing = outward[0] * normal[0]
-    facing += outward[1] * normal[1]
-    facing += outward[2] * normal[2]
-    return facing < INNER_SIDE
 
 
 @kernel

@@ -65,11 +65,17 @@ def gap_from_outside(state: State, shapes: Shapes, entry: int, origin: Floats, r
     body = state.contacts.body[entry]
     _, _, _, lx, ly, lz = point_in_body(state, entry, origin, rotation)
     gap, nx, ny, nz = gap_and_normal(shapes, body, rotation[body], lx, ly, lz)
-    normal = state.contacts.normal[entry]
-    facing = normal[0] * nx
-    facing += normal[1] * ny
-    facing += normal[2] * nz
-    return gap if facing < INNER_SIDE else math.inf
+    return gap if is_on_outer_side(state, entry, (nx, ny, nz)) else math.inf
+
+
+@kernel
+def is_on_outer_side(state: State, entry: int, normal: tuple[float, float, float]) -> bool:
+    """Return whether the tool, by its outward normal at a contact point, is on the tissue's outer side."""
+    outward = state.contacts.normal[entry]
+    facing = outward[0] * normal[0]
+    facing += outward[1] * normal[1]
+    facing += outward[2] * normal[2]
+    return facing < INNER_SIDE
 
 
 @kernel

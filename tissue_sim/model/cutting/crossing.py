@@ -1,4 +1,4 @@
-"""Which cells a sheet divides, how much of each lies on which side, and how far the front has torn it."""
+"""Cells that a sheet divides: the fraction on either side, and the fraction of the section that is cut."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.crossing import Crossing, crossing_of
 from tissue_sim.model.cutting.cut_surface import CutSurface, cut_surface, uncut_surface
-from tissue_sim.model.cutting.masses import shared_masses
+from tissue_sim.model.cutting.masses import fastest_mode, shared_masses
 from tissue_sim.model.cutting.sheet import RESOLVED_DEPTH, Sheet
 from tissue_sim.model.cutting.virtual_nodes import Copies, copies_of
 from tissue_sim.organ.organ import Organ
@@ -23,7 +23,7 @@ from tissue_sim.organ.surfaces.sizing import mean_edge
 
 
 class CutReport(NamedTuple):
-    """What one cut has done."""
+    """Report of one cut."""
 
     area: float  # m^2, of the sheet inside the tissue
     depth: float  # m below the surface, where it is deepest
@@ -57,6 +57,7 @@ class CutOrgan(NamedTuple):
 
     organ: Organ  # with virtual nodes
     uncut: Organ
+    frequency: float  # rad/s, largest of the uncut organ
     sheets: tuple[Sheet, ...]
     cell_of: Longs  # (m,) the cell of the uncut organ that each stands for
     side: Longs  # (m,) -1 or 1: copies on the two sides of a cut; 0: undivided, and what the front has not torn yet
@@ -87,7 +88,7 @@ class CutOrgan(NamedTuple):
 
 
 class _Parts(NamedTuple):
-    """What is put together: cells, which of them they stand for, and virtual nodes."""
+    """Cells of a cut organ, the cells for which they stand, and virtual nodes."""
 
     nodes: Longs  # (m, 4)
     cell_of: Longs
@@ -116,7 +117,7 @@ def not_cut(organ: Organ) -> CutOrgan:
         raise UserError(f"organ '{organ.name}' has no cells, and springs can't be cut; calibrate it first")
     whole = np.arange(len(organ.cell_nodes))
     side, fraction = np.zeros(len(whole), dtype=np.int64), np.ones(len(whole))
-    return CutOrgan(organ, organ, (), whole, side, fraction, uncut_surface(organ), ())
+    return CutOrgan(organ, organ, fastest_mode(organ), (), whole, side, fraction, uncut_surface(organ), ())
 
 
 def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
@@ -155,7 +156,7 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
         made.append(copies_of(organ.cell_nodes, crossing, organ.fixed, first))
         first += len(made[-1].virtual_of)
     parts = _put_together(organ, crossings, made)
-    after = _organ_of(organ, parts)
+    after = _organ_of(organ, parts, before.frequency)
     pieces, free = _pieces(organ, parts)
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)
     crossing, front = crossings[-1], int(np.count_nonzero(crossings[-1].share < 1.0))
@@ -174,7 +175,8 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     )
     earlier = [report for report, one in zip(before.reports, before.sheets, strict=True) if not sheet.deepens(one)]
     surface = cut_surface(organ, list(zip(crossings, made, strict=True)))
-    return CutOrgan(after, organ, sheets, parts.cell_of, parts.side, parts.fraction, surface, (*earlier, report))
+    made_of = parts.cell_of, parts.side, parts.fraction
+    return CutOrgan(after, organ, before.frequency, sheets, *made_of, surface, (*earlier, report))
 
 
 def _check_far(organ: Organ, crossings: Sequence[Crossing]) -> None:
@@ -219,7 +221,7 @@ def _put_together(organ: Organ, crossings: Sequence[Crossing], made: Sequence[Co
     )
 
 
-def _organ_of(organ: Organ, parts: _Parts) -> Organ:
+def _organ_of(organ: Organ, parts: _Parts, frequency: float) -> Organ:
     """Return the organ of cells that carry fractions of the fitted moduli, with virtual nodes."""
     source = np.concatenate([np.arange(organ.n_nodes), parts.virtual_of])
     made = replace(
@@ -232,7 +234,7 @@ def _organ_of(organ: Organ, parts: _Parts) -> Organ:
         damping=organ.damping[source],
         return_stiffness=organ.return_stiffness[source],
     )
-    mass = shared_masses(organ, made)
+    mass = shared_masses(organ, made, frequency)
     share = mass / organ.mass[source]
     return replace(
         made, mass=mass, damping=organ.damping[source] * share, return_stiffness=organ.return_stiffness[source] * share

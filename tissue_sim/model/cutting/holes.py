@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.array_types import Longs
+from tissue_sim.organ.edges import directed_edges
 
 
 def hole_triangles(triangles: Longs, rank: Longs) -> Longs:
@@ -66,7 +67,7 @@ def open_edges(triangles: Longs) -> Longs:
         Corner indices.
     """
     size = int(triangles.max(initial=0)) + 1
-    directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
+    directed = directed_edges(triangles)
     low, high = directed.min(axis=1), directed.max(axis=1)
     key, inverse = np.unique(low * size + high, return_inverse=True)
     ways = np.where(directed[:, 0] < directed[:, 1], 1, -1)

@@ -18,7 +18,7 @@ MOST_MOVE = 0.3  # of a mass's logarithm in a round, and at most twice what the 
 SHARPNESS = 30.0  # how much less a mode counts than the fastest one
 
 
-def shared_masses(organ: Organ, cut: Organ) -> Floats:
+def shared_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
     """Return the masses of a cut organ's nodes. The copies of a node together have its mass; others keep theirs.
 
     At first they share it as they share the stiffness: every copy of a cell is then as slow by itself as the cell was.
@@ -32,6 +32,8 @@ def shared_masses(organ: Organ, cut: Organ) -> Floats:
         The organ before.
     cut : Organ
         The organ after, whose masses don't count.
+    frequency : float, rad/s
+        Largest one of the organ before.
 
     Returns
     -------
@@ -61,7 +63,7 @@ def shared_masses(organ: Organ, cut: Organ) -> Floats:
     if not np.any(several[among]):
         return mass
     matrix = _stiffness(cut, among)
-    most = ENOUGH * fastest_mode(organ) ** 2
+    most = ENOUGH * frequency**2
     best, least = mass, np.inf
     for _ in range(MOST_ROUNDS):
         square, part = _fastest(matrix, mass[among], MODES)

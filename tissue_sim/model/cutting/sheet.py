@@ -24,7 +24,7 @@ CLOSEST = 2.0  # mean edges, nearer than which a polyline must not come to anoth
 
 
 class Place(NamedTuple):
-    """Where points lie beside a sheet. k points."""
+    """Places of k points relative to a sheet."""
 
     across: Floats  # (k,) m, signed distance from the sheet, which goes on straight beyond its ends
     along: Floats  # (k,) m of the polyline, below 0 and beyond its length where it has ended

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel, part
 from tissue_sim.model.data.arrays import copy
@@ -219,18 +219,12 @@ def _collect_springs(model: Model, state: State, scratch: Scratch) -> None:
     stamp = scratch.stamp[0]
     for index in range(state.status.region_nodes):
         node = scratch.region_node[index]
-        for entry in range(adjacency.edge_start[node], adjacency.edge_start[node + 1]):
-            slot = adjacency.edges[entry]
-            if _is_unmarked(scratch.edge_mark, slot, stamp):
-                _copy(model.edges, slot, scratch.edges, hinges)
-                _copy_rows(model.reduction.edge_slopes, slot, scratch.edge_slopes, hinges)
-                hinges += 1
-        for entry in range(adjacency.link_start[node], adjacency.link_start[node + 1]):
-            slot = adjacency.links[entry]
-            if _is_unmarked(scratch.link_mark, slot, stamp):
-                _copy(model.links, slot, scratch.links, springs)
-                _copy_rows(model.reduction.link_slopes, slot, scratch.link_slopes, springs)
-                springs += 1
+        slots = adjacency.edges[adjacency.edge_start[node] : adjacency.edge_start[node + 1]]
+        source, target = (model.edges, model.reduction.edge_slopes), (scratch.edges, scratch.edge_slopes)
+        hinges = _take(slots, source, target, scratch.edge_mark, stamp, hinges)
+        slots = adjacency.links[adjacency.link_start[node] : adjacency.link_start[node + 1]]
+        source, target = (model.links, model.reduction.link_slopes), (scratch.links, scratch.link_slopes)
+        springs = _take(slots, source, target, scratch.link_mark, stamp, springs)
     boundary = _list_boundary(scratch, scratch.edges.nodes, hinges, stamp, 0)
     boundary = _list_boundary(scratch, scratch.links.nodes, springs, stamp, boundary)
     _fill_up(scratch.edges, hinges, 7, 4)
@@ -249,12 +243,9 @@ def _collect_cells(model: Model, state: State, scratch: Scratch) -> None:
     stamp = scratch.stamp[0]
     for index in range(state.status.region_nodes):
         node = scratch.region_node[index]
-        for entry in range(adjacency.cell_start[node], adjacency.cell_start[node + 1]):
-            slot = adjacency.cells[entry]
-            if _is_unmarked(scratch.cell_mark, slot, stamp):
-                _copy(model.tissue, slot, scratch.cells, cells)
-                _copy_rows(model.reduction.cell_slopes, slot, scratch.cell_slopes, cells)
-                cells += 1
+        slots = adjacency.cells[adjacency.cell_start[node] : adjacency.cell_start[node + 1]]
+        source, target = (model.tissue, model.reduction.cell_slopes), (scratch.cells, scratch.cell_slopes)
+        cells = _take(slots, source, target, scratch.cell_mark, stamp, cells)
     state.status.region_boundary = _list_boundary(scratch, scratch.cells.nodes, cells, stamp, 0)
     # The filling has the volume of the first cell, so that it isn't taken for a squeezed one.
     _fill_up(scratch.cells, cells, 7, 8)
@@ -271,12 +262,19 @@ def collect_elements(model: Model, state: State, scratch: Scratch) -> None:
 
 
 @kernel
-def _is_unmarked(mark: Longs, slot: int, stamp: int) -> bool:
-    """Return whether a slot was not marked with this stamp before; it is now."""
-    if mark[slot] == stamp:
-        return False
-    mark[slot] = stamp
-    return True
+def _take(slots: Ints, source: Any, target: Any, mark: Longs, stamp: int, count: int) -> int:
+    """Append the unmarked content of these slots after the first `count`; return how many there are.
+
+    source, target: blocks, and their rows of slopes.
+    """
+    for entry in range(len(slots)):
+        slot = slots[entry]
+        if mark[slot] != stamp:
+            mark[slot] = stamp
+            _copy(source[0], slot, target[0], count)
+            _copy_rows(source[1], slot, target[1], count)
+            count += 1
+    return count
 
 
 @kernel

@@ -67,7 +67,7 @@ def inhaled_fraction(time: float, period: float) -> tuple[float, float, float]:
 
 
 class Carried(NamedTuple):
-    """How breathing moves k organs; see `state.carried`."""
+    """Motion of k organs by breathing; see `state.carried`."""
 
     breath: Breath
     breath_words: Longs  # memory of the breath

@@ -1,4 +1,4 @@
-"""What a world does between ticks: reset, inputs, prescribed nodes."""
+"""Changes of a world between ticks: reset, inputs, prescribed nodes."""
 
 from __future__ import annotations
 
