@@ -161,6 +161,11 @@ class HandleRow:
             raise ValueError(f"{len(kinds)} types of handles in a row; expected: one")
         self._numba_type_ = Row(kinds.pop())
 
+    @property
+    def places(self) -> np.ndarray:
+        """Return the addresses of the handles, (k,): whoever writes others there must keep their handles."""
+        return self._places
+
 
 def row(handles: Sequence[Any]) -> Any:
     """Return handles of one type, for kernels to take by reference; in a tuple each length would be another type.
@@ -253,6 +258,17 @@ def _memory_of(typing_context, made):  # type: ignore[no-untyped-def]
 
 def _place(made: Any) -> Any:
     return _memory_of(made)
+
+
+def place_of(made: Any) -> int:
+    """Return the address of a handle, for `HandleRow.places`.
+
+    Parameters
+    ----------
+    made : Any
+        The handle.
+    """
+    return int(_place(made))
 
 
 numba.config.CACHE_DIR = folder_of("model")

@@ -105,6 +105,43 @@ class Joined:
         for one in self.simulations:
             one.settings.least_substeps = least
 
+    def plan_coarse(self, organ: int, made: Simulation) -> float:
+        """Give a simulation that will continue an organ's its coarse steps; return their largest frequency, squared.
+
+        Parameters
+        ----------
+        organ : int
+            Index of the organ.
+        made : Simulation
+            The simulation; updated.
+
+        Returns
+        -------
+        float, (rad/s)^2
+            0 where it takes none
+        """
+        if self.coarse.square[organ] == 0.0:
+            return 0.0
+        factor, frequency = coarse_masses(made.model, made.settings, float(self.links.added[0]))
+        made.scratch.coarse[:] = factor
+        return frequency**2
+
+    def exchange(self, organ: int, made: Simulation, coarse_square: float) -> None:
+        """Go on with a simulation that continues an organ's after a cut; the substeps stay as they are.
+
+        Parameters
+        ----------
+        organ : int
+            Index of the organ.
+        made : Simulation
+            The simulation.
+        coarse_square : float, (rad/s)^2
+            What `plan_coarse` returned.
+        """
+        self.coarse.square[organ] = coarse_square
+        self.simulations[organ] = made
+        self.worlds = row([one.world for one in self.simulations])
+
     def take_pairs(self, found: OrganContactSet) -> None:
         """Apply where organs touch each other.
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tissue_sim.arguments import floats_of
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.handles import handle
-from tissue_sim.model.cutting.carry import carried_over
+from tissue_sim.model.cutting.carry import NO_PLAN, CarryPlan, carry, carry_plan
 from tissue_sim.model.cutting.cut import CutOrgan, CutReport, cut_again, not_cut
 from tissue_sim.model.cutting.masses import fastest_mode
 from tissue_sim.model.cutting.sheet import sheet_of
@@ -130,6 +130,8 @@ class Simulation:
             local_region = "off"
         self.organ = organ
         self.cut_organ: CutOrgan | None = None  # its cuts and its surface, after `cut`
+        self.carry_plan: CarryPlan = NO_PLAN  # how it continues the simulation that it was cut from
+        self.origin: Longs = np.zeros(0, dtype=np.int64)  # (n,) the node there whose place each node takes
         self.local_region = local_region
         self.variant = model
         self.rate = float(rate)
@@ -252,6 +254,32 @@ class Simulation:
             For an organ without cells, with a local region or a shape under gravity, and for a cut that is out of
             range, misses the organ, is too shallow, or meets an earlier one.
         """
+        made = self.prepared_cut(polyline, direction, depth)
+        made.continue_from(self)
+        return made
+
+    def prepared_cut(self, polyline: ArrayLike, direction: ArrayLike, depth: float) -> Simulation:
+        """Return the cut organ's simulation at rest, without reading the state: this one may be running.
+
+        Parameters
+        ----------
+        polyline : ArrayLike, shape (m, 3), m
+            The blade's edge, as in `cut`.
+        direction : ArrayLike, shape (3,)
+            Where it is moved.
+        depth : float, m
+            How far it is moved.
+
+        Returns
+        -------
+        Simulation
+            With the `carry_plan` that lets it continue this one.
+
+        Raises
+        ------
+        UserError
+            As `cut` does.
+        """
         if self.variant != "cells":
             raise UserError(f"model {self.variant} can't be cut; use model cells, which a calibrated organ has")
         if self.local_region != "off" or self.model.shape_gravity.any():
@@ -269,7 +297,7 @@ class Simulation:
         made.take_settings(self.settings)
         made.frequency = max(made.frequency, fastest_mode(after.organ))
         made.set_substeps()
-        made.restore(carried_over(self.state, made.state, after.origin(before), before.uncut.n_nodes))
+        made.plan_from(self, after.origin(before))
         # That of an organ that was cut before is Lanczos' already.
         frequency = self.frequency if self.cut_organ else max(self.frequency, before.frequency)
         report = after.reports[-1]._replace(
@@ -278,6 +306,37 @@ class Simulation:
         )
         made.cut_organ = after._replace(reports=(*after.reports[:-1], report))
         return made
+
+    def plan_from(self, before: Simulation, origin: Longs) -> None:
+        """Plan how this simulation continues one of the same organ with other cuts.
+
+        Parameters
+        ----------
+        before : Simulation
+            That simulation, which may be running.
+        origin : Longs, shape (n,)
+            The node there whose place each node takes.
+        """
+        self.origin = origin
+        own = min(self.organ.n_uncut, before.organ.n_uncut)
+        self.carry_plan = carry_plan(before.state, self.state, origin, own)
+
+    def continue_from(self, before: Simulation) -> None:
+        """Take over the state of the simulation that this one was cut from; loads on its virtual nodes are left out.
+
+        Parameters
+        ----------
+        before : Simulation
+            That simulation.
+        """
+        state = self.state
+        carry(before.state.words, state.words, self.carry_plan)
+        for kind, listed in (("loaded", state.loaded_node), ("prescribed", state.prescribed_node)):
+            kept = [node for node in listed[: getattr(state.status, kind)] if node < self.organ.n_uncut]
+            listed[: len(kept)] = kept
+            setattr(state.status, kind, len(kept))
+        self.scratch.stale[0] = 1
+        self.scratch.mobility_key[:] = 0.0
 
     def apply_force(self, nodes: ArrayLike, forces: ArrayLike) -> None:
         """Add forces to nodes for the coming tick.

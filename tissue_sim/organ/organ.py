@@ -156,6 +156,11 @@ class Organ:
         return len(self.virtual_of)
 
     @property
+    def n_uncut(self) -> int:
+        """Number of nodes without the virtual ones."""
+        return self.n_nodes - self.n_virtual
+
+    @property
     def rest_positions(self) -> Floats:
         """Rest positions of all nodes, (n, 3) m: surface, medial atoms, interior, virtual."""
         own = np.concatenate([self.surface_positions, self.atom_positions, self.interior_positions])

@@ -1,55 +1,116 @@
-"""The state of an organ after a cut, from that before."""
+"""How the state of an organ continues in that of the same organ with more or fewer nodes, after a cut or its reset."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
-from numpy.typing import NDArray
+import numpy as np
 
 from tissue_sim.array_types import Longs
-from tissue_sim.model.data.state import State, fields_of
+from tissue_sim.jit import kernel
+from tissue_sim.model.data.records import array_of
+from tissue_sim.model.data.state import State, fields_of, make_state
 
 _MOVED = ("position", "velocity", "good_position")  # virtual nodes begin where and as fast as the nodes they copy
 # Of nodes, and carried over for those that the uncut organ has: what a user gave them.
-_GIVEN = ("nodal_force", "is_loaded", "is_prescribed", "prescribed_ticks", "prescribed_from", "prescribed_to")
-_KEPT = ("count", "bodies", "wrench", "body_pose", "carried", "held_pose", "body_goal", "body_force", "felt")
+_GIVEN = (
+    "nodal_force",
+    "loaded_node",
+    "is_loaded",
+    "prescribed_node",
+    "is_prescribed",
+    "prescribed_ticks",
+    "prescribed_from",
+    "prescribed_to",
+)
+_KEPT = (
+    "status",
+    "count",
+    "bodies",
+    "wrench",
+    "body_pose",
+    "carried",
+    "held_pose",
+    "body_goal",
+    "body_force",
+    "felt",
+    "contact_pressed",
+    "contact_held",
+)
 # The tick finds out about cells again, and about the region, which is the whole organ.
-_RENEWED = ("turned", "next_cell", "region", "region_nodes", "region_springs", "region_hinges", "region_cells")
+_RENEWED = (
+    "turned",
+    "next_cell",
+    "region",
+    "region_nodes",
+    "region_springs",
+    "region_hinges",
+    "region_cells",
+)
 
 
-def carried_over(before: State, after: State, origin: Longs, own: int) -> dict[str, NDArray[Any]]:
-    """Return the fields of the state after a cut.
+class CarryPlan(NamedTuple):
+    """Which words of a state continue which words of another; k words. All others keep their values."""
+
+    source: Longs  # (k,) places in the words of the state before
+    target: Longs  # (k,) places in the words of the state after
+
+
+NO_PLAN = CarryPlan(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+
+
+def carry_plan(before: State, after: State, origin: Longs, own: int) -> CarryPlan:
+    """Return how a state continues in that of the same organ after a cut.
+
+    The words depend on the sizes of both states only, not on their values, so that the plan is made beside a running
+    loop, which only copies them. Contact points are carried over, too: their nodes keep their numbers.
 
     Parameters
     ----------
     before : State
-        The state before it.
+        A state of the organ before.
     after : State
-        A new state of the cut organ.
+        A state of the organ after.
     origin : Longs, shape (n,)
-        The node before whose place each node takes.
+        The node before whose place each node after takes.
     own : int
         Number of nodes of the uncut organ.
-
-    Returns
-    -------
-    dict[str, NDArray[Any]]
-        Fields as those of fields_of.
     """
-    old, new = fields_of(before), {name: array.copy() for name, array in fields_of(after).items()}
+    first, last = _numbered(before, 1), _numbered(after, -1)
+    old, new = fields_of(first), fields_of(last)
     for name in _MOVED:
         new[name][...] = old[name][origin]
     for name in _GIVEN:
         new[name][:own] = old[name][:own]
-    status = old["status"].copy()
-    for name in _RENEWED:
-        status[name] = new["status"][name]
-    for kind, name in (("loaded", "loaded_node"), ("prescribed", "prescribed_node")):
-        listed = old[name][: int(getattr(before.status, kind))]
-        listed = listed[listed < own]
-        new[name][: len(listed)] = listed
-        status[kind] = len(listed)
-    new["status"] = status
+    renewed = {name: array_of(last.status)[name].copy() for name in _RENEWED}
     for name in _KEPT:
-        new[name] = old[name].copy()
-    return new
+        new[name][...] = old[name]
+    for name in _RENEWED:
+        array_of(last.status)[name] = renewed[name]
+    last.contacts.words[:] = first.contacts.words
+    target = np.flatnonzero(last.words > 0)
+    return CarryPlan(last.words[target] - 1, target)
+
+
+def _numbered(state: State, sign: int) -> State:
+    """Return a state of the same size whose words are their numbers from 1 on, with a sign."""
+    made = make_state(len(state.position), len(state.bodies), len(state.mode_position), len(state.is_turned))
+    made.words[:] = sign * np.arange(1, len(made.words) + 1)
+    return made
+
+
+@kernel
+def carry(before: Longs, after: Longs, plan: CarryPlan) -> None:
+    """Copy the words of a state that continue in another.
+
+    Parameters
+    ----------
+    before : Longs
+        Words of the state before.
+    after : Longs
+        Words of the state after; updated.
+    plan : CarryPlan
+        Which are copied.
+    """
+    for index in range(len(plan.target)):
+        after[plan.target[index]] = before[plan.source[index]]

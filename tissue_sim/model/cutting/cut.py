@@ -25,6 +25,7 @@ from tissue_sim.organ.surfaces.sizing import mean_edge
 class CutReport(NamedTuple):
     """Report of one cut."""
 
+    centre: tuple[float, float, float]  # m, of the divided cells at rest
     area: float  # m^2, of the sheet inside the tissue
     depth: float  # m below the surface, where it is deepest
     resolved: bool  # deep enough for the surface's edges
@@ -160,7 +161,9 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     pieces, free = _pieces(organ, parts)
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)
     crossing, front = crossings[-1], int(np.count_nonzero(crossings[-1].share < 1.0))
+    x, y, z = rest[organ.cell_nodes[crossing.cells]].mean(axis=(0, 1)).tolist()
     report = CutReport(
+        centre=(x, y, z),
         area=crossing.area,
         depth=sheet.reached,
         resolved=sheet.reached >= RESOLVED_DEPTH * edge,

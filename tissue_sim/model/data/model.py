@@ -64,6 +64,7 @@ class Model(NamedTuple):
     inverse_mass: Floats  # (n,) 1/kg, 0 where held or not part of the variant
     damping: Floats  # (n,) kg/s
     moving: Ints  # (a,) nodes with mass
+    free: Longs  # (n,) 1 for nodes of pieces that were cut off and that nothing holds; (0,): no piece is free
     spring_first: Ints  # (s,)
     spring_second: Ints  # (s,)
     spring_rest_length: Floats  # (s,) m

@@ -7,8 +7,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from tissue_sim.array_types import Floats, Ints
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.blocks import BLOCK, aligned, empty_blocks, pack
 from tissue_sim.model.data.model import Model, Reduction
@@ -38,6 +39,26 @@ NO_REDUCTION = Reduction(
     link_slopes=np.zeros((0, 6 * BLOCK)),
     cell_slopes=np.zeros((0, SLOPES * BLOCK)),
 )
+
+
+def free_nodes(organ: Organ) -> Longs:
+    """Return 1 for each node (n,) of a piece that was cut off and has no fixed node; (0,) where no piece is free.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    """
+    none = np.zeros(0, dtype=np.int64)
+    if not organ.n_virtual or not len(organ.fixed):
+        return none
+    cells, n = organ.cell_nodes.astype(np.int64), organ.n_nodes
+    ends = cells[:, [0, 0, 0]].ravel(), cells[:, 1:].ravel()
+    label = connected_components(coo_array((np.ones(len(ends[0])), ends), shape=(n, n)), directed=False)[1]
+    used = np.zeros(n, dtype=bool)
+    used[cells.ravel()] = True
+    free: Longs = (used & ~np.isin(label, label[organ.fixed])).astype(np.int64)
+    return free if free.any() else none
 
 
 def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0, 0.0, 0.0)) -> Model:
@@ -119,6 +140,7 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
             inverse_mass=inverse_mass,
             damping=damping * scale,
             moving=_ints(np.flatnonzero(moving)),
+            free=free_nodes(organ),
             spring_first=_ints(nodes[:, 0]),
             spring_second=_ints(nodes[:, 1]),
             spring_rest_length=_floats(length),

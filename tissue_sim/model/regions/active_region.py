@@ -514,6 +514,8 @@ def largest_motion(model: Model, state: State, scratch: Scratch) -> tuple[float,
         speed_x = max(speed_x, abs(velocity[node, 0]))
         speed_y = max(speed_y, abs(velocity[node, 1]))
         speed_z = max(speed_z, abs(velocity[node, 2]))
+        if len(model.free) > 0 and model.free[node] != 0:  # a piece that was cut off has no place to return to
+            continue
         away_x = max(away_x, abs(position[node, 0] - rest[node, 0]))
         away_y = max(away_y, abs(position[node, 1] - rest[node, 1]))
         away_z = max(away_z, abs(position[node, 2] - rest[node, 2]))

@@ -18,6 +18,7 @@ from tissue_sim.array_types import Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.tool_motion import freshness
 from tissue_sim.model.data.world import World
+from tissue_sim.model.runtime.exchange import Exchange, take_exchange
 from tissue_sim.model.runtime.joined_box import JoinedBox, keep_joined, post_haptic_output, take_joined
 from tissue_sim.model.runtime.mailboxes import (
     Control,
@@ -215,10 +216,12 @@ def run_loop(
     loop: LoopWords,
     joined: CoupledOrgans | None,
     joined_box: JoinedBox,
+    exchange: Exchange,
 ) -> None:
     """Tick a row of worlds, each with its mailboxes, every settings.tick_time s of the first one until control.stop.
 
     joined: what joins them, see `coupled_step.CoupledOrgans`; None, and compiled without any of it, for an organ alone.
+    exchange: new arrays for an organ, between two ticks.
     """
     settings, control, pace = worlds[0].settings, loop.control, loop.pace
     for organ in range(len(boxes)):
@@ -268,9 +271,14 @@ def run_loop(
             control.overruns += 1
         before, answered = answered, control.asked
         fence()  # inputs posted before the request are applied
+        exchanged = exchange.words.asked
+        if exchanged != exchange.words.done:
+            take_exchange(worlds, boxes, joined, exchange)
         take_all(worlds, boxes, control.resets, joined, joined_box)
         tick_coupled(worlds, joined)
         post_all(worlds, boxes, joined, joined_box)
+        fence()
+        exchange.words.done = exchanged
         if answered != before:
             _sem_post(loop.answered.ctypes.data)
         control.standing = False

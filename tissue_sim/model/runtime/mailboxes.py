@@ -16,6 +16,7 @@ from numba.extending import intrinsic
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
+from tissue_sim.model.cutting.carry import NO_PLAN, CarryPlan
 from tissue_sim.model.data.contact_set import ContactSet, contact_set
 from tissue_sim.model.data.records import Record
 from tissue_sim.model.data.settings import Settings
@@ -155,6 +156,7 @@ class Mailboxes(NamedTuple):
     taken_pose: Longs  # (8,) the words of 7 floats, and the stamp
     taken_force: Floats  # (3,)
     taken_contacts: ContactSet
+    carry: CarryPlan  # how the state continues that of the mailboxes before, see exchange.py
 
 
 def _longs(*shape: int) -> Longs:
@@ -206,6 +208,7 @@ def make_mailboxes(state: State) -> Mailboxes:
         taken_pose=_longs(POSE_WORDS),
         taken_force=np.zeros(3),
         taken_contacts=contact_set(n_bodies),
+        carry=NO_PLAN,
     )
 
 

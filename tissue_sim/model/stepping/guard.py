@@ -91,7 +91,7 @@ def guard(model: Model, state: State, settings: Settings, scratch: Scratch) -> N
 
 @kernel
 def move_towards_rest(model: Model, state: State, settings: Settings) -> float:
-    """Move every node nearer to rest, without speed.
+    """Move every node nearer to rest, without speed; pieces that were cut off stay where they are.
 
     This is the recovery from a shape that the springs hold, so it is done without their forces.
 
@@ -112,6 +112,8 @@ def move_towards_rest(model: Model, state: State, settings: Settings) -> float:
     displacement, left = 0.0, math.exp(-RETURN_RATE * settings.tick_time)
     for index in range(len(model.moving)):
         node = model.moving[index]
+        if len(model.free) > 0 and model.free[node] != 0:
+            continue
         for c in range(3):
             offset = left * (state.position[node, c] - model.rest[node, c])
             state.position[node, c] = model.rest[node, c] + offset
@@ -143,7 +145,7 @@ def check(model: Model, state: State, nodes: Ints, span: float, speed: float, en
     """
     good = True
     moved_sum = sped_sum = 0.0
-    position, velocity, rest = state.position, state.velocity, model.rest
+    position, velocity, rest, has_free = state.position, state.velocity, model.rest, len(model.free) > 0
     for index in range(len(nodes)):
         node = nodes[index]
         x = position[node, 0] - rest[node, 0]
@@ -152,6 +154,8 @@ def check(model: Model, state: State, nodes: Ints, span: float, speed: float, en
         u, v, w = velocity[node, 0], velocity[node, 1], velocity[node, 2]
         moved = x * x + y * y + z * z
         sped = u * u + v * v + w * w
+        if has_free and math.isfinite(moved) and model.free[node] != 0:
+            moved = 0.0  # a piece that was cut off may go anywhere
         # Comparisons with NaN are false, so this catches it too.
         good = good and moved < span and sped < speed
         moved_sum += moved

@@ -124,14 +124,20 @@ def pace(model: Model, settings: Settings) -> float:
 
 @kernel
 def fall_asleep(model: Model, state: State) -> None:
-    """Put the organ at rest, to the last bit."""
+    """Put the organ at rest, to the last bit; a piece that was cut off stays where it lies."""
     status = state.status
     status.asleep = True
     status.backoff = 1
     status.turned = status.collapsing = status.faulted = False
     state.is_turned[:] = 0
-    copy(model.rest, state.position)
-    copy(model.rest, state.good_position)
+    if len(model.free) == 0:
+        copy(model.rest, state.position)
+    else:
+        for node in range(len(model.rest)):
+            if model.free[node] == 0:
+                for c in range(3):
+                    state.position[node, c] = model.rest[node, c]
+    copy(state.position, state.good_position)
     state.velocity[:] = 0.0
 
 

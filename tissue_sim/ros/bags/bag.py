@@ -31,6 +31,7 @@ ORGAN_TOPICS = {
     "settings": OCTETS,  # npz: sequence, settings
     "contact_set": OCTETS,  # npz: a set found from a surface before the state
     "journal": OCTETS,  # npz: rows of what happened
+    "cut": OCTETS,  # npz: the organ after a cut, or the first contact set found on it, see recorded_cut
     "mesh": "shape_msgs/msg/Mesh",
     "surface": "sensor_msgs/msg/PointCloud2",
     "skeleton": "sensor_msgs/msg/PointCloud2",

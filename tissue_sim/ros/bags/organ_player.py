@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.finder import ContactFinder, Sought
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
+from tissue_sim.model.cutting.cut_surface import CutSurface
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.organ_recording import OrganRecording
+from tissue_sim.ros.bags.recorded_cut import RecordedCut
 from tissue_sim.ros.bags.recording import Recording
+from tissue_sim.ros.shared.shown_organ import ShownOrgan
 
 
 class ToolInputs(NamedTuple):
@@ -68,8 +72,9 @@ class OrganPlayer:
                 " it with an organ of the same nodes, such as another calibration of the recorded organ"
             )
         self.recording, self.n_surface, self._tool_inputs = recording, organ.n_surface, tool_inputs
-        self.simulation = Simulation(
-            organ,
+        self.tools = tools
+        self._new_simulation = partial(
+            Simulation,
             model=parameters["model"],
             rate=parameters["rate"],
             local_region=parameters["local_region"],
@@ -77,8 +82,14 @@ class OrganPlayer:
             integrator=parameters.get("integrator", "symplectic"),
             shape_gravity=config["shape_gravity"],
         )
+        self.simulation = self._new_simulation(organ)
         self.simulation.restore(recording.state)
-        self.finder = ContactFinder(organ, tools)
+        self.cut_surface: CutSurface | None = None
+        self._cuts = {cut.tick: cut for cut in recording.cuts if cut.tick >= 0}
+        self._finders = [(0, ContactFinder(organ, tools))]  # with the number of the first set of each
+        for cut in recording.cuts:
+            if cut.tick < 0:  # the bag began after it, and its organ is the cut one
+                self.cut_surface, self._finders = cut.surface, [(0, self._finder_of(organ, cut))]
         first = self.tick = int(self.simulation.state.status.tick)
         journal = recording.journal
         self.inputs = {
@@ -153,6 +164,45 @@ class OrganPlayer:
         self._taken = row, bodies
         return Taken(was_reset, is_new)
 
+    def cut(self, tick: int) -> Simulation | None:
+        """Return the simulation that the loop went on with in a tick, in the state of the one before.
+
+        Call it before anything else of the tick is applied.
+
+        Parameters
+        ----------
+        tick : int
+            The tick.
+
+        Returns
+        -------
+        Simulation | None
+            None in a tick without a cut
+        """
+        found = self._cuts.get(tick)
+        if found is None:
+            return None
+        before, organ = self.simulation, found.organ()
+        made = self._new_simulation(organ)
+        if len(found.origin) != organ.n_nodes or found.origin.max(initial=0) >= before.organ.n_nodes:
+            raise UserError("the bag's cut doesn't fit its organ: the bag is damaged")
+        made.take_settings(before.settings)
+        made.plan_from(before, found.origin)
+        made.continue_from(before)
+        self.simulation, self.cut_surface = made, found.surface
+        self._finders.append((found.first_set, self._finder_of(organ, found)))
+        return made
+
+    def _finder_of(self, organ: Organ, cut: RecordedCut) -> ContactFinder:
+        return ContactFinder(organ, self.tools)
+
+    def shown(self) -> tuple[Floats, Ints]:
+        """Return the surface in its present place, (p, 3) m, with the walls of cuts, and its triangles (t, 3)."""
+        shown = ShownOrgan(self.simulation.organ, self.cut_surface)
+        rows = np.zeros((shown.n_rows, 3))
+        shown.fill(rows, self.simulation.positions)
+        return shown.points(rows) + self.simulation.state.carried, shown.triangles
+
     def keep(self, tick: int) -> None:
         """Keep what a contact set was found from: the positions of a tick, and where the tools were.
 
@@ -194,7 +244,8 @@ class OrganPlayer:
         engaged, pushing = (bodies[name].astype(np.int64) for name in ("engaged", "pushing"))
         places, releases = self._tools[tools]
         sought = Sought(places, np.ascontiguousarray(bodies["margin"]), engaged, pushing, releases)
-        return self.finder.find(self._surfaces[surface], sought)
+        finder = next(finder for first, finder in reversed(self._finders) if first <= sequence)
+        return finder.find(self._surfaces[surface], sought)
 
 
 def _forget_before(kept: dict[int, Any], tick: int) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import threading
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,11 +14,13 @@ from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.records import array_of
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import fields_of, make_state
-from tissue_sim.organ.organ import Organ
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bag_messages import BagMessages
+from tissue_sim.ros.bags.recorded_cut import fields_of_cut
 from tissue_sim.ros.shared.messages import rest_mesh
 from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.shown_organ import ShownOrgan
 
 BodyContact = tuple[float, int, bool]  # the fields of bag.BodyContactRow
 
@@ -49,21 +52,17 @@ class OrganRecorder:
         The open bag.
     below : str
         The topics' absolute prefix.
-    organ : Organ
-        The organ.
     physics : Physics
-        Its simulation.
-    as_file : Callable[[], bytes]
-        Returns the bytes of the organ file.
+        The organ's simulation.
     """
 
-    def __init__(
-        self, messages: BagMessages, below: str, organ: Organ, physics: Physics, as_file: Callable[[], bytes]
-    ) -> None:
+    def __init__(self, messages: BagMessages, below: str, physics: Physics) -> None:
         self.together, self.physics = messages.together, physics
         self.names = {name: f"{below}/{name}" for name in bag.ORGAN_TOPICS}
-        self._messages, self._organ, self._as_file = messages, organ, as_file
-        self._file = b""
+        self._messages = messages
+        self._file, self._file_version = b"", -1
+        self._cut: dict[str, NDArray[Any]] | None = None  # the newest, as it is recorded
+        self.exchanging = threading.Lock()  # held while the loop goes on with another organ: no bag begins meanwhile
         self._notes = _Notes()
         self._newest_set: tuple[int, ContactSet] | None = None
         self._state_tick = -1
@@ -76,14 +75,18 @@ class OrganRecorder:
     # life --------------------------------------------------------------------------------------
     def prepare(self) -> None:
         """Do what takes a while, before a bag begins."""
-        self._file = self._file or self._as_file()
+        version = self.physics.version
+        if version != self._file_version:
+            self._file, self._file_version = self.physics.simulation.organ.to_bytes(), version
 
     def begin(self) -> None:
         """Begin a bag with the organ itself; call this and the following methods with `together` held."""
         self.physics.journal()  # rows of ticks before this bag
         self._notes, self._state_tick = _Notes(), -1
         self._messages.octets(self.names["organ"], np.frombuffer(self._file, dtype=np.uint8))
-        self._messages.put(self.names["mesh"], rest_mesh(self._organ))
+        self._messages.put(self.names["mesh"], rest_mesh(ShownOrgan.of(self.physics.simulation)))
+        if self._cut is not None:
+            self._messages.packed(self.names["cut"], self._cut | {"tick": np.array(-1)})
 
     def begin_inputs(self) -> None:
         """Record the newest of every input: on a busy machine the loop may apply it only after the state."""
@@ -108,6 +111,50 @@ class OrganRecorder:
         return {"inputs": inputs, "body_inputs": body_inputs} | noted.arrays(self.physics.n_bodies)
 
     # what happens ------------------------------------------------------------------------------
+    def mesh(self, mesh: bytes) -> None:
+        """Record a rest surface that a cut has changed.
+
+        Parameters
+        ----------
+        mesh : bytes
+            Bytes of the message.
+        """
+        with self.together:
+            if self.active:
+                self._messages.put(self.names["mesh"], mesh)
+
+    def cut(self, tick: int, made: Simulation) -> None:
+        """Record a simulation that the loop goes on with after a cut, or after the reset of its cuts.
+
+        Parameters
+        ----------
+        tick : int
+            The first tick with it.
+        made : Simulation
+            The simulation.
+        """
+        fields = fields_of_cut(self.physics.version, tick, made)
+        with self.together:
+            self._cut = fields if made.cuts else None
+            if self.active:
+                self._messages.packed(self.names["cut"], fields)
+
+    def searched(self, first_set: int) -> None:
+        """Record which contact set is the first that was found on the surface after the newest cut.
+
+        Call it with `together` held.
+
+        Parameters
+        ----------
+        first_set : int
+            Number of the set.
+        """
+        numbers = {"number": np.array(self.physics.version), "first_set": np.array(first_set)}
+        if self._cut is not None:
+            self._cut["first_set"] = numbers["first_set"]
+        if self.active:
+            self._messages.packed(self.names["cut"], numbers)
+
     def surface(self, tick: int, surface: bytes, skeleton: bytes, markers: bytes | None) -> None:
         """Record a published surface, skeleton and, if wanted, markers.
 

@@ -15,6 +15,7 @@ from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.stepping.state_check import check_settings, contact_set_of
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag
+from tissue_sim.ros.bags.recorded_cut import RecordedCut, recorded_cuts
 from tissue_sim.ros.shared.cdr import parse_cloud, parse_octets
 
 NO_LONGER = ("factor_slot",)  # settings of older bags that this version has no use for
@@ -29,7 +30,8 @@ class OrganRecording:
     settings: dict[int, Settings]
     contact_sets: dict[int, ContactSet]
     journal: dict[str, np.ndarray]  # records by kind, see organ_recorder
-    surfaces: list[np.ndarray] = field(default_factory=list)  # (n_surface, 3) float32
+    surfaces: list[np.ndarray] = field(default_factory=list)  # (n_surface, 3) float32; without the walls of cuts
+    cuts: list[RecordedCut] = field(default_factory=list)
 
     @classmethod
     def parsed(cls, path: Path, messages: Mapping[str, Sequence[bytes]], below: str, n_bodies: int) -> OrganRecording:
@@ -66,13 +68,15 @@ class OrganRecording:
         n_nodes = len(state["position"])
         sets = [contact_set_of(bag.unpack(values), n_bodies, n_nodes) for values in octets["contact_set"]]
         settings = [bag.unpack(values) for values in octets["settings"]]
+        cuts = recorded_cuts([bag.unpack(values) for values in octets["cut"]])
         recording = cls(
             file=octets["organ"][0].tobytes(),
             state=state,
             settings={int(found["sequence"]): settings_of(path, found["settings"]) for found in settings},
             contact_sets={int(found.header.sequence): found for found in sets},
             journal={kind: np.concatenate([row[kind] for row in rows]) for kind in rows[0]},
-            surfaces=[parse_cloud(raw) for raw in messages[f"{below}/surface"]],
+            surfaces=_without_walls([parse_cloud(raw) for raw in messages[f"{below}/surface"]], cuts),
+            cuts=cuts,
         )
         if len({len(surface) for surface in recording.surfaces}) > 1:
             raise ValueError("its surfaces have different numbers of points")
@@ -89,6 +93,16 @@ class OrganRecording:
             path = Path(folder) / "organ.npz"
             path.write_bytes(self.file)
             return Organ.load(path)
+
+
+def _without_walls(surfaces: list[np.ndarray], cuts: Sequence[RecordedCut]) -> list[np.ndarray]:
+    """Return the points of the outer surface: those that a cut has added come behind them."""
+    if not cuts:
+        return surfaces
+    count = cuts[0].organ().n_surface
+    if any(len(surface) < count for surface in surfaces):
+        raise ValueError(f"its surfaces have fewer points than the {count} of its organ")
+    return [surface[:count] for surface in surfaces]
 
 
 def settings_of(path: Path, recorded: np.ndarray) -> Settings:

@@ -123,6 +123,11 @@ class Player:
     def _take(self, tick: int, result: Replayed) -> None:
         """Apply what is new, in the order of the node's loop, and advance by a tick."""
         was_reset = False
+        for number, one in enumerate(self.organs):
+            made = one.cut(tick)
+            if made is not None:
+                joined = self.joined.joined
+                joined.exchange(number, made, joined.plan_coarse(number, made))
         for one, take_settings in zip(self.organs, self._take_settings, strict=True):
             taken = one.take(tick, take_settings)
             if taken is not None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,6 @@ import numpy as np
 from rclpy.qos import QoSProfile
 
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bag_messages import BagMessages
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
@@ -45,8 +45,8 @@ class Recorder:
         Absolute, like /tissue_sim.
     organs : Organs
         The organs.
-    named : Mapping[str, tuple[Organ, Callable[[], bytes]]]
-        Each organ by its name, empty for a single one, with a function that returns the bytes of its file.
+    names : Sequence[str]
+        Name of each organ, empty for a single one.
     config : dict[str, Any]
         Configuration of the bag.
 
@@ -62,15 +62,15 @@ class Recorder:
         self,
         node_name: str,
         organs: Organs,
-        named: Mapping[str, tuple[Organ, Callable[[], bytes]]],
+        names: Sequence[str],
         config: dict[str, Any],
     ) -> None:
         self._node_name, self._organs, self._config = node_name, organs, config
         self._messages = BagMessages()
         self.together = self._messages.together
         self.of_organ = [
-            OrganRecorder(self._messages, path_of(node_name, name), organ, physics, as_file)
-            for (name, (organ, as_file)), physics in zip(named.items(), organs.each, strict=True)
+            OrganRecorder(self._messages, path_of(node_name, name), physics)
+            for name, physics in zip(names, organs.each, strict=True)
         ]
         self._names = {name: f"{node_name}/{name}" for name in bag.NODE_TOPICS}
         self.joined = JoinedRecorder(self._messages, node_name, organs.loop)
@@ -160,9 +160,11 @@ class Recorder:
             raise UserError(f"cannot record to {path}: {error.strerror}") from None
         patience = {one.names[name]: share for one in self.of_organ for name, share in PATIENCE.items()}
         messages = self._messages
-        for one in self.of_organ:
-            one.prepare()
-        with self.together:
+        with ExitStack() as kept:
+            for one in self.of_organ:
+                kept.enter_context(one.exchanging)
+                one.prepare()
+            kept.enter_context(self.together)
             self.path, messages.spool = path, Spool(writer, writer.add_topics(self._topics()), patience)
             self._wrenches, self._has_state, self._started = [], False, time.monotonic()
             first = {name: sequence for name, (sequence, _) in newest.items()}

@@ -8,6 +8,7 @@ leave the newest pose.
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ from tissue_sim.ros.node.output.publishing_thread import PublishingThread
 from tissue_sim.ros.node.output.tf_broadcast import TfBroadcast
 from tissue_sim.ros.node.output.tool_publisher import ToolPublisher
 from tissue_sim.ros.node.services import simulation_services
+from tissue_sim.ros.node.services.cutting import CuttingParts, OrganCutting
 from tissue_sim.ros.node.services.entities import Entities
 from tissue_sim.ros.node.services.pausing import NEXT_TICK, Pausing
 from tissue_sim.ros.node.settings.live_settings import LiveSettings
@@ -55,7 +57,7 @@ from tissue_sim.ros.node.tools.wrench_replies import WrenchReplies
 from tissue_sim.ros.shared.dds import describe_discovery
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
-from tissue_sim.ros.shared.parameters import Parameters, frames_of, placed_frames, tool_of, topics_of
+from tissue_sim.ros.shared.parameters import Parameters, frames_of, organ_frames, placed_frames, tool_of, topics_of
 from tissue_sim.ros.shared.priority import below, prefer
 from tissue_sim.ros.shared.qos import LATCHED
 from tissue_sim.ros.shared.report import Report, Reports
@@ -92,14 +94,12 @@ class TissueNode(GuardedNode):
         self.loop = Loop(self.scene.joined)
         self.organs = Organs(self.loop)
         self.served = [
-            ServedOrgan(name, organ, physics)
-            for name, organ, physics in zip(self.scene.names, self.scene.organs, self.organs.each, strict=True)
+            ServedOrgan(name, physics) for name, physics in zip(self.scene.names, self.organs.each, strict=True)
         ]
         self._lookup = TfLookup(self, values.tf_target) if tf_installed() else None
         self._woken, self.backlog = threading.Event(), Backlog(executor_of(self))
         self.sim_clock = SimClock(self, self.loop)
-        files = {one.name: (one.organ, one.organ.to_bytes) for one in self.served}
-        self.recorder = Recorder(self.get_fully_qualified_name(), self.organs, files, self._config())
+        self.recorder = Recorder(self.get_fully_qualified_name(), self.organs, self.scene.names, self._config())
         self.shared = SharedParts(self, self.organs, self.recorder, self.sim_clock, self.backlog)
         self.ports = [self._port(index, name, tools) for index, name in enumerate(values.tools)]
         warn, of_organ = self.get_logger().warning, self.recorder.of_organ
@@ -135,6 +135,8 @@ class TissueNode(GuardedNode):
         self.diagnostics = Diagnostics(self, self.scene.title)
         freshness = [port.pose_freshness for port in self.ports]
         self.live = LiveSettings(self.scene, values, self._post_settings, freshness)
+        self.cutting = self._cutting(searches)
+        self.loop.before_reset += [one.heal for one in self.cutting]
         self.namesakes = DuplicateNodes(self)
         self.pausing = Pausing(self, self.loop, self.sim_clock, lambda: values["step_ticks"], self.contacts)
         if simulation_services.installed():
@@ -170,6 +172,7 @@ class TissueNode(GuardedNode):
             self.backlog,
             self.live,
             self.namesakes,
+            *self.cutting,
             self.recorder,
             self.contacts,
             self.answers,
@@ -258,6 +261,17 @@ class TissueNode(GuardedNode):
             self.organs.settings,
         )
         return port
+
+    def _cutting(self, searches: Sequence[ContactSearch]) -> list[OrganCutting]:
+        """Return what cuts each organ: those of cells that move as a whole."""
+        values, recorders = self.parameters, self.recorder.of_organ
+        parts = CuttingParts(self.loop, self.scene.joined, searches, recorders, self.live.renew, self.frame_id)
+        return [
+            OrganCutting(
+                self, one, number, parts, lambda: organ_frames(values, self._lookup), lambda: values["cut_depth"]
+            )
+            for number, one in enumerate(self.served)
+        ]
 
     def _finder(self, organ: Organ, tools: ToolSet) -> ContactFinder:
         return ContactFinder(organ, tools)

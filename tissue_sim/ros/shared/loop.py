@@ -6,24 +6,29 @@ import ctypes
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
-from tissue_sim.handles import handle, row
+from tissue_sim.errors import UserError
+from tissue_sim.handles import handle, place_of, row
 from tissue_sim.model.data.records import copy_of, field_of
 from tissue_sim.model.data.world import make_world
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.runtime import loop as rt
 from tissue_sim.model.runtime import mailboxes as mb
+from tissue_sim.model.runtime.exchange import boxes_after, make_exchange, take_exchange
 from tissue_sim.model.runtime.joined_box import make_joined_box
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.organ_contact import OrganContactSet, used_words
 from tissue_sim.ros.shared.pause_control import PauseControl
 from tissue_sim.ros.shared.priority import prefer
 
 _libc = ctypes.PyDLL(None)  # keeps the GIL: functions called here never wait
 _waiting_libc = ctypes.CDLL(None)
+EXCHANGE_TIME = 5.0  # s after which a loop that runs counts as hanging
 
 
 class Loop:
@@ -52,7 +57,12 @@ class Loop:
             _libc.sem_init(semaphore, 0, 0)
         # Separate settings: those of a simulation change between ticks, when a parameter does.
         self._settings = [copy_of(one.settings) for one in self.simulations]
+        self._world_handles = [self._world_of(one, organ) for organ, one in enumerate(self.simulations)]
+        self._box_handles = [handle(box) for box in self.boxes]
+        self._worlds, self._box_row = row(self._world_handles), row(self._box_handles)
+        self._exchange = make_exchange(self._worlds, self._box_row, self._world_handles[0], self._box_handles[0])
         self.hold = PauseControl(self)
+        self.before_reset: list[Callable[[], None]] = []  # called first: they exchange cut organs
 
     def _run(self) -> None:
         try:
@@ -62,12 +72,13 @@ class Loop:
         self.ended = not self.words.control.stop or self.failure is not None
 
     def _tick_on(self) -> None:
-        worlds = [
-            handle(make_world(one.model, one.state, one.shapes, settings, one.scratch))
-            for one, settings in zip(self.simulations, self._settings, strict=True)
-        ]
-        boxes = row([handle(box) for box in self.boxes])
-        rt.run_loop(row(worlds), boxes, handle(self.words), self.joined.handle, handle(self.joined_box))
+        joined = self.joined.handle, handle(self.joined_box)
+        rt.run_loop(self._worlds, self._box_row, handle(self.words), *joined, handle(self._exchange))
+
+    def _world_of(self, simulation: Simulation, organ: int) -> Any:
+        """Return the handle of a simulation's world with the settings that the loop applies."""
+        one = simulation
+        return handle(make_world(one.model, one.state, one.shapes, self._settings[organ], one.scratch))
 
     def start(self) -> None:
         """Start the loop; return when it runs (compiling takes a while)."""
@@ -149,7 +160,13 @@ class Loop:
         _libc.sem_post(self._bell)
 
     def reset(self) -> None:
-        """Return all organs to the rest shape before the next tick."""
+        """Return all organs to the rest shape before the next tick, uncut."""
+        for heal in self.before_reset:
+            heal()
+        self.reset_again()
+
+    def reset_again(self) -> None:
+        """Return all organs to the rest shape before the next tick, with the cuts that they have."""
         self.words.control.resets += 1
         self.wake()
 
@@ -200,6 +217,55 @@ class Loop:
         self.words.control.posted_time = nanoseconds
         self._ring()
 
+    def exchange(self, organ: int, made: Simulation, coarse_square: float = 0.0, patience: float | None = None) -> int:
+        """Go on with a simulation that continues one of the organs; return the first tick with it.
+
+        A held loop takes it up at once.
+
+        Parameters
+        ----------
+        organ : int
+            Index of the organ.
+        made : Simulation
+            The simulation, whose `carry_plan` fits the one in use.
+        coarse_square : float, (rad/s)^2, optional
+            Squared largest frequency of its coarse steps; 0: it takes none.
+        patience : float | None, s, optional
+            How long to wait for the tick; None: as long as a running loop may take.
+
+        Returns
+        -------
+        int
+            the tick
+
+        Raises
+        ------
+        UserError
+            When the clock that ticks follow stands.
+        TimeoutError
+            When the loop doesn't answer.
+        """
+        if self.clock_stands and patience is None:
+            raise UserError("the clock that ticks follow stands, so that no tick takes up the cut; publish /clock")
+        box = boxes_after(self.boxes[organ], made.state, made.carry_plan)
+        world_handle, box_handle = self._world_of(made, organ), handle(box)
+        exchange, words = self._exchange, self._exchange.words
+        with self._snapshot_lock, self.hold.kept() as is_held:
+            exchange.next_world[0], exchange.next_box[0] = place_of(world_handle), place_of(box_handle)
+            words.organ, words.coarse_square = organ, coarse_square
+            words.asked += 1
+            if is_held:
+                take_exchange(self._worlds, self._box_row, self.joined.handle, handle(exchange))
+                mb.post_results(world_handle, box_handle)
+                words.done = words.asked
+            else:
+                self.wake()
+                self._wait_for(lambda: words.done == words.asked, patience or EXCHANGE_TIME, "took up no cut")
+            self._world_handles[organ], self._box_handles[organ] = world_handle, box_handle
+            self.simulations = _with(self.simulations, organ, made)
+            self.boxes = _with(self.boxes, organ, box)
+        return int(words.tick)
+
     # out ---------------------------------------------------------------------------------------
     def wait_for_answer(self, longest: float) -> bool:
         """Wait for the end of a requested tick; return whether there was one.
@@ -246,8 +312,16 @@ class Loop:
         """
         control = self.words.control
         control.snapshot_asked += 1
+        self._wait_for(lambda: control.snapshot_done == control.snapshot_asked, timeout, "gave no snapshot")
+
+    def _wait_for(self, done: Callable[[], bool], timeout: float, lack: str) -> None:
         end = time.monotonic() + timeout
-        while control.snapshot_done != control.snapshot_asked:
+        while not done():
             if time.monotonic() > end:
-                raise TimeoutError("the physics loop gave no snapshot")
+                raise TimeoutError(f"the physics loop {lack}")
             time.sleep(0.0005)
+
+
+def _with[T](items: Sequence[T], index: int, item: T) -> tuple[T, ...]:
+    """Return items with another one at an index."""
+    return (*items[:index], item, *items[index + 1 :])

@@ -15,6 +15,7 @@ from shape_msgs.msg import Mesh, MeshTriangle
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.shared.cdr import CDR_HEADER
+from tissue_sim.ros.shared.shown_organ import ShownOrgan
 
 
 class NumbersTemplate:
@@ -88,15 +89,15 @@ class CloudTemplate:
         return bytes(self._bytes)
 
 
-def rest_mesh(organ: Organ) -> bytes:
+def rest_mesh(shown: ShownOrgan) -> bytes:
     """Return the rest surface as a shape_msgs/Mesh.
 
     Parameters
     ----------
-    organ : Organ
-        The organ.
+    shown : ShownOrgan
+        What is shown of the organ.
     """
-    return _mesh(organ.surface_positions, organ.surface_triangles)
+    return _mesh(shown.points(shown.rest), shown.triangles)
 
 
 def inclusion_mesh(organ: Organ) -> bytes:

@@ -103,6 +103,7 @@ NODE_SPECS = (
     Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting="damping_scale"),
     Spec("gravity", [0.0, 0.0, 0.0], "gravity in the organ's frame, m/s^2", live=True, check=_check_gravity),
     Spec("shape_is_unloaded", False, "the shape in the organ file is the one without gravity, not the one under it"),
+    Spec("cut_depth", 0.01, "depth below the path that ~/cut cuts, m", 1e-4, 1.0, True),
     Spec("step_ticks", 1, "ticks that ~/step takes while the node is paused", 1, 100_000, live=True),
     Spec("record", False, "record a bag from the start"),
     Spec("record_folder", "recordings", "folder for bags; while the node runs, only a folder below it", live=True),
@@ -237,6 +238,22 @@ def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | No
     known.setdefault(_frame_of(values, tool), to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"])))
     led = None if lookup is None else lambda frame_id: to_organ.after(lookup(frame_id))
     return Frames(known, values[f"{tool}.motion_scale"], led)
+
+
+def organ_frames(values: Values, lookup: Callable[[str], Transform] | None) -> Frames:
+    """Return the frames that poses without a tool may come in.
+
+    Parameters
+    ----------
+    values : Values
+        The parameters.
+    lookup : Callable[[str], Transform] | None
+        Transforms other frames to the node's `tf_target`; None without tf.
+    """
+    organ_id, base_id = _organ_and_base(values)
+    to_organ = Transform.of_pose(values["organ_pose"]).inverse()
+    led = None if lookup is None else lambda frame_id: to_organ.after(lookup(frame_id))
+    return Frames({base_id: to_organ, organ_id: Transform()}, lookup=led)
 
 
 def _organ_and_base(values: Values) -> tuple[str, str]:

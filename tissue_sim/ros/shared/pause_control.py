@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 LONGEST = 1.0  # s that the loop may need until it stands, goes on, or has done a tick
@@ -107,6 +108,12 @@ class PauseControl:
             finally:
                 self._lost = time.monotonic() - self._frozen
                 self._frozen = None
+
+    @contextmanager
+    def kept(self) -> Iterator[bool]:
+        """Keep a held loop from taking ticks meanwhile, and another from being held; yield whether it is held."""
+        with self._lock:
+            yield self.active
 
     def step(self) -> bool:
         """Have one tick done; return whether it was: False where the loop is no longer held.

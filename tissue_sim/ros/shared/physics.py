@@ -15,6 +15,7 @@ from tissue_sim.model.data.records import words_of
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import Region, Results, results_in
 from tissue_sim.model.runtime import mailboxes as mb
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.shared.loop import Loop
 
 LONGEST = 0.1  # s that a wrench may be published again without a new one
@@ -40,9 +41,12 @@ class Physics:
 
     def __init__(self, loop: Loop, organ: int = 0) -> None:
         self.loop, self.simulation, self.box = loop, loop.simulations[organ], loop.boxes[organ]
+        self._number = organ
+        self.version = 0  # raised whenever the organ was exchanged for one of other nodes
         self._pose, self._force = handle(self.box.pose), handle(self.box.force)
         self._contacts, self._settings = handle(self.box.contacts), handle(self.box.settings)
-        self._results, self._shape = handle(self.box.results), handle(self.box.shape)
+        self._results = handle(self.box.results)
+        self._shape = handle(self.box.shape), len(self.simulation.state.shape)
         self.n_bodies = len(self.simulation.shapes.kind)
         self._journal_read = 0
         self._oldest = 0  # ns, the age up to which a wrench may be published
@@ -122,6 +126,24 @@ class Physics:
         mb.take(self._settings, 0, 0, words)
         return Settings.at(words)
 
+    def exchange(self, made: Simulation, coarse_square: float = 0.0, patience: float | None = None) -> int:
+        """Go on with a simulation that continues this organ's, see Loop.exchange; return the first tick with it.
+
+        Parameters
+        ----------
+        made : Simulation
+            The simulation.
+        coarse_square : float, (rad/s)^2, optional
+            Squared largest frequency of its coarse steps; 0: it takes none.
+        patience : float | None, s, optional
+            How long to wait for that tick; None: as long as a running loop may take.
+        """
+        tick = self.loop.exchange(self._number, made, coarse_square, patience)
+        self.simulation, self.box = made, self.loop.boxes[self._number]
+        self._shape = handle(self.box.shape), len(made.state.shape)
+        self.version += 1
+        return tick
+
     # out ---------------------------------------------------------------------------------------
     def results(self) -> Results:
         """Return a copy of what the newest tick posted."""
@@ -155,7 +177,7 @@ class Physics:
         """Copy the newest positions; return their tick, and the (3,) m that breathing adds to them.
 
         With a modal region the loop computes them for this, after its next tick; when it doesn't in time, they are the
-        last ones that it computed.
+        last ones that it computed. Of an organ that was cut meanwhile, `out` gets the nodes that it has room for.
 
         Parameters
         ----------
@@ -171,10 +193,13 @@ class Physics:
             deadline = time.monotonic() + timeout
             while demand.done < asked and time.monotonic() < deadline and self.loop.alive:
                 time.sleep(2e-4)
-        words = np.zeros(len(self.simulation.state.shape), dtype=np.int64)
-        mb.take(self._shape, 0, 0, words)
+        shape, size = self._shape
+        words = np.zeros(size, dtype=np.int64)
+        mb.take(shape, 0, 0, words)
         numbers = words[1:].view(np.float64)
-        out.reshape(-1)[:] = numbers[3:]
+        flat = out.reshape(-1)
+        shared = min(len(flat), size - 4)
+        flat[:shared] = numbers[3 : 3 + shared]
         return int(words[0]), numbers[:3]
 
     # For colours only: they are read beside the running loop, so that a tick may write in between.

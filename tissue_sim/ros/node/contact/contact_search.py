@@ -12,6 +12,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.finder import MARGIN, ContactFinder, Sought, reach_margins, ways
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.model.data.contact_set import Engaged
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.shared.served_organ import ServedOrgan
@@ -72,6 +73,39 @@ class ContactSearch:
         self._last_key: tuple[object, ...] = ()
         self._last_empty = False
         self.is_behind = False  # a tool on its way to its newest pose needs further sets
+        self._next: tuple[ContactFinder, int] | None = None  # on the surface after a cut, with its number of nodes
+
+    def finder_of(self, made: Simulation) -> ContactFinder:
+        """Return a finder on the surface that a simulation has; this takes a while.
+
+        Parameters
+        ----------
+        made : Simulation
+            The simulation.
+        """
+        return ContactFinder(made.organ, self.finder.tools)
+
+    def exchange(self, finder: ContactFinder) -> None:
+        """Search with another finder from the next search on, after the loop has gone on with its organ.
+
+        Parameters
+        ----------
+        finder : ContactFinder
+            The finder.
+        """
+        self._next = finder, self._physics.simulation.organ.n_nodes
+
+    def _take_finder(self) -> None:
+        """Take the newest finder, if it is another one."""
+        taken, self._next = self._next, None
+        if taken is None:
+            return
+        finder, nodes = taken
+        finder.counters = self.finder.counters
+        self.finder, self._positions = finder, np.zeros((nodes, 3))
+        self._last_key = ()
+        with self._recorder.together:
+            self._recorder.searched(int(self._physics.box.contacts.sequence[0]) + 1)
 
     def is_idle(self, now: ToolsNow) -> bool:
         """Return whether no tool comes, and none is left in touch.
@@ -103,6 +137,7 @@ class ContactSearch:
         bool
             whether it found one
         """
+        self._take_finder()
         results, surface = self._physics.results(), self._physics.surface_sequence
         bodies, places = results.bodies, results.body_pose
         looked = bodies.engaged.astype(bool) | (np.array(now.fresh) & (bodies.age >= 0) & (bodies.released == 0))

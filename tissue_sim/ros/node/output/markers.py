@@ -23,6 +23,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.shared.appearance import SHADES, TISSUE
 from tissue_sim.ros.shared.cdr import CDR_HEADER
+from tissue_sim.ros.shared.shown_organ import ShownOrgan
 
 SENTINEL = 1.2345678901234567e89
 COLOUR_SENTINEL = 1.2345e30
@@ -164,7 +165,7 @@ class OrganMarkers:
     ----------
     frame_id : str
         Frame of the positions.
-    organs : Mapping[str, Organ]
+    organs : Mapping[str, ShownOrgan]
         The organs by the prefix of their markers' namespaces, empty for a single one.
     n_tools : int
         Number of tools.
@@ -172,14 +173,15 @@ class OrganMarkers:
         Whether a surface has a colour for each corner of a triangle, which makes the message two thirds longer.
     """
 
-    def __init__(self, frame_id: str, organs: Mapping[str, Organ], n_tools: int, coloured: bool = False) -> None:
+    def __init__(self, frame_id: str, organs: Mapping[str, ShownOrgan], n_tools: int, coloured: bool = False) -> None:
         markers: list[Marker] = []
         drawn: list[Longs] = []
         self._surfaces: list[tuple[int, Longs]] = []  # marker of each, and its corners
-        first = 0  # node of an organ
-        for name, organ in organs.items():
+        first = 0  # row of an organ
+        for name, shown in organs.items():
+            organ = shown.organ
             before = f"{name}/" if name else ""
-            corners = first + organ.surface_triangles.ravel().astype(np.int64)
+            corners = first + shown.triangle_rows.ravel()
             bones = first + organ.n_surface + skeleton_lines(organ)
             surface = empty_marker(frame_id, f"{before}surface", 0, Marker.TRIANGLE_LIST, SURFACE_COLOUR, (1.0,) * 3)
             skeleton = empty_marker(
@@ -193,13 +195,13 @@ class OrganMarkers:
                 if len(nodes):  # a marker with an empty list is refused by RViz: an organ may have no bones
                     markers.append(marker)
                     drawn.append(nodes)
-            first += organ.n_nodes
+            first += shown.n_rows
         ends = np.cumsum([len(nodes) for nodes in drawn])
         self._drawn = Drawn(np.concatenate(drawn).astype(np.int64), ends)
         markers += [force_arrow(frame_id, "contacts", tool) for tool in range(n_tools)]
         self._bytes = MarkerBytes(markers)
         # Compiled here, or while somebody waits for the first message.
-        rest = np.concatenate([organ.rest_positions for organ in organs.values()])
+        rest = np.concatenate([shown.rest for shown in organs.values()])
         all_finite(rest)
         share = np.zeros(len(rest)) if coloured else None
         if share is not None:
@@ -216,13 +218,13 @@ class OrganMarkers:
         stamp : int, ns
             Its time.
         positions : Floats, shape (n, 3), m
-            Positions of all nodes, one organ after the other.
+            Positions of all rows, one organ after the other.
         centre : Floats, shape (T, 3), m
             Where each tool touches.
         wrench : Floats, shape (T, 6), N and N m
             What each tool feels; a tool without force has its arrow deleted.
         share : Floats | None, shape (n,), optional
-            Each node's place on the colour scale, 0 to 1, if they are coloured.
+            Each row's place on the colour scale, 0 to 1, if they are coloured.
         """
         made = self._bytes
         write_organs(made.template, stamp, positions, self._drawn, centre, wrench)

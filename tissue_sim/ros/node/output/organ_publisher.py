@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from functools import partial
 
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
+from std_msgs.msg import UInt32
 from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
@@ -37,18 +39,17 @@ class OrganPublisher:
         recorder: OrganRecorder,
         values: Values,
     ) -> None:
-        organ, below = served.organ, served.below
-        self._organ, self._recorder, self._values = organ, recorder, values
+        below = served.below
+        self._recorder, self._values, self._frame_id = recorder, values, frame_id
         self._clock = node.get_clock()
         self._mesh = node.create_publisher(Mesh, f"{below}/mesh", LATCHED)
+        self._mesh_version = node.create_publisher(UInt32, f"{below}/mesh_version", LATCHED)
         self._inclusions = node.create_publisher(Mesh, f"{below}/inclusions", LATCHED)
         self._markers = node.create_publisher(MarkerArray, f"{below}/markers", LATCHED)
         self._surface = node.create_publisher(PointCloud2, f"{below}/surface", STREAM)
         self._skeleton = node.create_publisher(PointCloud2, f"{below}/skeleton", STREAM)
-        self._shown = PublishedShapes(
-            frame_id, {"": organ}, [served.physics], Touches(ports, served.physics), len(ports)
-        )
-        self._surface_bytes = CloudTemplate(frame_id, organ.n_surface, ("x", "y", "z"))
+        self._shown = PublishedShapes(frame_id, {"": served.physics}, Touches(ports, served.physics), len(ports))
+        organ = served.organ
         self._skeleton_bytes = CloudTemplate(frame_id, organ.n_atoms, ("x", "y", "z", "radius", "parent"))
         self._skeleton_bytes.points[:, 3] = organ.atom_radius
         self._skeleton_bytes.points[:, 4] = organ.atom_parent
@@ -57,12 +58,23 @@ class OrganPublisher:
         self._had_markers = 0
         self._surface_sent = -math.inf
         self.unchanged_skips = self.unseen_skips = self.published = 0
-        self._mesh.publish(rest_mesh(organ))
+        self._publish_mesh()
         if len(organ.inclusion_stiffness):
             self._inclusions.publish(inclusion_mesh(organ))
 
+    def _publish_mesh(self) -> None:
+        """Publish the rest surface: at the start, and when a cut or its reset has changed it."""
+        shown = self._shown.organs[0]
+        self._surface_bytes = CloudTemplate(self._frame_id, shown.n_points, ("x", "y", "z"))
+        self._mesh_version.publish(UInt32(data=self._shown.versions[0]))
+        mesh = rest_mesh(shown)
+        self._mesh.publish(mesh)
+        self._recorder.mesh(mesh)
+
     def present(self) -> None:
         """Publish what has subscribers (or is recorded) and has moved since it was last published."""
+        if self._shown.renew():
+            self._publish_mesh()
         recorder, colour = self._recorder, self._values["marker_colour"]
         n_markers = self._markers.get_subscription_count()
         n_surface = self._surface.get_subscription_count() + self._skeleton.get_subscription_count()
@@ -93,9 +105,10 @@ class OrganPublisher:
             self._markers.publish(markers)
             self._sequence["markers"], self._colour = sequence, colour
         if show_surface or record:
-            n, positions = self._organ.n_surface, self._shown.positions
-            self._surface_bytes.points[:] = positions[:n]
-            self._skeleton_bytes.points[:, :3] = positions[n : n + self._organ.n_atoms]
+            shown, positions = self._shown.organs[0], self._shown.positions
+            n, atoms = shown.organ.n_surface, shown.organ.n_atoms
+            self._surface_bytes.points[:] = shown.points(positions)
+            self._skeleton_bytes.points[:, :3] = positions[n : n + atoms]
             surface, skeleton = self._surface_bytes.message(stamp), self._skeleton_bytes.message(stamp)
             if show_surface:
                 self._surface.publish(surface)
@@ -139,19 +152,22 @@ class ScenePublisher:
     ) -> None:
         self._values, self._clock = values, node.get_clock()
         self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
-        named = {one.name: one.organ for one in served}
-        self._shown = PublishedShapes(frame_id, named, organs.each, Touches(ports, organs), len(ports))
+        named = {one.name: one.physics for one in served}
+        self._shown = PublishedShapes(frame_id, named, Touches(ports, organs), len(ports))
         self._sent: tuple[object, ...] = ()
         self._had = 0
         joined = organs.loop.joined
         self._ligaments: Ligaments | None = None
         if len(joined.links.slack):
             self._ligaments = Ligaments(frame_id, joined, self._shown.first_rows)
+            self._new_ligaments = partial(Ligaments, frame_id, joined)
             self._lines = node.create_publisher(MarkerArray, "~/ligaments", LATCHED)
         self._lines_sent: tuple[int, ...] = ()
 
     def present(self) -> None:
         """Publish all organs when one has moved since, or a viewer has come; ligaments when their organs moved."""
+        if self._shown.renew() and self._ligaments is not None:
+            self._ligaments = self._new_ligaments(self._shown.first_rows)
         count, colour = self._markers.get_subscription_count(), self._values["marker_colour"]
         came, self._had = count > self._had, count
         sequence = self._shown.sequence

@@ -1,4 +1,4 @@
-"""Positions of organs, one after the other, and as markers."""
+"""Positions of organs, one after the other, and as markers; where one is cut, with the walls of its cuts."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Protocol
 import numpy as np
 
 from tissue_sim.array_types import Floats
-from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.node.output.markers import OrganMarkers, all_finite, write_displacement
 from tissue_sim.ros.node.tools.tool_port import ToolPort
 from tissue_sim.ros.shared.appearance import FULL_DISPLACEMENT, FULL_FORCE, MOVING
 from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.shown_organ import ShownOrgan
 
 
 class ContactForces(Protocol):
@@ -40,34 +40,46 @@ class Touches:
 
 
 class PublishedShapes:
-    """Positions of organs, (n, 3) m, one after the other, and their MarkerArray as bytes.
+    """Positions of organs' rows (see ShownOrgan), one after the other, and their MarkerArray as bytes.
 
     Parameters
     ----------
     frame_id : str
         Frame of the positions.
-    organs : Mapping[str, Organ]
-        The organs by the prefix of their markers' namespaces.
-    physics : Sequence[Physics]
-        Simulation of each.
+    physics : Mapping[str, Physics]
+        The organs' simulations by the prefix of their markers' namespaces.
     touches : Touches
         Where tools are.
     n_tools : int
         Number of tools.
     """
 
-    def __init__(
-        self, frame_id: str, organs: Mapping[str, Organ], physics: Sequence[Physics], touches: Touches, n_tools: int
-    ) -> None:
-        self._physics, self._touches = list(physics), touches
-        self._rest = np.concatenate([organ.rest_positions for organ in organs.values()])
-        ends = np.cumsum([organ.n_nodes for organ in organs.values()]).tolist()
+    def __init__(self, frame_id: str, physics: Mapping[str, Physics], touches: Touches, n_tools: int) -> None:
+        self._names, self._physics, self._touches = list(physics), list(physics.values()), touches
+        self._frame_id, self._n_tools = frame_id, n_tools
+        self._make()
+
+    def _make(self) -> None:
+        """Make room for the organs as they are now."""
+        self.versions = [one.version for one in self._physics]
+        self.organs = [ShownOrgan.of(one.simulation) for one in self._physics]
+        self._rest = np.concatenate([organ.rest for organ in self.organs])
+        ends = np.cumsum([organ.n_rows for organ in self.organs]).tolist()
         self._parts = [slice(first, last) for first, last in zip([0, *ends[:-1]], ends, strict=True)]
         self.positions = self._rest.copy()  # where breathing has moved them
         self._own, self._share = self._rest.copy(), np.zeros(len(self._rest))
-        self._new_markers = partial(OrganMarkers, frame_id, organs, n_tools)
+        self._nodes = [organ.organ.rest_positions for organ in self.organs]
+        named = dict(zip(self._names, self.organs, strict=True))
+        self._new_markers = partial(OrganMarkers, self._frame_id, named, self._n_tools)
         self._plain = self._new_markers()
         self._coloured: OrganMarkers | None = None  # made when it is wanted: it takes a while
+
+    def renew(self) -> bool:
+        """Make room for organs that were cut, or reset after cuts, since the last call; return whether any was."""
+        if self.versions == [one.version for one in self._physics]:
+            return False
+        self._make()
+        return True
 
     @property
     def first_rows(self) -> list[int]:
@@ -82,8 +94,10 @@ class PublishedShapes:
     def refresh(self) -> int:
         """Take the newest positions; return the tick of the first organ's, or -1 if they must not be shown."""
         first = -1
-        for one, part in zip(reversed(self._physics), reversed(self._parts), strict=True):
-            first, carried = one.positions(self._own[part])
+        each = zip(self._physics, self._parts, self.organs, self._nodes, strict=True)
+        for one, part, organ, nodes in reversed(list(each)):
+            first, carried = one.positions(nodes)
+            organ.fill(self._own[part], nodes)
             np.add(self._own[part], carried, out=self.positions[part])
         return first if all_finite(self.positions) else -1  # RViz would drop the marker
 
@@ -109,13 +123,15 @@ class PublishedShapes:
         return self._plain.deletion()
 
     def _shares(self, colour: str) -> Floats:
-        """Return each node's place on the colour scale, (n,), 0 to 1."""
+        """Return each row's place on the colour scale, 0 to 1."""
         if colour == "displacement":  # without the motion of the breath
             write_displacement(self._share, self._own, self._rest, FULL_DISPLACEMENT)
             return self._share
-        for one, part in zip(self._physics, self._parts, strict=True):
+        for one, part, organ in zip(self._physics, self._parts, self.organs, strict=True):
             if colour == "force":
-                self._share[part] = one.contact_forces() / FULL_FORCE
+                share = one.contact_forces() / FULL_FORCE
             else:
-                self._share[part] = np.where(one.moving(), MOVING, 0.0)
+                share = np.where(one.moving(), MOVING, 0.0)
+            if len(share) == organ.organ.n_nodes:  # another one where the organ has just been cut
+                organ.fill(self._share[part], share)
         return self._share

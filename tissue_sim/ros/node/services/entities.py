@@ -150,6 +150,6 @@ class Entities:
     @staticmethod
     def _box(served: ServedOrgan) -> tuple[Floats, Floats]:
         """Return the corners (3,) m, lower and upper, in the organ's frame, of the box around the newest shape."""
-        positions = np.zeros_like(served.organ.rest_positions)
+        positions = np.zeros((served.organ.n_uncut, 3))
         _, carried = served.physics.positions(positions)
         return positions.min(axis=0) + carried, positions.max(axis=0) + carried

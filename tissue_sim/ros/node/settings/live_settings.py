@@ -75,6 +75,18 @@ class LiveSettings:
                 if _differ(settings, old):
                     self._post(organ, copy_of(settings))
 
+    def renew(self, organ: int) -> None:
+        """Post an organ's settings after it was exchanged for one of another largest frequency.
+
+        Parameters
+        ----------
+        organ : int
+            Number of the organ.
+        """
+        with self._lock:
+            self._served.joined.set_substeps()
+            self._post(organ, copy_of(self._served.simulations[organ].settings))
+
     def _give_up(self, settings: Settings) -> None:
         """Reduce settings where the machine is too slow or a device can't bear them."""
         settings.tick_time = self._tick_time

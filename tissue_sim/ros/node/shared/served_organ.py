@@ -23,8 +23,12 @@ class ServedOrgan:
     """An organ of the node; name: empty for a single one that no scene names."""
 
     name: str
-    organ: Organ
     physics: Physics
+
+    @property
+    def organ(self) -> Organ:
+        """The organ as it is now: with the virtual nodes of its cuts."""
+        return self.physics.simulation.organ
 
     @property
     def below(self) -> str:

@@ -1,0 +1,170 @@
+"""A node cuts its organ while a tool presses: over ROS, in its bag, and until a reset."""
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Mesh
+from std_msgs.msg import UInt32
+from std_srvs.srv import SetBool, Trigger
+
+from helpers.ros.clients import LATCHED, Client
+from helpers.ros.processes import UNHURRIED, press_until_felt, running_node, shipped
+from tissue_sim.cli import main
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.ros.shared.client import mesh_arrays
+
+EDGE = [[0.055, 0.0, 0.0], [0.075, 0.0, 0.0]]  # m, above the organ's lateral side
+DEPTH = 0.03  # m, along y: about 12 mm of tissue
+DOWN = (-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))  # turns z to y
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("cutting")
+
+
+@pytest.fixture(scope="module")
+def node(folder):
+    with running_node(folder, "tools:=[left]", UNHURRIED, f"record_folder:={folder / 'bags'}") as process:
+        yield process
+
+
+class Surgeon(Client):
+    """A client that cuts, and hears what becomes of the organ."""
+
+    def __init__(self):
+        super().__init__()
+        self.meshes, self.versions, self.events, self.clouds = [], [], [], []
+        for kind, topic, heard in (
+            (Mesh, "mesh", self.meshes),
+            (UInt32, "mesh_version", self.versions),
+            (DiagnosticArray, "cuts", self.events),
+        ):
+            self.node.create_subscription(kind, f"{self.target}/{topic}", heard.append, LATCHED)
+        self.node.create_subscription(
+            PointCloud2, f"{self.target}/surface", self.clouds.append, qos_profile_sensor_data
+        )
+        self.path = self.node.create_publisher(Path, f"{self.target}/cut_path", 1)
+
+    def send_path(self, edge, quaternion=DOWN, frame="organ"):
+        message = Path()
+        message.header.frame_id = frame
+        for point in edge:
+            pose = PoseStamped()
+            pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = map(float, point)
+            orientation = pose.pose.orientation
+            orientation.x, orientation.y, orientation.z, orientation.w = map(float, quaternion)
+            message.poses.append(pose)
+        assert self.spin_until(lambda: self.path.get_subscription_count() > 0)
+        self.path.publish(message)
+
+    def cut(self, edge=EDGE, depth=DEPTH, **named):
+        assert self.set_parameter("cut_depth", depth).successful
+        self.send_path(edge, **named)
+        answer = self.ask_to_cut()
+        while "no path" in answer.message:  # the path is still on its way
+            answer = self.ask_to_cut()
+        return answer
+
+    def ask_to_cut(self):
+        """The answer, however long it takes: a call that is repeated would find the first one at work."""
+        service = self.node.create_client(Trigger, f"{self.target}/cut")
+        assert service.wait_for_service(30.0)
+        asked = service.call_async(Trigger.Request())
+        assert self.spin_until(asked.done)
+        return asked.result()
+
+
+@pytest.fixture(scope="module")
+def only_client(node):
+    client = Surgeon()
+    assert client.spin_until(lambda: client.pose.get_subscription_count() > 0 and client.surface().size > 0)
+    yield client
+    client.close()
+
+
+@pytest.fixture
+def client(only_client):
+    yield only_client
+    only_client.call(SetBool, f"{only_client.target}/pause", SetBool.Request(data=False))
+    only_client.reset()
+    assert only_client.spin_until(lambda: not only_client.events or not only_client.events[-1].status)
+
+
+def test_a_cut_opens_what_is_shown_repeats_in_its_bag_and_a_reset_heals_it(client, capsys):
+    uncut = shipped()
+    bag = client.record(True).message
+    inside = press_until_felt(client, client.ask)
+    answer = client.cut()
+    assert answer.success, answer.message
+    assert "cells divided" in answer.message
+
+    expected = Simulation(uncut).prepared_cut(EDGE, [0.0, 1.0, 0.0], DEPTH)
+    surface = expected.cut_organ.surface
+    assert client.spin_until(lambda: len(client.meshes[-1].triangles) == len(surface.triangles))
+    vertices, triangles = mesh_arrays(client.meshes[-1])
+    np.testing.assert_allclose(vertices, surface.at(expected.organ.rest_positions), atol=1e-9)
+    np.testing.assert_array_equal(triangles, surface.triangles)
+    assert client.versions[-1].data == 1
+    assert client.spin_until(lambda: client.clouds[-1].width == len(surface.nodes))
+    assert client.spin_until(lambda: len(client.surface()) == 3 * len(surface.triangles))
+
+    (status,) = client.events[-1].status
+    values = {item.key: float(item.value) for item in status.values}
+    report = expected.cuts[0]
+    assert values["area_m2"] == pytest.approx(report.area, rel=1e-4)
+    assert values["depth_m"] == pytest.approx(report.depth, rel=1e-4)
+    assert (values["x_m"], values["y_m"], values["z_m"]) == pytest.approx(report.centre, abs=1e-6)
+
+    for _ in range(30):  # the hand goes on as before
+        client.ask(inside)
+    assert client.hand_force() > 0.02
+    assert client.reset().success
+    assert client.spin_until(lambda: client.versions[-1].data == 2)
+    assert client.spin_until(lambda: len(client.surface()) == 3 * len(uncut.surface_triangles))
+    assert not client.events[-1].status
+    client.spin(0.2)
+    assert client.record(False).success
+    assert main(["replay", bag, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0, capsys.readouterr().err
+    assert "repeats" in capsys.readouterr().out
+
+
+def test_a_bag_that_begins_after_a_cut_repeats(client, capsys):
+    assert client.cut().success
+    bag = client.record(True).message
+    press_until_felt(client, client.ask)
+    deeper = client.cut(depth=DEPTH + 0.003)
+    assert deeper.success, deeper.message
+    client.spin(0.3)
+    assert client.record(False).success
+    assert main(["replay", bag, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0, capsys.readouterr().err
+    assert "repeats" in capsys.readouterr().out
+
+
+def test_a_paused_node_is_cut_at_once(client):
+    assert client.call(SetBool, f"{client.target}/pause", SetBool.Request(data=True)).success
+    before = client.report()["tick"]
+    answer = client.cut()
+    assert answer.success, answer.message
+    assert client.report()["tick"] == before
+    assert client.spin_until(lambda: len(client.surface()) > 3 * len(shipped().surface_triangles))
+    assert client.report()["cuts"] == "1"
+
+
+def test_what_cannot_be_cut_is_refused_with_the_reason(client, node):
+    def refused(needle, *arguments, **named):
+        client.send_path(*arguments, **named)
+        assert client.spin_until(lambda: needle in client.ask_to_cut().message), client.ask_to_cut().message
+        assert not client.ask_to_cut().success
+
+    refused("expected: the two or more points", [EDGE[0]])
+    refused("no transform", EDGE, frame="elsewhere")
+    refused("no frame_id", EDGE, frame="")
+    refused("length 1", EDGE, quaternion=(0.0, 0.0, 0.0, 0.5))
+    refused("misses", [[1.0, 0.0, 0.0], [1.1, 0.0, 0.0]])
+    assert "was refused: its frame 'elsewhere'" in node.text()
+    assert client.report()["cuts"] == "0"

@@ -1,0 +1,128 @@
+"""A cut in a bag: the organ after it, so that a replay needs nothing that was computed on another machine."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.array_types import Longs
+from tissue_sim.model.cutting.cut_surface import CutSurface
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.organ import Organ
+
+NO_SET = -1  # no contact set was found on the new surface yet
+
+
+@dataclass(frozen=True)
+class RecordedCut:
+    """An organ after a cut, or after the reset of its cuts.
+
+    tick: the first with it, -1 where the bag began later; first_set: number of the first contact set that was found on
+    it; file: the organ file; origin: (n,) node before whose place each node takes; surface: None without cuts.
+    """
+
+    number: int
+    tick: int
+    first_set: int
+    file: bytes
+    origin: Longs
+    surface: CutSurface | None
+
+    def organ(self) -> Organ:
+        """Return the organ."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "organ.npz"
+            path.write_bytes(self.file)
+            return Organ.load(path)
+
+
+def fields_of_cut(number: int, tick: int, made: Simulation) -> dict[str, NDArray[Any]]:
+    """Return a cut as arrays by name.
+
+    Parameters
+    ----------
+    number : int
+        How many organs were exchanged until this one.
+    tick : int
+        The first tick with it.
+    made : Simulation
+        The simulation after it.
+    """
+    fields: dict[str, NDArray[Any]] = {
+        "number": np.array(number),
+        "tick": np.array(tick),
+        "first_set": np.array(NO_SET),
+        "organ": np.frombuffer(made.organ.to_bytes(), dtype=np.uint8),
+        "origin": np.asarray(made.origin),
+    }
+    if made.cut_organ is not None:
+        fields |= {f"surface.{name}": array for name, array in made.cut_organ.surface._asdict().items()}
+    return fields
+
+
+def recorded_cuts(messages: list[Mapping[str, NDArray[Any]]]) -> list[RecordedCut]:
+    """Return the cuts of an organ, in order.
+
+    Parameters
+    ----------
+    messages : list[Mapping[str, NDArray[Any]]]
+        Fields of each message about them.
+
+    Raises
+    ------
+    ValueError
+        For a message that no node writes.
+    """
+    made: dict[int, RecordedCut] = {}
+    sets: dict[int, int] = {}
+    for fields in messages:
+        number = _whole(fields, "number")
+        if "organ" in fields:
+            made[number] = _cut_of(number, fields)
+        first = _whole(fields, "first_set")
+        if first != NO_SET:
+            sets[number] = first
+    return [
+        RecordedCut(one.number, one.tick, sets.get(number, 2**62), one.file, one.origin, one.surface)
+        for number, one in sorted(made.items())
+    ]
+
+
+def _cut_of(number: int, fields: Mapping[str, NDArray[Any]]) -> RecordedCut:
+    names = CutSurface._fields
+    surface = None
+    given = [fields[f"surface.{name}"] for name in names if f"surface.{name}" in fields]
+    if given:
+        if len(given) != len(names):
+            raise ValueError("its cut has a surface that lacks something")
+        surface = CutSurface(*given)
+        _check_surface(surface)
+    file, origin = fields["organ"], fields.get("origin")
+    if file.dtype != np.uint8 or origin is None or origin.dtype.kind != "i" or origin.ndim != 1:
+        raise ValueError("its cut is of another type")
+    return RecordedCut(number, _whole(fields, "tick"), NO_SET, file.tobytes(), origin.astype(np.int64), surface)
+
+
+def _check_surface(surface: CutSurface) -> None:
+    points, count = len(surface.nodes), len(surface.triangles)
+    shapes = [(points, 4), (points, 4), (count, 3), (count,)]
+    kinds = [array.dtype.kind for array in surface]
+    if [array.shape for array in surface] != shapes or kinds != ["i", "f", "i", "i"]:
+        raise ValueError("its cut has a surface of another type")
+    if not np.isfinite(surface.weights).all() or surface.nodes.min(initial=0) < 0:
+        raise ValueError("its cut has a surface that is not finite")
+    if surface.triangles.min(initial=0) < 0 or surface.triangles.max(initial=0) >= points:
+        raise ValueError("its cut has triangles without points")
+
+
+def _whole(fields: Mapping[str, NDArray[Any]], name: str) -> int:
+    found = fields.get(name)
+    if found is None or found.shape != () or found.dtype.kind != "i":
+        raise ValueError(f"its cut has no {name}")
+    return int(found)

@@ -1,0 +1,279 @@
+"""Cutting an organ while the node runs: the path on ~/cut_path, the service ~/cut, and the cuts so far on ~/cuts."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from nav_msgs.msg import Path
+from std_srvs.srv import Trigger
+
+from tissue_sim.array_types import Floats
+from tissue_sim.contact.quaternions import rotate
+from tissue_sim.errors import UserError
+from tissue_sim.model.cutting.cut import CutReport
+from tissue_sim.model.joined import Joined
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.ros.bags.organ_recorder import OrganRecorder
+from tissue_sim.ros.node.contact.contact_search import ContactSearch
+from tissue_sim.ros.node.shared.deferred_service import DeferredService, Work
+from tissue_sim.ros.node.shared.guarded_node import GuardedNode
+from tissue_sim.ros.node.shared.served_organ import ServedOrgan
+from tissue_sim.ros.shared.frames import Frames, UnknownFrame
+from tissue_sim.ros.shared.loop import Loop
+from tissue_sim.ros.shared.qos import LATCHED, RELIABLE
+from tissue_sim.ros.shared.report import Report
+
+PARALLEL = 1e-3  # by which the directions of a path's poses may differ
+HEALED = "the organ was reset while its cut was computed, and is uncut; call the service again"
+
+
+class OrganCutting:
+    """Cuts of one organ: the newest path is cut when the service is called, in a thread of its own.
+
+    Parameters
+    ----------
+    node : GuardedNode
+        The node.
+    served : ServedOrgan
+        The organ.
+    number : int
+        Its number in the loop.
+    parts : CuttingParts
+        What takes up a cut organ.
+    frames : Callable[[], Frames]
+        Returns the frames that a path may come in, as they are now.
+    depth : Callable[[], float]
+        Returns how deep it is cut, m.
+    """
+
+    def __init__(
+        self,
+        node: GuardedNode,
+        served: ServedOrgan,
+        number: int,
+        parts: CuttingParts,
+        frames: Callable[[], Frames],
+        depth: Callable[[], float],
+    ) -> None:
+        self._served, self._number, self._parts = served, number, parts
+        self._frames, self._depth = frames, depth
+        self._node, self._log = node, node.get_logger()
+        self._name = f"organ '{served.name}'" if served.name else "the organ"
+        self._uncut: Simulation | None = None  # as it was before its first cut
+        self._path: tuple[Floats, Floats] | None = None  # polyline (m, 3) m, and direction (3,)
+        self._refused = "no path has come: publish its points on cut_path first"
+        self._busy, self._exchanging = threading.Lock(), threading.Lock()
+        self._heals = self.made = self.refused = 0
+        self.seconds = 0.0  # that the newest cut took
+        below = served.below
+        self._cuts = node.create_publisher(DiagnosticArray, f"{below}/cuts", LATCHED)
+        self._subscription = node.create_subscription(Path, f"{below}/cut_path", self._on_path, RELIABLE)
+        DeferredService(node, Trigger, f"{below}/cut", self._on_cut)
+
+    @property
+    def cuts(self) -> Sequence[CutReport]:
+        """The cuts that the organ has."""
+        return self._served.physics.simulation.cuts
+
+    def heal(self) -> None:
+        """Go on with the uncut organ, in the state of the cut one: the organ is about to be reset."""
+        self._heals += 1
+        if not self.cuts:
+            return
+        if self._parts.loop.clock_stands:  # the tick that takes it up comes when /clock goes on
+            threading.Thread(target=self._heal_later, daemon=True).start()
+        else:
+            self._exchange_uncut()
+
+    def _heal_later(self) -> None:
+        with self._node.mishaps.noted():
+            self._exchange_uncut(patience=float("inf"))
+            self._parts.loop.reset_again()
+
+    def _exchange_uncut(self, patience: float | None = None) -> None:
+        with self._exchanging:
+            uncut, cut = self._uncut, self._served.physics.simulation
+            if uncut is None or not cut.cuts:
+                return
+            uncut.take_settings(cut.settings)
+            uncut.plan_from(cut, np.arange(uncut.organ.n_nodes))
+            self._parts.exchange(self._number, uncut, patience)
+            self._publish()
+
+    def _on_path(self, message: Path) -> None:
+        self._path = None
+        try:
+            self._path = self._path_of(message)
+        except UserError as error:
+            self.refused += 1
+            self._refused = f"the newest path was refused: {error}"
+            self._log.warning(f"a path for {self._name} was refused: {error}")
+
+    def _path_of(self, message: Path) -> tuple[Floats, Floats]:
+        """Return the polyline (m, 3) m and the direction (3,) of a path, in the organ's frame."""
+        poses = [(stamped.header.frame_id or message.header.frame_id, stamped.pose) for stamped in message.poses]
+        if len(poses) < 2:
+            raise UserError(f"it has {len(poses)} poses; expected: the two or more points where the blade begins")
+        points, directions = [], []
+        for frame_id, pose in poses:
+            if not frame_id:
+                raise UserError("its header has no frame_id; set it to the frame that its points are in")
+            try:
+                to_organ = self._frames().to_organ(frame_id)
+            except UnknownFrame as error:
+                raise UserError(f"its frame '{frame_id}' has no transform to the organ: {error}") from None
+            at, q = pose.position, pose.orientation
+            numbers = (at.x, at.y, at.z, q.x, q.y, q.z, q.w)
+            size = float(np.linalg.norm(numbers[3:]))
+            if not np.all(np.isfinite(numbers)) or abs(size - 1.0) > PARALLEL:
+                raise UserError("it has a pose that is not finite, or whose quaternion has not the length 1")
+            placed = to_organ.of(numbers)
+            points.append(placed[:3])
+            x, y, z, w = placed[3:]
+            directions.append(rotate((x, y, z, w), (0.0, 0.0, 1.0)))
+        direction = np.array(directions[0])
+        if np.abs(np.array(directions) - direction).max() > PARALLEL:
+            raise UserError("the z axes of its poses differ; all must point where the blade is moved to")
+        return np.array(points), direction
+
+    def _on_cut(self, _: Trigger.Request, response: Trigger.Response) -> Work | None:
+        path = self._path
+        if path is None:
+            response.success, response.message = False, self._refused
+            return None
+        if not self._busy.acquire(blocking=False):
+            response.success, response.message = (
+                False,
+                f"another cut of {self._name} is being made; wait for its answer",
+            )
+            return None
+        depth = self._depth()
+
+        def work() -> None:
+            try:
+                response.message = self._cut(*path, depth)
+                response.success = True
+            except (UserError, TimeoutError) as error:
+                self.refused += 1
+                response.success, response.message = False, str(error)
+            finally:
+                self._busy.release()
+
+        return work
+
+    def _cut(self, polyline: Floats, direction: Floats, depth: float) -> str:
+        """Cut the organ; return the cut's description."""
+        begun, heals = time.monotonic(), self._heals
+        before = self._served.physics.simulation
+        made = before.prepared_cut(polyline, direction, depth)
+        with self._exchanging:
+            if heals != self._heals:
+                raise UserError(HEALED)
+            if not before.cuts:
+                self._uncut = before
+            self._parts.exchange(self._number, made)
+        self.made, self.seconds = self.made + 1, time.monotonic() - begun
+        text = str(made.cuts[-1])
+        self._log.info(f"{self._name} was cut: {text}")
+        self._publish()
+        return text
+
+    def _publish(self) -> None:
+        """Publish all cuts that the organ has: a late subscriber gets them, too."""
+        message = DiagnosticArray(status=[_status(number, cut) for number, cut in enumerate(self.cuts, 1)])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.frame_id = self._parts.frame_id
+        self._cuts.publish(message)
+
+    def report(self, report: Report) -> None:
+        """Add the organ's cuts.
+
+        Parameters
+        ----------
+        report : Report
+            The report; updated.
+        """
+        before = f"{self._served.name}." if self._served.name else ""
+        report.values |= {f"{before}cuts": len(self.cuts), f"{before}cuts_made": self.made}
+        if self.made:
+            report.values[f"{before}cut_seconds"] = self.seconds
+        report.problems[f"{before}cuts_refused"] = self.refused
+
+
+class CuttingParts:
+    """What goes on with an organ after a cut: the loop, the scene, the contact search, the bag and the settings.
+
+    Parameters
+    ----------
+    loop : Loop
+        The loop.
+    joined : Joined
+        The organs, as settings see them.
+    searches : Sequence[ContactSearch]
+        Contact search of each organ.
+    recorders : Sequence[OrganRecorder]
+        Part of the bag of each organ.
+    renew_settings : Callable[[int], None]
+        Computes and posts the settings of an organ anew.
+    frame_id : str
+        Frame of the organs.
+    """
+
+    def __init__(
+        self,
+        loop: Loop,
+        joined: Joined,
+        searches: Sequence[ContactSearch],
+        recorders: Sequence[OrganRecorder],
+        renew_settings: Callable[[int], None],
+        frame_id: str,
+    ) -> None:
+        self.loop, self._joined, self.frame_id = loop, joined, frame_id
+        self._searches, self._recorders, self._renew_settings = searches, recorders, renew_settings
+
+    def exchange(self, number: int, made: Simulation, patience: float | None = None) -> None:
+        """Go on with a simulation that continues an organ's.
+
+        Parameters
+        ----------
+        number : int
+            Number of the organ.
+        made : Simulation
+            The simulation.
+        patience : float | None, s, optional
+            How long to wait for the tick that takes it up; None: as long as a running loop may take.
+        """
+        search, recorder = self._searches[number], self._recorders[number]
+        finder = search.finder_of(made)
+        square = self._joined.plan_coarse(number, made)
+        with recorder.exchanging:
+            tick = recorder.physics.exchange(made, square, patience)
+            recorder.cut(tick, made)
+        self._joined.exchange(number, made, square)
+        search.exchange(finder)
+        self._renew_settings(number)
+
+
+def _status(number: int, cut: CutReport) -> DiagnosticStatus:
+    """Return a cut as numbers by name."""
+    status = DiagnosticStatus(name=f"cut {number}", message=str(cut))
+    status.level = DiagnosticStatus.OK if cut.resolved else DiagnosticStatus.WARN
+    x, y, z = cut.centre
+    values = {
+        "x_m": x,
+        "y_m": y,
+        "z_m": z,
+        "area_m2": cut.area,
+        "depth_m": cut.depth,
+        "resolved": cut.resolved,
+        "pieces": cut.pieces,
+        "free_pieces": cut.free_pieces,
+        "cells_cut": cut.cells_cut,
+        "critical_step_s": cut.critical_step_after,
+    }
+    status.values = [KeyValue(key=key, value=f"{value:.6g}") for key, value in values.items()]
+    return status
