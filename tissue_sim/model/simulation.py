@@ -307,6 +307,16 @@ class Simulation:
         made.cut_organ = after._replace(reports=(*after.reports[:-1], report))
         return made
 
+    def renew(self) -> None:
+        """Begin anew, as if just made: with a state and working memory of its own, which nothing has used."""
+        size = len(self.state.position), len(self.state.bodies), len(self.state.mode_position), len(self.model.cells)
+        self.state = make_state(*size)
+        self.scratch = make_scratch(self.model, len(self.shapes.kind))
+        if self.model.tissue is not None:
+            self.model.tissue.stiff[:] = 0
+        self.refer()
+        self.reset()
+
     def plan_from(self, before: Simulation, origin: Longs) -> None:
         """Plan how this simulation continues one of the same organ with other cuts.
 

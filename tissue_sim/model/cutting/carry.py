@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissue_sim.array_types import Longs
 from tissue_sim.jit import kernel
@@ -84,12 +85,17 @@ def carry_plan(before: State, after: State, origin: Longs, own: int) -> CarryPla
         new[name][:own] = old[name][:own]
     renewed = {name: array_of(last.status)[name].copy() for name in _RENEWED}
     for name in _KEPT:
-        new[name][...] = old[name]
+        _as_words(new[name])[...] = _as_words(old[name])
     for name in _RENEWED:
         array_of(last.status)[name] = renewed[name]
     last.contacts.words[:] = first.contacts.words
     target = np.flatnonzero(last.words > 0)
     return CarryPlan(last.words[target] - 1, target)
+
+
+def _as_words(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array, and of records their words: field by field NumPy would leave out what pads them."""
+    return array if array.dtype.names is None else array.reshape(-1).view(np.int64)
 
 
 def _numbered(state: State, sign: int) -> State:

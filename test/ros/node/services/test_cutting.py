@@ -62,20 +62,23 @@ class Surgeon(Client):
         assert self.spin_until(lambda: self.path.get_subscription_count() > 0)
         self.path.publish(message)
 
-    def cut(self, edge=EDGE, depth=DEPTH, **named):
+    def cut(self, edge=EDGE, depth=DEPTH, hand=None):
         assert self.set_parameter("cut_depth", depth).successful
-        self.send_path(edge, **named)
-        answer = self.ask_to_cut()
+        self.send_path(edge)
+        answer = self.ask_to_cut(hand)
         while "no path" in answer.message:  # the path is still on its way
-            answer = self.ask_to_cut()
+            answer = self.ask_to_cut(hand)
         return answer
 
-    def ask_to_cut(self):
-        """The answer, however long it takes: a call that is repeated would find the first one at work."""
+    def ask_to_cut(self, hand=None):
+        """The answer, however long it takes: a call that is repeated would find the first one at work.
+
+        Meanwhile the hand stays at a place.
+        """
         service = self.node.create_client(Trigger, f"{self.target}/cut")
         assert service.wait_for_service(30.0)
         asked = service.call_async(Trigger.Request())
-        assert self.spin_until(asked.done)
+        assert self.spin_until(lambda: (hand is not None and self.ask(hand)) or asked.done())
         return asked.result()
 
 
@@ -99,9 +102,10 @@ def test_a_cut_opens_what_is_shown_repeats_in_its_bag_and_a_reset_heals_it(clien
     uncut = shipped()
     bag = client.record(True).message
     inside = press_until_felt(client, client.ask)
-    answer = client.cut()
+    answer = client.cut(hand=inside)
     assert answer.success, answer.message
     assert "cells divided" in answer.message
+    assert client.hand_force() > 0.02, "the hand goes on"
 
     expected = Simulation(uncut).prepared_cut(EDGE, [0.0, 1.0, 0.0], DEPTH)
     surface = expected.cut_organ.surface
@@ -120,9 +124,7 @@ def test_a_cut_opens_what_is_shown_repeats_in_its_bag_and_a_reset_heals_it(clien
     assert values["depth_m"] == pytest.approx(report.depth, rel=1e-4)
     assert (values["x_m"], values["y_m"], values["z_m"]) == pytest.approx(report.centre, abs=1e-6)
 
-    for _ in range(30):  # the hand goes on as before
-        client.ask(inside)
-    assert client.hand_force() > 0.02
+    press_until_felt(client, client.ask)
     assert client.reset().success
     assert client.spin_until(lambda: client.versions[-1].data == 2)
     assert client.spin_until(lambda: len(client.surface()) == 3 * len(uncut.surface_triangles))
