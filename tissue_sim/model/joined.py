@@ -18,7 +18,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath, moves_with_frame
 from tissue_sim.model.stepping.coarse_steps import coarse_masses, no_coarse
 from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled, uncouple
-from tissue_sim.model.stepping.ligament_links import least_substeps
+from tissue_sim.model.stepping.ligament_links import least_substeps, weight_link_ends
 from tissue_sim.model.stepping.organ_contact import (
     MOST_ORGANS,
     OrganContacts,
@@ -51,8 +51,8 @@ class Joined:
     ) -> None:
         self.simulations = list(simulations)
         self.alone = len(self.simulations) == 1 and links is None and pairs is None and breath is None
-        self.links = links = make_links(0) if links is None else links
-        self.pairs = pairs = make_organ_contacts() if pairs is None else pairs
+        self.links = make_links(0) if links is None else links
+        self.pairs = make_organ_contacts() if pairs is None else pairs
         breath = Breath.new() if breath is None else breath
         if len(self.simulations) > MOST_ORGANS:
             raise UserError(f"{len(self.simulations)} organs are joined; expected: at most {MOST_ORGANS}")
@@ -65,18 +65,44 @@ class Joined:
             )
         gravity = np.array([gravity_of(one.settings) for one in self.simulations])
         self.carried = moves_with_frame(breath, moves, gravity)
+        self._wake_displacement = wake_displacement
+        self._couple()
+
+    def _couple(self) -> None:
+        """Compute what depends on the simulations together; they, links, pairs and the breath go on as they are."""
+        breath, links, moves = self.carried.breath, self.links, self.carried.moves
         ways = np.outer(moves, [breath.x, breath.y, breath.z])
-        self.threshold = wake_threshold_of([one.model for one in self.simulations], links, ways, wake_displacement)
+        self.threshold = wake_threshold_of(
+            [one.model for one in self.simulations], links, ways, self._wake_displacement
+        )
         self.worlds = row([one.world for one in self.simulations])
         self.coarse = no_coarse(len(moves))
         rest = self.coarse, np.zeros(len(moves), dtype=np.int64)
-        self.handle = None if self.alone else handle(CoupledOrgans(self.carried, links, pairs, self.threshold, *rest))
+        coupled = CoupledOrgans(self.carried, links, self.pairs, self.threshold, *rest)
+        self.handle = None if self.alone else handle(coupled)
         self.set_substeps()
-        if len(moves) > 1 and wake_displacement > 0.0:
+        if len(moves) > 1 and self._wake_displacement > 0.0:
             for organ, one in enumerate(self.simulations):
                 factor, frequency = coarse_masses(one.model, one.settings, float(links.added[0]))
                 one.scratch.coarse[:] = factor
                 self.coarse.square[organ] = frequency**2
+
+    def exchange(self, organ: int, simulation: Simulation) -> None:
+        """Go on with another simulation of an organ, after a cut; `worlds` and `handle` are new then.
+
+        Nodes keep their numbers, so that links stay where they are, and so does contact with other organs.
+
+        Parameters
+        ----------
+        organ : int
+            Index of the organ.
+        simulation : Simulation
+            The simulation.
+        """
+        self.simulations[organ] = simulation
+        if len(self.links.slack):
+            weight_link_ends(self.links, [one.model.inverse_mass for one in self.simulations])
+        self._couple()
 
     def step(self) -> None:
         """Advance all by one tick."""

@@ -15,6 +15,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.handles import handle
 from tissue_sim.model.cutting.carry import carried_over
 from tissue_sim.model.cutting.cut import CutOrgan, CutReport, cut_again, not_cut
+from tissue_sim.model.cutting.lips import lips_of
 from tissue_sim.model.cutting.masses import fastest_mode
 from tissue_sim.model.cutting.sheet import sheet_of
 from tissue_sim.model.data.contact_set import ContactSet
@@ -266,6 +267,8 @@ class Simulation:
             integrator=self.integrator,
             substeps=self._fixed_substeps,
         )
+        made.model = made.model._replace(lips=lips_of(after.surface, after.organ.rest_positions))
+        made.refer()
         made.take_settings(self.settings)
         made.frequency = max(made.frequency, fastest_mode(after.organ))
         made.set_substeps()

@@ -7,6 +7,7 @@ import math
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.shapes import signed_distance
+from tissue_sim.model.data.contact_set import nodes_of
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
 
@@ -39,7 +40,7 @@ def point_in_body(
     """
     body = state.contacts.body[entry]
     x = y = z = 0.0
-    for c in range(3):
+    for c in range(nodes_of(state.contacts, entry)):
         node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
         x += weight * state.position[node, 0]
         y += weight * state.position[node, 1]
