@@ -13,7 +13,6 @@ from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.broad_phase import (
     Fineness,
     Found,
-    Lattices,
     Near,
     Placed,
     Search,
@@ -26,6 +25,7 @@ from tissue_sim.contact.broad_phase import (
     surface_box,
     triangles_in_box,
 )
+from tissue_sim.contact.contact_lattice import COARSEST, MOST_DIVISIONS, divisions_of, fineness_of, lattices
 from tissue_sim.contact.local_compliance import OF_BALLS, OF_OTHERS, extra_compliance_between_nodes, most_give
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.touched_surface import TouchedSurface
@@ -41,13 +41,11 @@ from tissue_sim.organ.winding import inside
 
 MOST_MARGIN = 0.01  # m: a tool that is farther from its goal moves there in steps, with a contact set for each
 TISSUE_WAY = 0.001  # m that tissue may come nearer to a tool before the next set, for which the reach leaves room
+AJAR = 1e-4  # m, width of a cut from which a tool that has slipped in is put into it
 TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
 MOST_FOUND = 8 * MOST_POINTS  # points, per body
 _ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
 _ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
-COARSEST = 0.75  # of a tool's smallest radius: distance of contact points beyond which the nearest is added
-LEAST_DIVISIONS = 2  # a large ball that presses slightly touches less than a node's area
-MOST_DIVISIONS = 8
 
 
 class Sought(NamedTuple):
@@ -133,7 +131,7 @@ class ContactFinder:
             # A point has one part in the square of its parts of a node's area.
             whole = parts[0] ** 2
             share = np.square(parts.astype(np.float64)) / whole
-            self._finenesses.append(_fineness(surface, parts, np.stack([share, room], axis=1)))
+            self._finenesses.append(fineness_of(surface, parts, np.stack([share, room], axis=1)))
             compliance.append(whole * surface.compliance(size))
         self._compliance = np.reshape(compliance, (len(compliance), self.n_points, 2))
         self._between = np.array(
@@ -198,7 +196,8 @@ class ContactFinder:
         corners, weight = points.node[chosen], points.weight[chosen]
         found.body[:], found.normal[:] = points.body[chosen], points.normal[chosen]
         found.node[:], found.weight[:] = self.surface.between(points.triangle[chosen], corners, weight)
-        more = 1.0 + self._between[found.body] * (1.0 - np.einsum("kc,kc->k", found.weight, found.weight))
+        shares = found.weight if self.surface.is_cut else weight
+        more = 1.0 + self._between[found.body] * (1.0 - np.einsum("kc,kc->k", shares, shares))
         compliance = self._compliance[found.body[:, None], corners]
         more *= points.give[chosen, 0]
         found.compliance[:] = np.einsum("k,kc,kcx->kx", more, weight, compliance)
@@ -287,13 +286,16 @@ class ContactFinder:
             return None
         beyond = self.tools.clearance[body] + TISSUE_WAY
         triangle, weight, _ = self._nearest(position, point)
-        way = _on_through(weight @ position[self.triangles[triangle]] - point, beyond)
-        if self.surface.is_cut and inside((point + way)[None], position, self.triangles)[0]:
-            # Through a wall it would come into the other lip.
-            outer = position[self.triangles[self.surface.is_outer]]
-            number, weights, _ = nearest_among(outer, point[None])
-            way = _on_through(weights[0] @ outer[number[0]] - point, beyond)
-        return way
+        way = weight @ position[self.triangles[triangle]] - point
+        if not self.surface.is_cut:
+            return _longer(way, beyond)
+        # Beside a wall there may be no room but for its middle, and where the cut is shut there is the other lip.
+        for more in (beyond, AJAR):
+            if not inside((point + _longer(way, more))[None], position, self.triangles)[0]:
+                return _longer(way, more)
+        outer = position[self.triangles[self.surface.is_outer]]
+        number, weights, _ = nearest_among(outer, point[None])
+        return _longer(weights[0] @ outer[number[0]] - point, beyond)
 
     def _swallowed(self, body: int, position: Floats, origin: Floats) -> Floats | None:
         """Return the first of a body's centre points (3,) m that lies inside the organ, None where none does.
@@ -414,42 +416,7 @@ def ways(poses: Floats, others: Floats, extents: Floats) -> Floats:
     return np.array([distance_along_path(*one) for one in zip(poses, others, extents, strict=True)])
 
 
-def divisions_of(wanted: float) -> int:
-    """Return into how many parts contact points divide an edge: rounded up, 2 to 8."""
-    return min(max(LEAST_DIVISIONS, math.ceil(wanted)), MOST_DIVISIONS)
-
-
-def lattices() -> Lattices:
-    """Return the points of triangles whose edges are divided into up to MOST_DIVISIONS parts."""
-    each = [edge_and_face_points(parts) if parts > 1 else np.zeros((0, 3)) for parts in range(MOST_DIVISIONS + 1)]
-    weight = np.concatenate(each)
-    edge = np.where(np.any(weight == 0.0, axis=1), np.argmin(weight, axis=1), -1)
-    return Lattices(weight, edge, np.cumsum([0, *map(len, each)]))
-
-
-def _fineness(surface: TouchedSurface, parts: Longs, give: Floats) -> Fineness:
-    """Return the points of triangles whose edges are divided in so many parts (t,), and give way by give (t, 2).
-
-    Of a corner's triangles the mean of the factors counts, and the least of the depths.
-    """
-    triangles, nodes = surface.triangles, surface.n_points
-    in_triangle, at_corner = surface.area_factors()
-    count = np.bincount(triangles.ravel(), minlength=nodes)
-    total = np.bincount(triangles.ravel(), np.repeat(give[:, 0], 3), nodes)
-    least = np.full(nodes, np.inf)
-    np.minimum.at(least, triangles.ravel(), np.repeat(give[:, 1], 3))
-    corner = at_corner * (total / np.maximum(count, 1)), np.where(count > 0, least, 0.0)
-    give = np.stack([in_triangle * give[:, 0], give[:, 1]], axis=1)
-    return Fineness(parts, give, np.stack(corner, axis=1))
-
-
-def _on_through(way: Floats, beyond: float) -> Floats:
+def _longer(way: Floats, beyond: float) -> Floats:
     """Return a displacement (3,) m that is longer by `beyond` m."""
     longer: Floats = way + way / max(float(np.linalg.norm(way)), 1e-9) * beyond
     return longer
-
-
-def edge_and_face_points(m: int) -> Floats:
-    """Return barycentric weights (k, 3) of a triangle whose edges have m parts, without the corners."""
-    lattice = [(i / m, j / m, (m - i - j) / m) for i in range(m + 1) for j in range(m + 1 - i)]
-    return np.array([weights for weights in lattice if max(weights) < 1.0]).reshape(-1, 3)

@@ -23,7 +23,7 @@ from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.records import words_of
 from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, LocalRegion, Settings
 from tissue_sim.model.data.shapes import CAPSULE, SPHERE, Shapes, make_shapes
-from tissue_sim.model.data.state import Region, State, make_state, take_fields
+from tissue_sim.model.data.state import Region, State, keep_contacts, make_state, take_fields
 from tissue_sim.model.data.world import make_world
 from tissue_sim.model.elasticity.adjacency import adjacency_of, with_cell_neighbours
 from tissue_sim.model.elasticity.assembly import assemble, model_of
@@ -273,6 +273,7 @@ class Simulation:
         made.frequency = max(made.frequency, fastest_mode(after.organ))
         made.set_substeps()
         made.restore(carried_over(self.state, made.state, after.origin(before), before.uncut.n_nodes))
+        keep_contacts(self.state, made.state)
         # That of an organ that was cut before is Lanczos' already.
         frequency = self.frequency if self.cut_organ else max(self.frequency, before.frequency)
         report = after.reports[-1]._replace(

@@ -54,7 +54,7 @@ def find_lips(lips: Lips, state: State, mobility: Floats, step: float) -> int:
     _add_normals(lips)
     found = 0
     for place in range(len(lips.upper)):
-        if _take(lips, place, state, mobility, step, lips.contacts[found]):
+        if _take(lips, place, state, mobility, step, found):
             found += 1
     lips.counts[2] = found
     return found
@@ -65,16 +65,17 @@ def _place_middles(lips: Lips, position: Floats) -> bool:
     """Write the middles between both sides; return whether any of them are within reach of each other."""
     any_near = False
     for place in range(len(lips.upper)):
-        square = 0.0
+        upper_nodes, lower_nodes, square = lips.upper[place], lips.lower[place], 0.0
         for axis in range(3):
             upper = lower = 0.0
             for end in range(ENDS):
-                upper += lips.weight[place, end] * position[lips.upper[place, end], axis]
-                lower += lips.weight[place, end] * position[lips.lower[place, end], axis]
+                upper += lips.weight[place, end] * position[upper_nodes[end], axis]
+                lower += lips.weight[place, end] * position[lower_nodes[end], axis]
             lips.middle[place, axis] = 0.5 * (upper + lower)
             lips.normal[place, axis] = 0.0
             square += (upper - lower) ** 2
-        any_near = any_near or square < lips.slide[place] ** 2
+        is_open = upper_nodes[0] != lower_nodes[0] or upper_nodes[1] != lower_nodes[1]
+        any_near = any_near or (is_open and square < lips.slide[place] ** 2)
     return any_near
 
 

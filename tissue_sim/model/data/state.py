@@ -297,3 +297,19 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
             if field not in (found.dtype.names or ()):
                 raise ValueError(f"its state has no '{name}.{field}'")
             target[field] = found[field]
+
+
+def keep_contacts(before: State, after: State) -> None:
+    """Copy the contact set, and the impulses of its points, to a state of the same organ after a cut.
+
+    Nodes keep their numbers: tools press on as they did until the next set, which is of the surface with the cut.
+
+    Parameters
+    ----------
+    before : State
+        The state before the cut.
+    after : State
+        That after it; updated.
+    """
+    after.contacts.words[:] = before.contacts.words
+    after.contact_pressed[:], after.contact_held[:] = before.contact_pressed, before.contact_held
