@@ -111,18 +111,20 @@ def test_wherever_a_hand_presses_it_feels_the_tissue(radius, way):
     near &= (centre[:, 1] > 0.004) & (centre[:, 1] < 0.026) & (centre[:, 2] > 0.012)
     chosen = np.flatnonzero(near)
     state, tried = scene.simulation.state.words.copy(), 0
-    for triangle in np.random.default_rng(0).permutation(chosen)[:40]:
+    for triangle in np.random.default_rng(0).permutation(chosen):
         place, out = centre[triangle], normal[triangle]
         apart = place + (radius + 0.0005) * out
         if inside(apart[None], points, touched.triangles)[0] or clearance(points, touched.triangles, apart) < radius:
             continue  # the opening is too narrow
         tried += 1
+        if tried > 15:
+            break
         scene.simulation.state.words[:] = state
         assert np.abs(lead(scene, 0, [apart], 5)).max() < 1e-12, place
         force = lead(scene, 0, line(apart, place + (radius - 0.0015) * out, 25), 25)[-1]
         assert force @ out > 0.001, place
         assert scene.simulation.state.count.faults == 0
-    assert tried > (5 if way > 0.0 else 10)
+    assert tried > 10
 
 
 def clearance(points, triangles, place):

@@ -24,7 +24,7 @@ from tissue_sim.model.contact.volume_limit import (
     has_compressed_cells,
 )
 from tissue_sim.model.data.arrays import copy
-from tissue_sim.model.data.contact_set import nodes_of
+from tissue_sim.model.data.contact_set import POINT_NODES, nodes_of
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import Region, State
@@ -172,11 +172,13 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
     most, origin = state.contacts.most_give[contact.entry], scratch.origin[contact.body]
     nodes, weights = contact.node, contact.weight
     x, y, z = -origin[0], -origin[1], -origin[2]
-    for c in range(contact.nodes):
+    for c in range(3):
         weight, position = weights[c], state.position[nodes[c]]
         x += weight * position[0]
         y += weight * position[1]
         z += weight * position[2]
+    if contact.nodes > 3:  # apart, as three are faster
+        x, y, z = plus_last(state.position, contact, x, y, z)
     nx, ny, nz = normal[0], normal[1], normal[2]
     gap = nx * x + ny * y + nz * z - contact.offset
     push = max(0.0, pressed - (gap + soft * pressed) * stiffness)
@@ -187,11 +189,14 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
     # Sliding of the tissue along the tool in this substep: its own motion less the tool's.
     motion = contact.tool_motion
     sx, sy, sz = -motion[0] - origin[0], -motion[1] - origin[1], -motion[2] - origin[2]
-    for c in range(contact.nodes):
+    for c in range(3):
         weight, velocity = weights[c], state.velocity[nodes[c]]
         sx += weight * step * velocity[0]
         sy += weight * step * velocity[1]
         sz += weight * step * velocity[2]
+    if contact.nodes > 3:
+        vx, vy, vz = plus_last(state.velocity, contact, 0.0, 0.0, 0.0)
+        sx, sy, sz = sx + step * vx, sy + step * vy, sz + step * vz
     contact.pressed = push
     along = sx * nx + sy * ny + sz * nz
     sx, sy, sz = sx - along * nx, sy - along * ny, sz - along * nz
@@ -222,17 +227,32 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
 def give_impulse(world: World, contact: ActiveContact, impulse: tuple[float, float, float], step: float) -> None:
     """Apply an impulse, N s, to a contact point, and its opposite to the tool; with a step of 0 to the tool alone."""
     state, scratch = world.state, world.scratch
-    px, py, pz = impulse
-    for c in range(contact.nodes if step > 0.0 else 0):
-        node, move = contact.node[c], contact.mobility[c]
-        state.velocity[node, 0] += move * px
-        state.velocity[node, 1] += move * py
-        state.velocity[node, 2] += move * pz
-        state.position[node, 0] += step * move * px
-        state.position[node, 1] += step * move * py
-        state.position[node, 2] += step * move * pz
+    for c in range(3 if step > 0.0 else 0):
+        move_node(state, contact, c, impulse, step)
+    if contact.nodes > 3 and step > 0.0:
+        move_node(state, contact, 3, impulse, step)
     if scratch.give[contact.body] > 0.0:
         push_bodies(world.shapes.tool, contact.body, scratch, impulse)
+
+
+@kernel
+def move_node(state: State, contact: ActiveContact, c: int, impulse: tuple[float, float, float], step: float) -> None:
+    """Give a node of a contact point its part of an impulse, N s, as it acted for a whole substep."""
+    px, py, pz = impulse
+    node, move = contact.node[c], contact.mobility[c]
+    state.velocity[node, 0] += move * px
+    state.velocity[node, 1] += move * py
+    state.velocity[node, 2] += move * pz
+    state.position[node, 0] += step * move * px
+    state.position[node, 1] += step * move * py
+    state.position[node, 2] += step * move * pz
+
+
+@kernel
+def plus_last(values: Floats, contact: ActiveContact, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return a vector plus that of the last of a contact point's nodes, times its weight."""
+    weight, value = contact.weight[POINT_NODES - 1], values[contact.node[POINT_NODES - 1]]
+    return x + weight * value[0], y + weight * value[1], z + weight * value[2]
 
 
 @kernel

@@ -7,7 +7,6 @@ import math
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.shapes import signed_distance
-from tissue_sim.model.data.contact_set import nodes_of
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
 
@@ -40,11 +39,17 @@ def point_in_body(
     """
     body = state.contacts.body[entry]
     x = y = z = 0.0
-    for c in range(nodes_of(state.contacts, entry)):
+    for c in range(3):
         node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
         x += weight * state.position[node, 0]
         y += weight * state.position[node, 1]
         z += weight * state.position[node, 2]
+    last = state.contacts.weight[entry, 3]
+    if last != 0.0:  # apart, as three are faster
+        node = state.contacts.node[entry, 3]
+        x += last * state.position[node, 0]
+        y += last * state.position[node, 1]
+        z += last * state.position[node, 2]
     r = rotation[body]
     dx, dy, dz = x - origin[body, 0], y - origin[body, 1], z - origin[body, 2]
     return (

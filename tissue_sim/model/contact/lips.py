@@ -102,7 +102,7 @@ def _take(lips: Lips, place: int, state: State, mobility: Floats, step: float, f
     size = math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
     if size == 0.0:
         return False
-    give = gap = nearing = square = 0.0
+    give = gap = opening = square = 0.0
     for axis in range(3):
         contact.normal[axis] = normal[axis] / size
     for end in range(ENDS):
@@ -120,10 +120,10 @@ def _take(lips: Lips, place: int, state: State, mobility: Floats, step: float, f
             moving += contact.weight[k] * state.velocity[contact.node[k], axis]
         square += apart * apart
         gap += contact.normal[axis] * apart
-        nearing += contact.normal[axis] * moving
+        opening += contact.normal[axis] * moving
     if gap > NEAR or square - gap * gap > lips.slide[place] ** 2 or gap < -lips.slide[place]:
         return False
-    contact.least = min(0.0, gap + step * (RECOVERY_SPEED - nearing))
+    contact.least = min(0.0, gap + step * (RECOVERY_SPEED - opening))
     contact.stiffness, contact.pressed = 1.0 / (step * give), 0.0
     return True
 
