@@ -8,13 +8,12 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from helpers.scenes import RADIUS, ball, kidney
+from tissue_sim.contact.contact_lattice import divisions_of, edge_and_face_points
 from tissue_sim.contact.finder import (
     TIP_REACH,
     TISSUE_WAY,
     ContactFinder,
     Sought,
-    divisions_of,
-    edge_and_face_points,
     reach_margins,
 )
 from tissue_sim.contact.local_compliance import OF_OTHERS, local_compliance, most_give

@@ -180,6 +180,7 @@ class Found(NamedTuple):
     """Buffers for contact points."""
 
     body: Any  # (c,)
+    triangle: Any  # (c,) that it lies in, -1 for one of its corners
     node: Any  # (c, 3)
     weight: Any  # (c, 3) barycentric
     normal: Any  # (c, 3) outward unit normals of the tissue
@@ -217,13 +218,13 @@ def points_near(near: Any, number: Any, search: Any, seen: Any, found: Any, coun
                 search.normal[near[t, c], axis] = 0.0
     add_normals(search.position, near, search.normal)
     for t in range(len(near)):
-        nodes = near[t, 0], near[t, 1], near[t, 2]
+        nodes = near[t, 0], near[t, 1], near[t, 2], number[t]
         for c in range(3):
             node = nodes[c]
             if seen[node] == 0:
                 seen[node] = 1
                 give = fineness.corner_give[node]
-                count = _add_point((node, node, node), (1.0, 0.0, 0.0), give, search, found, count)
+                count = _add_point((node, node, node, -1), (1.0, 0.0, 0.0), give, search, found, count)
         parts, give = fineness.parts[number[t]], fineness.give[number[t]]
         for point in range(lattices.start[parts], lattices.start[parts + 1]):
             edge, weight = lattices.edge[point], lattices.weight[point]
@@ -238,7 +239,7 @@ def points_near(near: Any, number: Any, search: Any, seen: Any, found: Any, coun
 
 @kernel
 def _add_point(nodes: Any, weight: Any, give: Any, search: Any, found: Any, count: int) -> int:
-    """Add a point where it is near the body; return how many there are then."""
+    """Add a point where it is near the body; return how many there are then. The triangle follows its nodes."""
     x = y = z = nx = ny = nz = 0.0
     for c in range(3):
         at, normal = search.position[nodes[c]], search.normal[nodes[c]]
@@ -251,6 +252,7 @@ def _add_point(nodes: Any, weight: Any, give: Any, search: Any, found: Any, coun
         return count
     if count < len(found.node):
         found.body[count], found.give[count, 0], found.give[count, 1] = search.body, give[0], give[1]
+        found.triangle[count] = nodes[3]
         for c in range(3):
             found.node[count, c] = nodes[c]
             found.weight[count, c] = weight[c]

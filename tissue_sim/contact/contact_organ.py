@@ -25,12 +25,32 @@ class ContactOrgan:
     """
 
     def __init__(self, simulation: Simulation, tools: ToolSet, ticks_a_set: int) -> None:
-        organ = simulation.organ
-        self.simulation = simulation
-        self.finder = ContactFinder(organ, tools)
+        self.simulation = self._uncut = simulation
+        self.finder = self._uncut_finder = ContactFinder.of(simulation, tools)
         self.contacts: ContactSet | None = None
         self._ticks_a_set = ticks_a_set
         self._set_goal: Floats | None = None  # the bodies' poses at the last contact set
+
+    def exchange(self, simulation: Simulation) -> None:
+        """Go on with a simulation of the same organ, after a cut, and with its surface.
+
+        Parameters
+        ----------
+        simulation : Simulation
+            The simulation.
+        """
+        self.simulation = simulation
+        self.finder = ContactFinder.of(simulation, self.finder.tools)
+        self.contacts = None
+
+    def heal(self) -> bool:
+        """Return to the simulation before the first cut, with the present settings; return whether there was one."""
+        if self.simulation is self._uncut:
+            return False
+        self._uncut.take_settings(self.simulation.settings)
+        self._uncut.set_substeps()
+        self.simulation, self.finder, self.contacts = self._uncut, self._uncut_finder, None
+        return True
 
     def reset(self) -> None:
         """Return to rest, untouched; the settings stay."""

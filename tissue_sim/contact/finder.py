@@ -13,7 +13,6 @@ from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.broad_phase import (
     Fineness,
     Found,
-    Lattices,
     Near,
     Placed,
     Search,
@@ -26,31 +25,27 @@ from tissue_sim.contact.broad_phase import (
     surface_box,
     triangles_in_box,
 )
-from tissue_sim.contact.local_compliance import (
-    OF_BALLS,
-    OF_OTHERS,
-    extra_compliance_between_nodes,
-    local_compliance,
-    most_give,
-)
+from tissue_sim.contact.contact_lattice import COARSEST, MOST_DIVISIONS, divisions_of, fineness_of, lattices
+from tissue_sim.contact.local_compliance import OF_BALLS, OF_OTHERS, extra_compliance_between_nodes, most_give
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
-from tissue_sim.contact.triangles import nearest_weights
+from tissue_sim.contact.touched_surface import TouchedSurface
+from tissue_sim.contact.triangles import nearest_among, nearest_weights
 from tissue_sim.model.contact.shapes import rotation_matrix
 from tissue_sim.model.contact.tool_motion import distance_along_path
-from tissue_sim.model.data.contact_set import MOST_POINTS, ContactSet, Engaged, contact_set
+from tissue_sim.model.cutting.cut import CutOrgan
+from tissue_sim.model.data.contact_set import MOST_POINTS, POINT_NODES, ContactSet, Engaged, contact_set
 from tissue_sim.model.data.shapes import CONVEX, GRID, SPHERE
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
 
 MOST_MARGIN = 0.01  # m: a tool that is farther from its goal moves there in steps, with a contact set for each
 TISSUE_WAY = 0.001  # m that tissue may come nearer to a tool before the next set, for which the reach leaves room
+AJAR = 1e-4  # m, width of a cut from which a tool that has slipped in is put into it
 TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
 MOST_FOUND = 8 * MOST_POINTS  # points, per body
 _ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
 _ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
-COARSEST = 0.75  # of a tool's smallest radius: distance of contact points beyond which the nearest is added
-LEAST_DIVISIONS = 2  # a large ball that presses slightly touches less than a node's area
-MOST_DIVISIONS = 8
 
 
 class Sought(NamedTuple):
@@ -86,16 +81,16 @@ class ContactFinder:
 
     Parameters
     ----------
-    organ : Organ
-        Organ whose surface is touched.
+    touched : Organ | TouchedSurface
+        What is touched: an organ without cuts, or the surface of any.
     tools : ToolSet
         Tools of the scene.
     """
 
-    def __init__(self, organ: Organ, tools: ToolSet) -> None:
-        rest = organ.rest_positions
-        self.triangles = np.ascontiguousarray(organ.surface_triangles)
-        self.n_surface = organ.n_surface
+    def __init__(self, touched: Organ | TouchedSurface, tools: ToolSet) -> None:
+        self.surface = surface = TouchedSurface.of(touched)
+        organ, self.triangles = surface.organ, surface.triangles
+        self.n_points = surface.n_points
         self.tools = tools
         self.counters = FinderCounters()
         # Buffers for what a search finds.
@@ -103,23 +98,24 @@ class ContactFinder:
         self._number = np.zeros(len(self.triangles), dtype=np.int64)
         self._low, self._high = np.zeros(3), np.zeros(3)  # of the surface
         self._matrix, self._box_low, self._box_high = np.zeros(9), np.zeros(3), np.zeros(3)  # of a body
-        self._normal, self._seen = np.zeros((self.n_surface, 3)), np.zeros(self.n_surface, dtype=np.int64)
+        self._normal, self._seen = np.zeros((self.n_points, 3)), np.zeros(self.n_points, dtype=np.int64)
         most = MOST_FOUND * len(tools.grown)
-        whole = np.zeros(most, dtype=np.int64), np.zeros((most, 3), dtype=np.int64)
+        whole = *np.zeros((2, most), dtype=np.int64), np.zeros((most, 3), dtype=np.int64)
         self._points = Found(*whole, np.zeros((most, 3)), np.zeros((most, 3)), np.zeros((most, 2)))
-        self._rest = np.array(rest)
+        self._rest = surface.rest
         self._model = fcl.CollisionObject(_fcl_model(self._rest, self.triangles))
         # Made once: python-fcl keeps 32 bytes of every one that goes.
         self._grown = [fcl.CollisionObject(shape, fcl.Transform()) for shape in tools.grown]
-        corner = rest[self.triangles]
+        corner = self._rest[self.triangles]
         edges = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)  # the longest of each triangle
         longest = float(edges.max())
+        usual = float(edges[surface.is_old].max())
         self._is_fine = [longest > MOST_DIVISIONS * COARSEST * size for size in tools.smallest]
         gives = [OF_BALLS if kind == SPHERE else OF_OTHERS for kind in tools.shapes.kind.tolist()]
         self._lattices = lattices()
         order = np.argsort(self.triangles.ravel(), kind="stable")
         self._node_triangle = order // 3
-        self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(self.n_surface + 1))
+        self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(self.n_points + 1))
         self._finenesses: list[Fineness] = []
         compliance = []
         for give, size, kind, is_fine in zip(
@@ -127,22 +123,36 @@ class ContactFinder:
         ):
             # The face of a jaw lies on many triangles at once: as many points on each as the longest needs would
             # take most of a tick.
-            each = edges if kind in (CONVEX, GRID) and not is_fine else np.full(len(edges), longest)
+            each = edges if kind in (CONVEX, GRID) and not is_fine else np.where(surface.is_old, usual, edges)
             parts = np.array([divisions_of(edge / (give.spacing * size)) for edge in each])
+            parts[surface.is_loose] = 1
             # A nearest point is another one each time, with no force that it could have given way to.
             room = np.zeros(len(each)) if is_fine else most_give(give, organ, size, each / parts)
             # A point has one part in the square of its parts of a node's area.
             whole = parts[0] ** 2
             share = np.square(parts.astype(np.float64)) / whole
-            self._finenesses.append(_fineness(self.triangles, parts, np.stack([share, room], axis=1), self.n_surface))
-            compliance.append(whole * local_compliance(organ, size))
-        self._compliance = np.reshape(compliance, (len(compliance), self.n_surface, 2))
+            self._finenesses.append(fineness_of(surface, parts, np.stack([share, room], axis=1)))
+            compliance.append(whole * surface.compliance(size))
+        self._compliance = np.reshape(compliance, (len(compliance), self.n_points, 2))
         self._between = np.array(
             [
                 extra_compliance_between_nodes(give, organ, size)
                 for give, size in zip(gives, tools.smallest, strict=True)
             ]
         )
+
+    @classmethod
+    def of(cls, touched: Organ | CutOrgan | Simulation, tools: ToolSet) -> ContactFinder:
+        """Return a finder on the surface that an organ has now: after a cut, in place of the one before.
+
+        Parameters
+        ----------
+        touched : Organ | CutOrgan | Simulation
+            The organ, one after cuts, or a simulation of either.
+        tools : ToolSet
+            Tools of the scene.
+        """
+        return cls(TouchedSurface.of(touched), tools)
 
     def find(self, position: Floats, sought: Sought) -> ContactSet:
         """Return the contact set of bodies on a surface: the surface's points near them.
@@ -161,7 +171,8 @@ class ContactFinder:
         """
         n_bodies, poses, engaged = len(self.tools.grown), sought.poses.copy(), sought.engaged.copy()
         self.counters.sets += 1
-        surface_box(position, self.n_surface, self._low, self._high)
+        position = self.surface.at(position)
+        surface_box(position, self.n_points, self._low, self._high)
         count, counts = 0, np.zeros(n_bodies, dtype=np.int64)
         reach = MARGIN + sought.margins - TISSUE_WAY
         for body in np.flatnonzero(engaged == Engaged.YES).tolist():
@@ -182,12 +193,14 @@ class ContactFinder:
             reach = np.minimum(reach, MARGIN - TISSUE_WAY)  # the farthest are those that are dropped
         found = contact_set(n_bodies, min(count, MOST_POINTS))
         found.header.points, found.header.dropped = len(found.body), max(0, count - MOST_POINTS)
-        found.body[:], found.node[:] = points.body[chosen], points.node[chosen]
-        found.weight[:], found.normal[:] = points.weight[chosen], points.normal[chosen]
-        more = 1.0 + self._between[found.body] * (1.0 - np.einsum("kc,kc->k", found.weight, found.weight))
-        compliance = self._compliance[found.body[:, None], found.node]
+        corners, weight = points.node[chosen], points.weight[chosen]
+        found.body[:], found.normal[:] = points.body[chosen], points.normal[chosen]
+        found.node[:], found.weight[:] = self.surface.between(points.triangle[chosen], corners, weight)
+        shares = found.weight if self.surface.is_cut else weight
+        more = 1.0 + self._between[found.body] * (1.0 - np.einsum("kc,kc->k", shares, shares))
+        compliance = self._compliance[found.body[:, None], corners]
         more *= points.give[chosen, 0]
-        found.compliance[:] = np.einsum("k,kc,kcx->kx", more, found.weight, compliance)
+        found.compliance[:] = np.einsum("k,kc,kcx->kx", more, weight, compliance)
         found.most_give[:] = points.give[chosen, 1]
         found.engaged[:], found.place[:], found.reach[:] = engaged, poses, reach
         found.n_points[:], found.releases[:] = counts, sought.releases
@@ -219,7 +232,7 @@ class ContactFinder:
             position, self.tools.shapes, body, self._lattices, fineness, origin, self._matrix, reach, self._normal
         )
         count = points_near(near, self._number[:some], search, self._seen, self._points, count)
-        return self._add_nearest(body, position, near, origin, count) if self._is_fine[body] else count, 0.0
+        return self._add_nearest(body, position, some, origin, count) if self._is_fine[body] else count, 0.0
 
     def warm_up(self, position: Floats) -> None:
         """Compile what a contact needs, so that the first one doesn't wait for it.
@@ -252,11 +265,12 @@ class ContactFinder:
         pose : Floats, shape (7,), m and unit quaternion xyzw
             Pose of the body.
         """
+        position = self.surface.at(position)
         self._place(body, pose, 0.0)
         origin, low, high = pose[:3], self._box_low, self._box_high
-        if holds_node(position, self.n_surface, Placed(self.tools.shapes, body, origin, self._matrix, low, high)):
+        if holds_node(position, self.n_points, Placed(self.tools.shapes, body, origin, self._matrix, low, high)):
             return True
-        surface_box(position, self.n_surface, self._low, self._high)
+        surface_box(position, self.n_points, self._low, self._high)
         return self._swallowed(body, position, origin) is not None
 
     def _way_out(self, body: int, position: Floats, pose: Floats) -> Floats | None:
@@ -270,10 +284,18 @@ class ContactFinder:
         point = self._swallowed(body, position, pose[:3])
         if point is None:
             return None
-        nodes, weight, _ = self._nearest(position, point)
-        way = weight @ position[nodes] - point
-        outward = way / max(float(np.linalg.norm(way)), 1e-9)
-        return way + outward * (self.tools.clearance[body] + TISSUE_WAY)
+        beyond = self.tools.clearance[body] + TISSUE_WAY
+        triangle, weight, _ = self._nearest(position, point)
+        way = weight @ position[self.triangles[triangle]] - point
+        if not self.surface.is_cut:
+            return _longer(way, beyond)
+        # Beside a wall there may be no room but for its middle, and where the cut is shut there is the other lip.
+        for more in (beyond, AJAR):
+            if not inside((point + _longer(way, more))[None], position, self.triangles)[0]:
+                return _longer(way, more)
+        outer = position[self.triangles[self.surface.is_outer]]
+        number, weights, _ = nearest_among(outer, point[None])
+        return _longer(weights[0] @ outer[number[0]] - point, beyond)
 
     def _swallowed(self, body: int, position: Floats, origin: Floats) -> Floats | None:
         """Return the first of a body's centre points (3,) m that lies inside the organ, None where none does.
@@ -301,13 +323,13 @@ class ContactFinder:
         placed.setTransform(fcl.Transform(rotation, origin + rotation @ self.tools.grown_centre[body]))
         return placed
 
-    def _add_nearest(self, body: int, position: Floats, near: Longs, origin: Floats, count: int) -> int:
+    def _add_nearest(self, body: int, position: Floats, some: int, origin: Floats, count: int) -> int:
         """Add the point nearest to a body, by FCL, of each triangle that is too coarse for its lattice.
 
         The points of a lattice stay where they are on the tissue, while the nearest one moves, and its steps may be
         felt. But a needle would slip between those of the lattice.
         """
-        result = fcl.CollisionResult()
+        result, near = fcl.CollisionResult(), self._found[:some]
         fcl.collide(fcl.CollisionObject(_fcl_model(position, near)), self._placed(body, origin), _ALL, result)
         where = {contact.b1: np.asarray(contact.pos) for contact in result.contacts if 0 <= contact.b1 < len(near)}
         touched = sorted(where)
@@ -320,26 +342,30 @@ class ContactFinder:
         room = slice(min(count, most), min(count + len(touched), most))
         taken = room.stop - room.start
         self._points.body[room], self._points.node[room] = body, corners[:taken]
+        self._points.triangle[room] = self._number[touched][:taken]
         self._points.weight[room], self._points.normal[room] = weights[:taken], normal[:taken]
         self._points.give[room] = 1.0, 0.0
         return count + len(touched)
 
     def _under_tip(self, position: Floats, tip: Floats) -> tuple[Longs, Floats]:
-        nodes, weight, distance = self._nearest(position, tip)
+        triangle, weight, distance = self._nearest(position, tip)
         if distance > TIP_REACH:
-            return np.full(3, -1, dtype=np.int64), np.zeros(3)
-        return nodes, weight
+            return np.full(POINT_NODES, -1, dtype=np.int64), np.zeros(POINT_NODES)
+        corners = self.triangles[triangle].astype(np.int64)
+        nodes, weights = self.surface.between(np.array([triangle]), corners[None], weight[None])
+        return nodes[0], weights[0]
 
-    def _nearest(self, position: Floats, point: Floats) -> tuple[Longs, Floats, float]:
-        """Return nodes (3,), weights (3,) and distance, m, of the surface's point nearest to a point (3,) m.
+    def _nearest(self, position: Floats, point: Floats) -> tuple[int, Floats, float]:
+        """Return triangle, weights (3,) and distance, m, of the surface's place nearest to a point (3,) m.
 
-        The triangles around the nearest node are searched.
+        The triangles around the nearest corner are searched.
         """
-        node, _ = nearest_node(position, self.n_surface, point[0], point[1], point[2])
-        around = self.triangles[self._node_triangle[self._node_start[node] : self._node_start[node + 1]]]
-        weight, distance = nearest_weights(position[around], np.repeat(point[None], len(around), axis=0))
+        node, _ = nearest_node(position, self.n_points, point[0], point[1], point[2])
+        around = self._node_triangle[self._node_start[node] : self._node_start[node + 1]]
+        corners = position[self.triangles[around]]
+        weight, distance = nearest_weights(corners, np.repeat(point[None], len(around), axis=0))
         chosen = int(np.argmin(distance))
-        return around[chosen].astype(np.int64), weight[chosen], float(distance[chosen])
+        return int(around[chosen]), weight[chosen], float(distance[chosen])
 
 
 def reach_margins(places: Floats, goals: Floats, last: Floats, share: float, extents: Floats) -> Floats:
@@ -390,33 +416,7 @@ def ways(poses: Floats, others: Floats, extents: Floats) -> Floats:
     return np.array([distance_along_path(*one) for one in zip(poses, others, extents, strict=True)])
 
 
-def divisions_of(wanted: float) -> int:
-    """Return into how many parts contact points divide an edge: rounded up, 2 to 8."""
-    return min(max(LEAST_DIVISIONS, math.ceil(wanted)), MOST_DIVISIONS)
-
-
-def lattices() -> Lattices:
-    """Return the points of triangles whose edges are divided into up to MOST_DIVISIONS parts."""
-    each = [edge_and_face_points(parts) if parts > 1 else np.zeros((0, 3)) for parts in range(MOST_DIVISIONS + 1)]
-    weight = np.concatenate(each)
-    edge = np.where(np.any(weight == 0.0, axis=1), np.argmin(weight, axis=1), -1)
-    return Lattices(weight, edge, np.cumsum([0, *map(len, each)]))
-
-
-def _fineness(triangles: Ints, parts: Longs, give: Floats, nodes: int) -> Fineness:
-    """Return the points of triangles (t, 3) whose edges are divided in so many parts (t,), and give way by give (t, 2).
-
-    Of a corner's triangles the mean of the factors counts, and the least of the depths.
-    """
-    count = np.bincount(triangles.ravel(), minlength=nodes)
-    total = np.bincount(triangles.ravel(), np.repeat(give[:, 0], 3), nodes)
-    least = np.full(nodes, np.inf)
-    np.minimum.at(least, triangles.ravel(), np.repeat(give[:, 1], 3))
-    corner = total / np.maximum(count, 1), np.where(count > 0, least, 0.0)
-    return Fineness(parts, give, np.stack(corner, axis=1))
-
-
-def edge_and_face_points(m: int) -> Floats:
-    """Return barycentric weights (k, 3) of a triangle whose edges have m parts, without the corners."""
-    lattice = [(i / m, j / m, (m - i - j) / m) for i in range(m + 1) for j in range(m + 1 - i)]
-    return np.array([weights for weights in lattice if max(weights) < 1.0]).reshape(-1, 3)
+def _longer(way: Floats, beyond: float) -> Floats:
+    """Return a displacement (3,) m that is longer by `beyond` m."""
+    longer: Floats = way + way / max(float(np.linalg.norm(way)), 1e-9) * beyond
+    return longer

@@ -11,6 +11,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.broad_phase import Near, approach, surface_box, triangles_in_box
 from tissue_sim.contact.self_contact_finder import SelfFinder
+from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.contact.triangles import nearest_among
 from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, OrganContactSet, organ_contact_set
 from tissue_sim.organ.organ import Organ
@@ -39,18 +40,35 @@ class _Apart(NamedTuple):
 
 
 class OrganContactFinder:
-    """Finder of contacts between k organs, given where they lie at rest."""
+    """Finder of contacts between k organs, given where they lie at rest; triangles that a cut has split touch none."""
 
-    def __init__(self, organs: Sequence[Organ]) -> None:
+    def __init__(self, organs: Sequence[Organ | TouchedSurface]) -> None:
         self.counters = PairCounters()
-        self._triangles = [np.ascontiguousarray(organ.surface_triangles, dtype=np.int64) for organ in organs]
-        self._sizes = [organ.n_surface for organ in organs]
-        self._own = [SelfFinder(organ) for organ in organs]
+        surfaces = [TouchedSurface.of(one) for one in organs]
+        self._triangles = [surface.old_triangles for surface in surfaces]
+        self._sizes = [surface.n_surface for surface in surfaces]
+        self._own = [SelfFinder(surface) for surface in surfaces]
         self._low, self._high = np.zeros((2, len(organs), 3))
         self._near = [np.zeros_like(triangles) for triangles in self._triangles]  # room
         self._numbers = [np.zeros(len(triangles), dtype=np.int64) for triangles in self._triangles]  # room
         self._apart: dict[tuple[int, int], _Apart] = {}
         self._found = organ_contact_set()
+
+    def exchange(self, organ: int, touched: Organ | TouchedSurface) -> None:
+        """Take up the surface that an organ has now, after a cut.
+
+        Parameters
+        ----------
+        organ : int
+            Index of the organ.
+        touched : Organ | TouchedSurface
+            The surface.
+        """
+        surface = TouchedSurface.of(touched)
+        triangles = surface.old_triangles
+        self._triangles[organ], self._sizes[organ], self._own[organ] = triangles, surface.n_surface, SelfFinder(surface)
+        self._near[organ], self._numbers[organ] = np.zeros_like(triangles), np.zeros(len(triangles), dtype=np.int64)
+        self._apart = {pair: found for pair, found in self._apart.items() if organ not in pair}
 
     def forget(self) -> None:
         """Note that organs have jumped."""

@@ -17,6 +17,7 @@ from tissue_sim.contact.gripper import about
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.errors import UserError
+from tissue_sim.model.cutting.cut import CutReport
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
@@ -145,14 +146,58 @@ class Scene:
         return np.array([one.state.carried for one in self.simulations])
 
     def reset(self) -> None:
-        """Return to rest, breathed out, without tools; the settings stay."""
-        for one in self.organs:
+        """Return to rest, breathed out, uncut, without tools; the settings stay."""
+        for number, one in enumerate(self.organs):
+            if one.heal():
+                self._take_up(number)
             one.reset()
         self.joined.reset()
         if self._pairs is not None:
             self._pairs.forget()
         self._ticks = 0
         self._origin[:] = 0.0
+
+    def cut(self, organ: int | str, polyline: ArrayLike, direction: ArrayLike, depth: float) -> CutReport:
+        """Cut an organ, in which tools then touch both lips and walls; `reset` heals it.
+
+        The cut is given in the organ's rest coordinates; see Simulation.cut.
+
+        Parameters
+        ----------
+        organ : int | str
+            Name (see `names`) or number of the organ.
+        polyline : ArrayLike, shape (m, 3), m
+            The blade's edge where it touches the surface, or above it: two points or more.
+        direction : ArrayLike, shape (3,)
+            Where it is moved; of any length.
+        depth : float, m
+            How far it is moved.
+
+        Returns
+        -------
+        CutReport
+            The report.
+
+        Raises
+        ------
+        UserError
+            For an organ that the scene doesn't have, and what `Simulation.cut` refuses.
+        """
+        number = number_of(organ, self.names, "organ")
+        one = self.organs[number]
+        one.exchange(one.simulation.cut(polyline, direction, depth))
+        self._take_up(number)
+        self.find()
+        return one.simulation.cuts[-1]
+
+    def _take_up(self, number: int) -> None:
+        """Join an organ whose simulation was exchanged."""
+        one = self.organs[number]
+        plan = self.joined.plan_exchange(number, one.simulation)
+        self.joined.exchange(number, one.simulation, plan)
+        self.joined.set_substeps()
+        if self._pairs is not None:
+            self._pairs.exchange(number, one.finder.surface)
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """Set the gravity of all organs, under which they have their shapes.

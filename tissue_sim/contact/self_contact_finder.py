@@ -9,6 +9,7 @@ from scipy.sparse import csr_array, eye_array
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.broad_phase import add_normals, approach
+from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.contact.triangles import nearest_of_face
 from tissue_sim.jit import kernel
 from tissue_sim.organ.organ import Organ
@@ -24,13 +25,16 @@ class SelfFinder:
     """Finder of pairs of nodes and triangles of one surface that face each other.
 
     A node may be behind a triangle only where it was in front of that wall at the last search: the far wall of a thin
-    organ is behind, too, and always was.
+    organ is behind, too, and always was. Triangles that a cut has split count as neighbours only: lips have contact of
+    their own (model.contact.lips).
     """
 
-    def __init__(self, organ: Organ) -> None:
-        self._triangles = np.ascontiguousarray(organ.surface_triangles, dtype=np.int64)
+    def __init__(self, touched: Organ | TouchedSurface) -> None:
+        surface = TouchedSurface.of(touched)
+        organ, self._triangles = surface.organ, surface.old_triangles
+        every = organ.surface_triangles.astype(np.int64)
         n = organ.n_surface
-        corner = organ.surface_positions[self._triangles]
+        corner = organ.surface_positions[every]
         longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
         self._reach = MARGIN + 0.6 * longest  # m between nodes; no place on a triangle is farther from all its corners
         self._order = np.argsort(organ.surface_positions[:, 0]).astype(np.int64)
@@ -40,9 +44,10 @@ class SelfFinder:
         self._facing = _Facing(np.zeros((n, 3)), np.zeros(n, dtype=np.int64), np.zeros(n))
         self._walls = _Walls(np.full(n, -1, dtype=np.int64), np.zeros(n, dtype=np.int64), np.zeros((n, 3)))
         self._corners = np.zeros((4, 3))
-        start, end = self._triangles.ravel(), np.roll(self._triangles, -1, axis=1).ravel()
+        start, end = every.ravel(), np.roll(every, -1, axis=1).ravel()
         edges = csr_array((np.ones(2 * len(start)), (np.r_[start, end], np.r_[end, start])), shape=(n, n))
         self._near = _Lists.of(edges + edges @ edges + eye_array(n, format="csr"))
+        start = self._triangles.ravel()
         order = np.argsort(start, kind="stable")
         owner = csr_array((np.ones(len(start)), order // 3, np.searchsorted(start[order], np.arange(n + 1))))
         self._around = _Lists.of(owner + edges @ owner)

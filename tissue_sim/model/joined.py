@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath, moves_with_frame
 from tissue_sim.model.stepping.coarse_steps import coarse_masses, no_coarse
 from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled, uncouple
-from tissue_sim.model.stepping.ligament_links import least_substeps
+from tissue_sim.model.stepping.ligament_links import least_substeps, weight_link_ends
 from tissue_sim.model.stepping.organ_contact import (
     MOST_ORGANS,
     OrganContacts,
@@ -27,6 +28,14 @@ from tissue_sim.model.stepping.organ_contact import (
     take_pairs,
 )
 from tissue_sim.model.stepping.wake_threshold import WAKE_DISPLACEMENT, wake_threshold_of
+
+
+class ExchangePlan(NamedTuple):
+    """What changes for all organs of a scene when one goes on with another simulation; l links."""
+
+    coarse_square: float  # (rad/s)^2, squared largest frequency of its coarse steps; 0: it takes none
+    lightness: Floats  # (l,) see Links
+    added: float  # see Links
 
 
 class Joined:
@@ -51,8 +60,8 @@ class Joined:
     ) -> None:
         self.simulations = list(simulations)
         self.alone = len(self.simulations) == 1 and links is None and pairs is None and breath is None
-        self.links = links = make_links(0) if links is None else links
-        self.pairs = pairs = make_organ_contacts() if pairs is None else pairs
+        self.links = make_links(0) if links is None else links
+        self.pairs = make_organ_contacts() if pairs is None else pairs
         breath = Breath.new() if breath is None else breath
         if len(self.simulations) > MOST_ORGANS:
             raise UserError(f"{len(self.simulations)} organs are joined; expected: at most {MOST_ORGANS}")
@@ -66,17 +75,58 @@ class Joined:
         gravity = np.array([gravity_of(one.settings) for one in self.simulations])
         self.carried = moves_with_frame(breath, moves, gravity)
         ways = np.outer(moves, [breath.x, breath.y, breath.z])
-        self.threshold = wake_threshold_of([one.model for one in self.simulations], links, ways, wake_displacement)
+        models = [one.model for one in self.simulations]
+        self.threshold = wake_threshold_of(models, self.links, ways, wake_displacement)
         self.worlds = row([one.world for one in self.simulations])
         self.coarse = no_coarse(len(moves))
         rest = self.coarse, np.zeros(len(moves), dtype=np.int64)
-        self.handle = None if self.alone else handle(CoupledOrgans(self.carried, links, pairs, self.threshold, *rest))
+        coupled = CoupledOrgans(self.carried, self.links, self.pairs, self.threshold, *rest)
+        self.handle = None if self.alone else handle(coupled)
         self.set_substeps()
         if len(moves) > 1 and wake_displacement > 0.0:
             for organ, one in enumerate(self.simulations):
-                factor, frequency = coarse_masses(one.model, one.settings, float(links.added[0]))
+                factor, frequency = coarse_masses(one.model, one.settings, float(self.links.added[0]))
                 one.scratch.coarse[:] = factor
                 self.coarse.square[organ] = frequency**2
+
+    def plan_exchange(self, organ: int, made: Simulation) -> ExchangePlan:
+        """Return what changes for all organs when one goes on with another simulation, after a cut.
+
+        Nodes keep their numbers, so that links stay where they are, and so does contact with other organs.
+
+        Parameters
+        ----------
+        organ : int
+            Index of the organ.
+        made : Simulation
+            The simulation; its coarse steps are planned.
+        """
+        links, square = self.links._replace(lightness=self.links.lightness.copy(), added=self.links.added.copy()), 0.0
+        if len(links.slack):
+            each = [*self.simulations[:organ], made, *self.simulations[organ + 1 :]]
+            weight_link_ends(links, [one.model.inverse_mass for one in each])
+        if self.coarse.square[organ] > 0.0:
+            factor, frequency = coarse_masses(made.model, made.settings, float(links.added[0]))
+            made.scratch.coarse[:] = factor
+            square = frequency**2
+        return ExchangePlan(square, links.lightness, float(links.added[0]))
+
+    def exchange(self, organ: int, made: Simulation, plan: ExchangePlan) -> None:
+        """Go on with another simulation of an organ, after a cut; the substeps stay as they are.
+
+        Parameters
+        ----------
+        organ : int
+            Index of the organ.
+        made : Simulation
+            The simulation.
+        plan : ExchangePlan
+            What `plan_exchange` returned.
+        """
+        self.coarse.square[organ] = plan.coarse_square
+        self.links.lightness[:], self.links.added[0] = plan.lightness, plan.added
+        self.simulations[organ] = made
+        self.worlds = row([one.world for one in self.simulations])
 
     def step(self) -> None:
         """Advance all by one tick."""
@@ -104,43 +154,6 @@ class Joined:
         least = least_substeps(self.links, fastest(self.simulations), float(self.simulations[0].settings.tick_time))
         for one in self.simulations:
             one.settings.least_substeps = least
-
-    def plan_coarse(self, organ: int, made: Simulation) -> float:
-        """Give a simulation that will continue an organ's its coarse steps; return their largest frequency, squared.
-
-        Parameters
-        ----------
-        organ : int
-            Index of the organ.
-        made : Simulation
-            The simulation; updated.
-
-        Returns
-        -------
-        float, (rad/s)^2
-            0 where it takes none
-        """
-        if self.coarse.square[organ] == 0.0:
-            return 0.0
-        factor, frequency = coarse_masses(made.model, made.settings, float(self.links.added[0]))
-        made.scratch.coarse[:] = factor
-        return frequency**2
-
-    def exchange(self, organ: int, made: Simulation, coarse_square: float) -> None:
-        """Go on with a simulation that continues an organ's after a cut; the substeps stay as they are.
-
-        Parameters
-        ----------
-        organ : int
-            Index of the organ.
-        made : Simulation
-            The simulation.
-        coarse_square : float, (rad/s)^2
-            What `plan_coarse` returned.
-        """
-        self.coarse.square[organ] = coarse_square
-        self.simulations[organ] = made
-        self.worlds = row([one.world for one in self.simulations])
 
     def take_pairs(self, found: OrganContactSet) -> None:
         """Apply where organs touch each other.

@@ -15,6 +15,8 @@ from tissue_sim.errors import UserError
 from tissue_sim.handles import handle
 from tissue_sim.model.cutting.carry import NO_PLAN, CarryPlan, carry, carry_plan
 from tissue_sim.model.cutting.cut import CutOrgan, CutReport, cut_again, not_cut
+from tissue_sim.model.cutting.cut_surface import CutSurface
+from tissue_sim.model.cutting.lips import lips_of
 from tissue_sim.model.cutting.masses import fastest_mode
 from tissue_sim.model.cutting.sheet import sheet_of
 from tissue_sim.model.data.contact_set import ContactSet
@@ -294,6 +296,7 @@ class Simulation:
             integrator=self.integrator,
             substeps=self._fixed_substeps,
         )
+        made.open_lips(after.surface)
         made.take_settings(self.settings)
         made.frequency = max(made.frequency, fastest_mode(after.organ))
         made.set_substeps()
@@ -306,6 +309,17 @@ class Simulation:
         )
         made.cut_organ = after._replace(reports=(*after.reports[:-1], report))
         return made
+
+    def open_lips(self, surface: CutSurface) -> None:
+        """Let the lips of cuts touch each other.
+
+        Parameters
+        ----------
+        surface : CutSurface
+            Surface of the cut organ.
+        """
+        self.model = self.model._replace(lips=lips_of(surface, self.organ.rest_positions))
+        self.refer()
 
     def renew(self) -> None:
         """Begin anew, as if just made: with a state and working memory of its own, which nothing has used."""

@@ -9,6 +9,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.culling import FAST, largest_tissue_speed
 from tissue_sim.model.contact.gap import gap_and_normal, is_on_outer_side, point_in_body
+from tissue_sim.model.data.contact_set import POINT_NODES, nodes_of
 from tissue_sim.model.data.records import Record, Vector
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.shapes import Shapes
@@ -25,9 +26,10 @@ class ActiveContact(Record):
 
     entry: int  # its index in the contact set
     body: int
-    node: Annotated[Longs, (3,)]
-    weight: Vector  # of its nodes
-    mobility: Vector  # 1/kg, the velocity that an impulse on the point gives each node
+    nodes: int  # how many of the following count, see contact_set.nodes_of
+    node: Annotated[Longs, (POINT_NODES,)]
+    weight: Annotated[Floats, (POINT_NODES,)]
+    mobility: Annotated[Floats, (POINT_NODES,)]  # 1/kg, the velocity that an impulse on the point gives each node
     normal: Vector  # the tool's, outward
     offset: float  # m, distance of the tool's surface along the normal from the tool's origin, less the forgiven depth
     arm: Vector  # m, from the tool's origin to the point
@@ -133,7 +135,8 @@ def note_yielding(state: State, contact: ActiveContact) -> None:
 def take_nodes(state: State, mobility: Floats, contact: ActiveContact) -> float:
     """Copy the nodes, weights and mobilities of a contact point side by side; return its own mobility, 1/kg."""
     entry, mobile = contact.entry, 0.0
-    for c in range(3):
+    contact.nodes = nodes_of(state.contacts, entry)
+    for c in range(contact.nodes):
         node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
         contact.node[c], contact.weight[c] = node, weight
         contact.mobility[c] = weight * mobility[node]
@@ -168,7 +171,7 @@ def forgive_depth(state: State, scratch: Scratch, contact: ActiveContact, gap: f
     entry, normal, origin = contact.entry, contact.normal, scratch.origin[contact.body]
     given = min(contact.compliance * state.contact_pressed[0, entry], state.contacts.most_give[entry])
     approach = 0.0
-    for c in range(3):
+    for c in range(contact.nodes):
         node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
         for axis in range(3):
             approach -= normal[axis] * weight * step * state.velocity[node, axis]

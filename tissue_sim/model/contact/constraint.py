@@ -1,6 +1,6 @@
 """Contact of the tissue with rigid tools: non-penetration and Coulomb friction as constraints.
 
-A contact point is a weighted sum of up to three nodes. After each substep every point that ended inside a tool is moved
+A contact point is a weighted sum of up to four nodes. After each substep every point that ended inside a tool is moved
 onto it, and held against sliding within the friction cone. The force is that of the constraint, so it is equal and
 opposite by construction and stable at any stiffness.
 
@@ -16,6 +16,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.active_contact import ActiveContact, gather_contacts, place_again, whole_impulse
 from tissue_sim.model.contact.gap import gap_and_normal, point_in_body
+from tissue_sim.model.contact.lips import find_lips, press_lips
 from tissue_sim.model.contact.volume_limit import (
     COMPRESSED_PASSES,
     enforce_volume_limit,
@@ -23,6 +24,7 @@ from tissue_sim.model.contact.volume_limit import (
     has_compressed_cells,
 )
 from tissue_sim.model.data.arrays import copy
+from tissue_sim.model.data.contact_set import POINT_NODES, nodes_of
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import Region, State
@@ -91,7 +93,7 @@ def add_contact_impulses(state: State, shapes: Shapes, scratch: Scratch, scale: 
             push = aim_impulse(state, shapes, entry, scratch)
             held = state.contact_held[1, entry]  # row 0 stays that of a whole substep for readers beside the loop
             held[0], held[1], held[2] = push
-            for corner in range(3):
+            for corner in range(nodes_of(state.contacts, entry)):
                 node, share = state.contacts.node[entry, corner], scale * shares[entry, corner]
                 target[node, 0] += share * push[0]
                 target[node, 1] += share * push[1]
@@ -105,7 +107,7 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
     Projected Gauss-Seidel on accumulated impulses: a point pushed too far by its neighbours moves back, so that points
     sharing nodes converge to one distribution of force instead of alternating. It starts from the impulses of the last
     substep, and ends when a pass changes them by less than TOLERANCE of their sum. Compressed cells of the model are
-    resolved along with the points.
+    resolved along with the points, and so are the lips of cuts.
 
     scratch.origin (T, 3) and scratch.rotation (T, 9) are the tools at the substep's end, last_* at its beginning. The
     impulses on the tissue, N s, and their moments about the tool's origin, N m s, are added to scratch.impulse (T, 6).
@@ -123,8 +125,9 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
     model, state, shapes, scratch = world.model, world.state, world.shapes, world.scratch
     compressed = find_compressed_cells(model, state, scratch, step)
     scratch.compressing[0] = compressed
+    lips = find_lips(model.lips, state, scratch.mobility, step)
     found = gather_contacts(world, step, spread)
-    if found == 0 and compressed == 0:
+    if found == 0 and compressed == 0 and lips == 0:
         return 0
     for index in range(found):
         contact = scratch.active[index]
@@ -133,6 +136,8 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
     most = min(MOST_PASSES, max(LEAST_PASSES, PASSES_A_TICK // max(1, state.status.substeps)))
     for turn in range(COMPRESSED_PASSES if compressed > 0 or has_compressed_cells(model) else most):
         held = enforce_volume_limit(state, scratch, compressed, step)
+        if lips > 0:
+            held = press_lips(model.lips, state, scratch.mobility, lips, step) and held
         change = total = 0.0
         for index in range(found):
             contact = scratch.active[index]
@@ -172,6 +177,8 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
         x += weight * position[0]
         y += weight * position[1]
         z += weight * position[2]
+    if contact.nodes > 3:  # apart, as three are faster
+        x, y, z = plus_last(state.position, contact, x, y, z)
     nx, ny, nz = normal[0], normal[1], normal[2]
     gap = nx * x + ny * y + nz * z - contact.offset
     push = max(0.0, pressed - (gap + soft * pressed) * stiffness)
@@ -187,6 +194,9 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
         sx += weight * step * velocity[0]
         sy += weight * step * velocity[1]
         sz += weight * step * velocity[2]
+    if contact.nodes > 3:
+        vx, vy, vz = plus_last(state.velocity, contact, 0.0, 0.0, 0.0)
+        sx, sy, sz = sx + step * vx, sy + step * vy, sz + step * vz
     contact.pressed = push
     along = sx * nx + sy * ny + sz * nz
     sx, sy, sz = sx - along * nx, sy - along * ny, sz - along * nz
@@ -217,17 +227,32 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
 def give_impulse(world: World, contact: ActiveContact, impulse: tuple[float, float, float], step: float) -> None:
     """Apply an impulse, N s, to a contact point, and its opposite to the tool; with a step of 0 to the tool alone."""
     state, scratch = world.state, world.scratch
-    px, py, pz = impulse
     for c in range(3 if step > 0.0 else 0):
-        node, move = contact.node[c], contact.mobility[c]
-        state.velocity[node, 0] += move * px
-        state.velocity[node, 1] += move * py
-        state.velocity[node, 2] += move * pz
-        state.position[node, 0] += step * move * px
-        state.position[node, 1] += step * move * py
-        state.position[node, 2] += step * move * pz
+        move_node(state, contact, c, impulse, step)
+    if contact.nodes > 3 and step > 0.0:
+        move_node(state, contact, 3, impulse, step)
     if scratch.give[contact.body] > 0.0:
         push_bodies(world.shapes.tool, contact.body, scratch, impulse)
+
+
+@kernel
+def move_node(state: State, contact: ActiveContact, c: int, impulse: tuple[float, float, float], step: float) -> None:
+    """Give a node of a contact point its part of an impulse, N s, as it acted for a whole substep."""
+    px, py, pz = impulse
+    node, move = contact.node[c], contact.mobility[c]
+    state.velocity[node, 0] += move * px
+    state.velocity[node, 1] += move * py
+    state.velocity[node, 2] += move * pz
+    state.position[node, 0] += step * move * px
+    state.position[node, 1] += step * move * py
+    state.position[node, 2] += step * move * pz
+
+
+@kernel
+def plus_last(values: Floats, contact: ActiveContact, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return a vector plus that of the last of a contact point's nodes, times its weight."""
+    weight, value = contact.weight[POINT_NODES - 1], values[contact.node[POINT_NODES - 1]]
+    return x + weight * value[0], y + weight * value[1], z + weight * value[2]
 
 
 @kernel
@@ -235,7 +260,7 @@ def count_impulse(state: State, scratch: Scratch, contact: ActiveContact) -> Non
     """Add what acts on a contact point in this substep to scratch.impulse, and to what drives a modal region."""
     px, py, pz = whole_impulse(contact)
     if state.status.region == Region.MODAL:
-        for c in range(3):
+        for c in range(contact.nodes):
             node, weight = contact.node[c], contact.weight[c]
             state.contact_impulse[node, 0] += weight * px
             state.contact_impulse[node, 1] += weight * py

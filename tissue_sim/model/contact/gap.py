@@ -44,6 +44,12 @@ def point_in_body(
         x += weight * state.position[node, 0]
         y += weight * state.position[node, 1]
         z += weight * state.position[node, 2]
+    last = state.contacts.weight[entry, 3]
+    if last != 0.0:  # apart, as three are faster
+        node = state.contacts.node[entry, 3]
+        x += last * state.position[node, 0]
+        y += last * state.position[node, 1]
+        z += last * state.position[node, 2]
     r = rotation[body]
     dx, dy, dz = x - origin[body, 0], y - origin[body, 1], z - origin[body, 2]
     return (

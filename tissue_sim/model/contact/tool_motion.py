@@ -9,6 +9,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.contact.gap import INNER_SIDE, gap_and_normal, is_touched, point_in_body
 from tissue_sim.model.contact.shapes import rotation_matrix
 from tissue_sim.model.data.arrays import copy
+from tissue_sim.model.data.contact_set import POINT_NODES, nodes_of
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.settings import Settings
@@ -164,7 +165,7 @@ def find_walls(model: Model, state: State, scratch: Scratch) -> None:
     count, contacts = 0, state.contacts
     for entry in range(contacts.header.points):
         moves = 0.0
-        for c in range(3):
+        for c in range(nodes_of(contacts, entry)):
             if model.inverse_mass[contacts.node[entry, c]] > 0.0:
                 moves += contacts.weight[entry, c]
         if moves < MOVES and state.bodies[contacts.body[entry]].engaged:
@@ -441,7 +442,7 @@ def add_tip_forces(state: State, settings: Settings, force: Floats) -> None:
     for body in range(len(state.body_force)):
         fresh = freshness(state.bodies[body].force_age, settings)
         if fresh > 0.0 and state.contacts.tip_node[body, 0] >= 0:
-            for c in range(3):
+            for c in range(POINT_NODES):
                 node, weight = state.contacts.tip_node[body, c], fresh * state.contacts.tip_weight[body, c]
                 for axis in range(3):
                     force[node, axis] += weight * state.body_force[body, axis]

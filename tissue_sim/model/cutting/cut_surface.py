@@ -24,6 +24,8 @@ class CutSurface(NamedTuple):
     weights: Floats  # (p, 4) of these, of sum 1
     triangles: Ints  # (t, 3) counter-clockwise seen from outside
     wall: Longs  # (t,) 0 for the outer surface, else the number of the cut whose wall it is, from 1 on
+    partner: Longs  # (p,) the point at the same place on the other side of a cut; itself where there is none
+    side: Longs  # (p,) 1 or -1, the side of the cut that a point with a partner is on, else 0
 
     def at(self, positions: Floats) -> Floats:
         """Return the points (p, 3) m, for given positions (n, 3) m of the cut organ's nodes."""
@@ -53,7 +55,8 @@ def uncut_surface(organ: Organ) -> CutSurface:
     weights = np.zeros((organ.n_surface, 4))
     weights[:, 0] = 1.0
     wall = np.zeros(len(organ.surface_triangles), dtype=np.int64)
-    return CutSurface(np.stack([own] * 4, axis=1), weights, organ.surface_triangles.copy(), wall)
+    nodes = np.stack([own] * 4, axis=1)
+    return CutSurface(nodes, weights, organ.surface_triangles.copy(), wall, own, np.zeros_like(own))
 
 
 def cut_surface(organ: Organ, cuts: Sequence[tuple[Crossing, Copies]]) -> CutSurface:
@@ -80,6 +83,7 @@ def cut_surface(organ: Organ, cuts: Sequence[tuple[Crossing, Copies]]) -> CutSur
     """
     made = uncut_surface(organ)
     nodes, weights, triangles, wall = made.nodes, made.weights, made.triangles.astype(np.int64), made.wall
+    partner, side = made.partner, made.side
     rank = np.arange(organ.n_surface)
     owner = _owners(organ)
     for number, (crossing, copies) in enumerate(cuts):
@@ -93,6 +97,8 @@ def cut_surface(organ: Organ, cuts: Sequence[tuple[Crossing, Copies]]) -> CutSur
         walls = _walls(organ, crossing, points)
         nodes, weights = np.concatenate([nodes, points.nodes]), np.concatenate([weights, points.weights])
         rank = np.concatenate([rank, rank.max() + 1 + points.edge])
+        other, here = _partners(points, crossing, organ.n_nodes)
+        partner, side = np.concatenate([partner, other]), np.concatenate([side, here])
         triangles = np.concatenate([triangles, outer, walls])
         wall = np.concatenate([wall, np.zeros(len(outer), dtype=np.int64), np.full(len(walls), number + 1)])
         # Cells that were too flat to be made leave holes in the walls.
@@ -100,7 +106,19 @@ def cut_surface(organ: Organ, cuts: Sequence[tuple[Crossing, Copies]]) -> CutSur
         triangles = np.concatenate([triangles, filling])
         wall = np.concatenate([wall, np.full(len(filling), number + 1)])
     kept = triangles[:, 0] >= 0
-    return CutSurface(nodes, weights, triangles[kept].astype(np.int32), wall[kept])
+    return CutSurface(nodes, weights, triangles[kept].astype(np.int32), wall[kept], partner, side)
+
+
+def _partners(points: _Points, crossing: Crossing, n: int) -> tuple[Longs, Longs]:
+    """Return the partner (q,) of each of a cut's points, and its side (q,); see CutSurface."""
+    first = int(points.point.min())
+    low, high = points.point.T - first
+    partner, side = np.empty(len(points.nodes), dtype=np.int64), np.zeros(len(points.nodes), dtype=np.int64)
+    partner[low], partner[high] = first + high, first + low
+    up = np.where(crossing.positive[points.key // n], 1, -1)
+    apart = low != high
+    side[low[apart]], side[high[apart]] = up[apart], -up[apart]
+    return partner, side
 
 
 def _owners(organ: Organ) -> Longs:

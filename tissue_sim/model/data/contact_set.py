@@ -6,6 +6,7 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
@@ -13,6 +14,7 @@ from tissue_sim.model.data.layout import carve, size_of
 from tissue_sim.model.data.records import Record
 
 MOST_POINTS = 2048
+POINT_NODES = 4  # that a point lies between, at most
 
 
 class Engaged(IntEnum):
@@ -42,11 +44,12 @@ class ContactSet(NamedTuple):
     reach: Floats  # (B,) m that its points may move from there without touching anything outside the set
     n_points: Longs  # (B,) number of its points
     releases: Longs  # (B,) number of its releases by then
-    tip_node: Longs  # (B, 3) nodes of the triangle under the tip, -1 where none is near
-    tip_weight: Floats  # (B, 3) barycentric weights there
+    tip_node: Longs  # (B, 4) nodes that the point under the tip lies between, -1 where none is near
+    tip_weight: Floats  # (B, 4) barycentric weights there
     body: Longs  # (C,)
-    node: Longs  # (C, 3)
-    weight: Floats  # (C, 3) barycentric weights
+    # Nodes that each lies between: those of a triangle, and once more the first; or, at a cut, those of a cell.
+    node: Longs  # (C, 4)
+    weight: Floats  # (C, 4) barycentric weights, the last one 0 within a triangle
     normal: Floats  # (C, 3) outward unit normals of the tissue
     compliance: Floats  # (C, 2) m/N of the tissue between nodes, along a tool's normal and across it
     most_give: Floats  # (C,) m by which it yields at most
@@ -56,14 +59,15 @@ PER_POINT = ("body", "node", "weight", "normal", "compliance", "most_give")
 _POINT = np.dtype(
     [
         ("body", "i8"),
-        ("node", "i8", 3),
-        ("weight", "f8", 3),
+        ("node", "i8", POINT_NODES),
+        ("weight", "f8", POINT_NODES),
         ("normal", "f8", 3),
         ("compliance", "f8", 2),
         ("most_give", "f8"),
     ]
 )
 _POINT_WORDS = _POINT.itemsize // 8
+_BETWEEN_NODES = ("node", "weight", "tip_node", "tip_weight")
 
 
 def _fields(n_bodies: int) -> dict[str, Any]:
@@ -74,8 +78,8 @@ def _fields(n_bodies: int) -> dict[str, Any]:
         "reach": (np.float64, (n_bodies,)),
         "n_points": (np.int64, (n_bodies,)),
         "releases": (np.int64, (n_bodies,)),
-        "tip_node": (np.int64, (n_bodies, 3)),
-        "tip_weight": (np.float64, (n_bodies, 3)),
+        "tip_node": (np.int64, (n_bodies, POINT_NODES)),
+        "tip_weight": (np.float64, (n_bodies, POINT_NODES)),
     }
 
 
@@ -137,3 +141,43 @@ def used_words(contacts: ContactSet) -> int:
         The number.
     """
     return len(contacts.words) - _POINT_WORDS * (len(contacts.body) - contacts.header.points)
+
+
+@kernel
+def nodes_of(contacts: ContactSet, entry: int) -> int:
+    """Return how many of a point's nodes count: 3, or 4 where a cut has made the surface.
+
+    Parameters
+    ----------
+    contacts : ContactSet
+        The contact set.
+    entry : int
+        Index of the point.
+
+    Returns
+    -------
+    int
+        The number; the weights of further ones are 0.
+    """
+    return POINT_NODES if contacts.weight[entry, POINT_NODES - 1] != 0.0 else POINT_NODES - 1
+
+
+def padded(name: str, found: NDArray[Any]) -> NDArray[Any]:
+    """Return a field of a contact set with POINT_NODES nodes a point; earlier bags have the 3 of a triangle.
+
+    Parameters
+    ----------
+    name : str
+        Name of the field.
+    found : NDArray[Any]
+        The field.
+
+    Returns
+    -------
+    NDArray[Any]
+        The field with the first node once more, of weight 0; others as they are.
+    """
+    if name not in _BETWEEN_NODES or found.ndim != 2 or found.shape[1] != POINT_NODES - 1:
+        return found
+    more = found[:, :1] if name.endswith("node") else np.zeros_like(found[:, :1])
+    return np.concatenate([found, more], axis=1)

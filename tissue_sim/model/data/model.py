@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.model.data.blocks import Blocks
+from tissue_sim.model.data.lips import Lips
 
 
 class CellGroups(NamedTuple):
@@ -91,3 +92,4 @@ class Model(NamedTuple):
     unloaded: Floats  # (n, 3) m, shape of the cells without it
     tissue: Tissue | None  # of cells; None: springs
     work: Floats  # (9 BLOCK,) room for the force kernels
+    lips: Lips  # of cuts

@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.model.data.contact_set import MOST_POINTS, PER_POINT, ContactSet, contact_set, contact_set_words
+from tissue_sim.model.data.contact_set import (
+    MOST_POINTS,
+    PER_POINT,
+    ContactSet,
+    contact_set,
+    contact_set_words,
+    padded,
+)
 from tissue_sim.model.data.layout import Field, carve, size_of
 from tissue_sim.model.data.records import Record, array_of
 
@@ -277,6 +284,8 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
     state.contacts.header.points = points
     for name, target in fields_of(state).items():
         found = fields.get(name)
+        if found is not None and name.startswith("contacts."):
+            found = padded(name.removeprefix("contacts."), found)
         if found is None or found.shape != target.shape:
             raise ValueError(f"its state has a different '{name}': it belongs to another organ or to other tools")
         if target.dtype.names is None:

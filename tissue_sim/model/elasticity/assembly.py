@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.blocks import BLOCK, aligned, empty_blocks, pack
+from tissue_sim.model.data.lips import make_lips
 from tissue_sim.model.data.model import Model, Reduction
 from tissue_sim.model.elasticity.cells import SLOPES, penalty_of, shapes_of, tissue_of, with_penalty
 from tissue_sim.model.elasticity.forces import elastic_forces
@@ -167,6 +168,7 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
             unloaded=rest,
             tissue=tissue_of(rest, organ.cell_nodes, organ.cell_mu, organ.cell_lambda) if by_cells else None,
             work=aligned(np.zeros(9 * BLOCK)),
+            lips=make_lips(),
         )
     )
     if made.tissue is None:

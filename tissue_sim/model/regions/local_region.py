@@ -13,6 +13,7 @@ from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel, part
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.blocks import BLOCK, Blocks
+from tissue_sim.model.data.contact_set import POINT_NODES, nodes_of
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.state import State
@@ -43,11 +44,11 @@ def mark_loaded(state: State, scratch: Scratch) -> int:
     fresh = 0
     for entry in range(state.contacts.header.points):
         if state.bodies[state.contacts.body[entry]].engaged:
-            for c in range(3):
+            for c in range(nodes_of(state.contacts, entry)):
                 fresh = _mark(state, scratch, state.contacts.node[entry, c], fresh)
     for body in range(len(state.body_force)):
         if state.contacts.tip_node[body, 0] >= 0:
-            for c in range(3):
+            for c in range(POINT_NODES):
                 fresh = _mark(state, scratch, state.contacts.tip_node[body, c], fresh)
     for index in range(state.status.loaded):
         fresh = _mark(state, scratch, state.loaded_node[index], fresh)

@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from tissue_sim.array_types import Longs
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.handles import HandleRow, row
 from tissue_sim.jit import kernel
 from tissue_sim.model.cutting.carry import CarryPlan, carry
@@ -27,13 +29,15 @@ class ExchangeWords(Record):
     done: int  # `asked` of the last ones, after the first tick with them
     organ: int  # whose they are
     tick: int  # that first tick
-    coarse_square: float  # rad^2/s^2, of an organ with coarse steps
+    coarse_square: float  # see joined.ExchangePlan
+    added: float
 
 
 class Exchange(NamedTuple):
     """What the loop goes on with; rows of one handle each, whose places Python renews."""
 
     words: ExchangeWords
+    lightness: Floats  # (l,) see joined.ExchangePlan
     worlds: Any
     boxes: Any
     next_world: Longs  # (1,) place of the new world in `worlds`
@@ -59,7 +63,7 @@ def boxes_after(before: Mailboxes, state: State, plan: CarryPlan) -> Mailboxes:
     )
 
 
-def make_exchange(worlds: HandleRow, boxes: HandleRow, world: Any, box: Any) -> Exchange:
+def make_exchange(worlds: HandleRow, boxes: HandleRow, world: Any, box: Any, links: int) -> Exchange:
     """Return the exchange of a loop before the first one.
 
     Parameters
@@ -72,10 +76,12 @@ def make_exchange(worlds: HandleRow, boxes: HandleRow, world: Any, box: Any) -> 
         Handle of any world, which stands for the first new one.
     box : Any
         Handle of any mailboxes.
+    links : int
+        Number of links between the organs.
     """
     next_worlds, next_boxes = row([world]), row([box])
     places = next_worlds.places, next_boxes.places, worlds.places, boxes.places
-    return Exchange(ExchangeWords.new(), next_worlds, next_boxes, *places)
+    return Exchange(ExchangeWords.new(), np.zeros(links), next_worlds, next_boxes, *places)
 
 
 @kernel
@@ -105,4 +111,7 @@ def take_exchange(
     box.demand.moved = True
     if joined is not None:
         joined.coarse.square[organ] = exchange.words.coarse_square
+        joined.links.added[0] = exchange.words.added
+        for link in range(len(exchange.lightness)):
+            joined.links.lightness[link] = exchange.lightness[link]
     exchange.words.tick = after.status.tick + 1

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
+from tissue_sim.model.contact.lips import add_lip_impulses
 from tissue_sim.model.contact.volume_limit import add_volume_limit_impulses
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Scratch
@@ -115,7 +116,7 @@ def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: flo
 
 
 def residuals(simulation: Steppable, forces: Floats | float = 0.0) -> Floats:
-    """Return the residual force on every node under surface forces; the limits of squeezed cells count as forces.
+    """Return the residual force on every node under surface forces; limits of squeezed cells and lips count as forces.
 
     Parameters
     ----------
@@ -134,9 +135,9 @@ def residuals(simulation: Steppable, forces: Floats | float = 0.0) -> Floats:
     force *= simulation.settings.stiffness_scale
     weigh_world(simulation.world, force)
     force[: simulation.model.n_surface] += forces
-    add_volume_limit_impulses(
-        simulation.scratch, float(simulation.settings.tick_time) / max(1, simulation.state.status.substeps), force
-    )
+    step = float(simulation.settings.tick_time) / max(1, simulation.state.status.substeps)
+    add_volume_limit_impulses(simulation.scratch, step, force)
+    add_lip_impulses(simulation.model.lips, step, force)
     return force
 
 

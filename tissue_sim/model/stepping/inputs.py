@@ -6,7 +6,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.tool_motion import distance, distance_along_path, quaternion_distance
 from tissue_sim.model.data.arrays import copy
-from tissue_sim.model.data.contact_set import ContactSet, Engaged, used_words
+from tissue_sim.model.data.contact_set import POINT_NODES, ContactSet, Engaged, used_words
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
@@ -244,7 +244,7 @@ def carry_impulses(state: State, found: ContactSet) -> None:
             continue
         for point in range(points):
             same = found.body[point] == old_set.body[old]
-            for c in range(3):
+            for c in range(POINT_NODES):
                 same = same and found.node[point, c] == old_set.node[old, c]
                 same = same and found.weight[point, c] == old_set.weight[old, c]
             if same:
@@ -302,5 +302,5 @@ def reset_state(model: Model, state: State) -> None:
         status.remaining = status.speed = status.turning = 0.0
         status.engaged = status.held_off = status.released = status.resisted = status.placed = False
         state.contacts.engaged[body] = Engaged.NO.value
-        for c in range(3):
+        for c in range(POINT_NODES):
             state.contacts.tip_node[body, c] = -1

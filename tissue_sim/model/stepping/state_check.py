@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.model.data.contact_set import MOST_POINTS, ContactSet, Engaged, contact_set
+from tissue_sim.model.data.contact_set import MOST_POINTS, ContactSet, Engaged, contact_set, padded
 from tissue_sim.model.data.records import array_of
 from tissue_sim.model.data.settings import Integrator, LocalRegion, Settings
 from tissue_sim.model.data.state import Fault, Region, State, fields_of
@@ -119,6 +119,7 @@ def contact_set_of(fields: Mapping[str, NDArray[Any]], n_bodies: int, n_nodes: i
         if name == "words":
             continue
         target, found = array_of(value), fields.get(name)
+        found = None if found is None else padded(name, found)
         if found is None or found.shape != target.shape or found.dtype.names != target.dtype.names:
             raise ValueError(f"a contact set has a different '{name}'")
         if target.dtype.names is None and found.dtype.kind not in "iuf":
@@ -142,7 +143,7 @@ def _check_contacts(found: ContactSet, n_nodes: int) -> None:
     tips = found.tip_node
     _check_index("node under a tip", tips[tips != -1], n_nodes)
     if np.any((tips == -1).any(axis=1) != (tips == -1).all(axis=1)):
-        raise ValueError("a contact set names an incomplete triangle under a tip")
+        raise ValueError("a contact set names an incomplete point under a tip")
 
 
 def _check_index(name: str, values: NDArray[Any], count: int) -> None:

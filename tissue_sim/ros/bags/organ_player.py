@@ -11,6 +11,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.finder import ContactFinder, Sought
 from tissue_sim.contact.tools import ToolSet
+from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.cut_surface import CutSurface
 from tissue_sim.model.data.contact_set import ContactSet
@@ -90,6 +91,8 @@ class OrganPlayer:
         for cut in recording.cuts:
             if cut.tick < 0:  # the bag began after it, and its organ is the cut one
                 self.cut_surface, self._finders = cut.surface, [(0, self._finder_of(organ, cut))]
+                if cut.surface is not None:
+                    self.simulation.open_lips(cut.surface)
         first = self.tick = int(self.simulation.state.status.tick)
         journal = recording.journal
         self.inputs = {
@@ -184,9 +187,13 @@ class OrganPlayer:
             return None
         before, organ = self.simulation, found.organ()
         made = self._new_simulation(organ)
-        if len(found.origin) != organ.n_nodes or found.origin.max(initial=0) >= before.organ.n_nodes:
+        origin, surface = found.origin, found.surface
+        inside = surface is None or surface.nodes.max(initial=0) < organ.n_nodes
+        if len(origin) != organ.n_nodes or not 0 <= origin.min() <= origin.max() < before.organ.n_nodes or not inside:
             raise UserError("the bag's cut doesn't fit its organ: the bag is damaged")
         made.take_settings(before.settings)
+        if found.surface is not None:
+            made.open_lips(found.surface)
         made.plan_from(before, found.origin)
         made.continue_from(before)
         self.simulation, self.cut_surface = made, found.surface
@@ -194,7 +201,7 @@ class OrganPlayer:
         return made
 
     def _finder_of(self, organ: Organ, cut: RecordedCut) -> ContactFinder:
-        return ContactFinder(organ, self.tools)
+        return ContactFinder(TouchedSurface(organ, cut.surface), self.tools)
 
     def shown(self) -> tuple[Floats, Ints]:
         """Return the surface in its present place, (p, 3) m, with the walls of cuts, and its triangles (t, 3)."""

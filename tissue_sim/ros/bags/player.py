@@ -127,7 +127,7 @@ class Player:
             made = one.cut(tick)
             if made is not None:
                 joined = self.joined.joined
-                joined.exchange(number, made, joined.plan_coarse(number, made))
+                joined.exchange(number, made, joined.plan_exchange(number, made))
         for one, take_settings in zip(self.organs, self._take_settings, strict=True):
             taken = one.take(tick, take_settings)
             if taken is not None:

@@ -98,7 +98,7 @@ def _cut_of(number: int, fields: Mapping[str, NDArray[Any]]) -> RecordedCut:
     names = CutSurface._fields
     surface = None
     given = [fields[f"surface.{name}"] for name in names if f"surface.{name}" in fields]
-    if given:
+    if given:  # those of an uncut organ have none
         if len(given) != len(names):
             raise ValueError("its cut has a surface that lacks something")
         surface = CutSurface(*given)
@@ -111,14 +111,15 @@ def _cut_of(number: int, fields: Mapping[str, NDArray[Any]]) -> RecordedCut:
 
 def _check_surface(surface: CutSurface) -> None:
     points, count = len(surface.nodes), len(surface.triangles)
-    shapes = [(points, 4), (points, 4), (count, 3), (count,)]
-    kinds = [array.dtype.kind for array in surface]
-    if [array.shape for array in surface] != shapes or kinds != ["i", "f", "i", "i"]:
+    shapes = [(points, 4), (points, 4), (count, 3), (count,), (points,), (points,)]
+    kinds = "".join(array.dtype.kind for array in surface)
+    if [array.shape for array in surface] != shapes or kinds != "ifiiii":
         raise ValueError("its cut has a surface of another type")
     if not np.isfinite(surface.weights).all() or surface.nodes.min(initial=0) < 0:
         raise ValueError("its cut has a surface that is not finite")
-    if surface.triangles.min(initial=0) < 0 or surface.triangles.max(initial=0) >= points:
-        raise ValueError("its cut has triangles without points")
+    for among in (surface.triangles, surface.partner):
+        if among.min(initial=0) < 0 or among.max(initial=0) >= points:
+            raise ValueError("its cut has triangles without points")
 
 
 def _whole(fields: Mapping[str, NDArray[Any]], name: str) -> int:

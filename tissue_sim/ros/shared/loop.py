@@ -16,7 +16,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.handles import handle, place_of, row
 from tissue_sim.model.data.records import copy_of, field_of
 from tissue_sim.model.data.world import make_world
-from tissue_sim.model.joined import Joined
+from tissue_sim.model.joined import ExchangePlan, Joined
 from tissue_sim.model.runtime import loop as rt
 from tissue_sim.model.runtime import mailboxes as mb
 from tissue_sim.model.runtime.exchange import boxes_after, make_exchange, take_exchange
@@ -60,7 +60,8 @@ class Loop:
         self._world_handles = [self._world_of(one, organ) for organ, one in enumerate(self.simulations)]
         self._box_handles = [handle(box) for box in self.boxes]
         self._worlds, self._box_row = row(self._world_handles), row(self._box_handles)
-        self._exchange = make_exchange(self._worlds, self._box_row, self._world_handles[0], self._box_handles[0])
+        links = len(joined.links.lightness)
+        self._exchange = make_exchange(self._worlds, self._box_row, self._world_handles[0], self._box_handles[0], links)
         self.hold = PauseControl(self)
         self.before_reset: list[Callable[[], None]] = []  # called first: they exchange cut organs
 
@@ -217,7 +218,9 @@ class Loop:
         self.words.control.posted_time = nanoseconds
         self._ring()
 
-    def exchange(self, organ: int, made: Simulation, coarse_square: float = 0.0, patience: float | None = None) -> int:
+    def exchange(
+        self, organ: int, made: Simulation, plan: ExchangePlan | None = None, patience: float | None = None
+    ) -> int:
         """Go on with a simulation that continues one of the organs; return the first tick with it.
 
         A held loop takes it up at once.
@@ -228,8 +231,8 @@ class Loop:
             Index of the organ.
         made : Simulation
             The simulation, whose `carry_plan` fits the one in use.
-        coarse_square : float, (rad/s)^2, optional
-            Squared largest frequency of its coarse steps; 0: it takes none.
+        plan : ExchangePlan | None, optional
+            What changes for all organs; None for an organ alone.
         patience : float | None, s, optional
             How long to wait for the tick; None: as long as a running loop may take.
 
@@ -252,7 +255,10 @@ class Loop:
         exchange, words = self._exchange, self._exchange.words
         with self._snapshot_lock, self.hold.kept() as is_held:
             exchange.next_world[0], exchange.next_box[0] = place_of(world_handle), place_of(box_handle)
-            words.organ, words.coarse_square = organ, coarse_square
+            words.organ = organ
+            if plan is not None:
+                words.coarse_square, words.added = plan.coarse_square, plan.added
+                exchange.lightness[:] = plan.lightness
             words.asked += 1
             if is_held:
                 take_exchange(self._worlds, self._box_row, self.joined.handle, handle(exchange))

@@ -14,6 +14,7 @@ from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.records import words_of
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import Region, Results, results_in
+from tissue_sim.model.joined import ExchangePlan
 from tissue_sim.model.runtime import mailboxes as mb
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.shared.loop import Loop
@@ -126,19 +127,19 @@ class Physics:
         mb.take(self._settings, 0, 0, words)
         return Settings.at(words)
 
-    def exchange(self, made: Simulation, coarse_square: float = 0.0, patience: float | None = None) -> int:
+    def exchange(self, made: Simulation, plan: ExchangePlan | None = None, patience: float | None = None) -> int:
         """Go on with a simulation that continues this organ's, see Loop.exchange; return the first tick with it.
 
         Parameters
         ----------
         made : Simulation
             The simulation.
-        coarse_square : float, (rad/s)^2, optional
-            Squared largest frequency of its coarse steps; 0: it takes none.
+        plan : ExchangePlan | None, optional
+            What changes for all organs; None for an organ alone.
         patience : float | None, s, optional
             How long to wait for that tick; None: as long as a running loop may take.
         """
-        tick = self.loop.exchange(self._number, made, coarse_square, patience)
+        tick = self.loop.exchange(self._number, made, plan, patience)
         self.simulation, self.box = made, self.loop.boxes[self._number]
         self._shape = handle(self.box.shape), len(made.state.shape)
         self.version += 1

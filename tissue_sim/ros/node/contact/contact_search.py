@@ -83,7 +83,7 @@ class ContactSearch:
         made : Simulation
             The simulation.
         """
-        return ContactFinder(made.organ, self.finder.tools)
+        return ContactFinder.of(made, self.finder.tools)
 
     def exchange(self, finder: ContactFinder) -> None:
         """Search with another finder from the next search on, after the loop has gone on with its organ.

@@ -250,11 +250,11 @@ class CuttingParts:
         """
         search, recorder = self._searches[number], self._recorders[number]
         finder = search.finder_of(made)
-        square = self._joined.plan_coarse(number, made)
+        plan = self._joined.plan_exchange(number, made)
         with recorder.exchanging:
-            tick = recorder.physics.exchange(made, square, patience)
+            tick = recorder.physics.exchange(made, plan, patience)
             recorder.cut(tick, made)
-        self._joined.exchange(number, made, square)
+        self._joined.exchange(number, made, plan)
         search.exchange(finder)
         self._renew_settings(number)
 

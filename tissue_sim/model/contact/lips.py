@@ -1,0 +1,195 @@
+"""Contact of the lips of a cut with each other: a constraint beside those of contact with tools.
+
+Before a cut opens, its walls lie on each other, so that no distance of surfaces tells which of them are in front of
+which. But every point of one wall has its partner on the other: the two copies of the place where the cut crosses an
+edge of cells. Along the wall's normal, as it is now, the upper one must not come below the lower one. Their impulses
+are equal and opposite, without friction, and found together with those of the tools by projected Gauss-Seidel. They
+start from zero in every substep: nothing has to be kept, and a bag can begin anywhere.
+
+Partners that have slid apart by more than an edge of cells don't touch: what is opposite by then is not known.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.jit import kernel
+from tissue_sim.model.data.lips import ENDS, Lips
+from tissue_sim.model.data.state import State
+
+NEAR = 5e-5  # m: distance within which sides may come to touch while others are resolved
+RECOVERY_SPEED = 0.2  # m/s, largest speed at which what lay inside comes out
+SETTLED = 0.02  # fraction of the impulses that a pass may still change
+
+
+@kernel
+def find_lips(lips: Lips, state: State, mobility: Floats, step: float) -> int:
+    """List the places where lips touch or nearly do in lips.contacts; return their number.
+
+    Parameters
+    ----------
+    lips : Lips
+        The lips; updated.
+    state : State
+        State of the simulation.
+    mobility : Floats, shape (n,), 1/kg
+        Velocity of each node for a unit impulse.
+    step : float, s
+        The substep.
+
+    Returns
+    -------
+    int
+        The number.
+    """
+    if len(lips.upper) == 0:
+        return 0
+    lips.counts[0] += 1
+    lips.counts[1] = lips.counts[2] = 0
+    if not _place_middles(lips, state.position):
+        return 0
+    _add_normals(lips)
+    found = 0
+    for place in range(len(lips.upper)):
+        if _take(lips, place, state, mobility, step, found):
+            found += 1
+    lips.counts[2] = found
+    return found
+
+
+@kernel
+def _place_middles(lips: Lips, position: Floats) -> bool:
+    """Write the middles between both sides; return whether any of them are within reach of each other."""
+    any_near = False
+    for place in range(len(lips.upper)):
+        upper_nodes, lower_nodes, square = lips.upper[place], lips.lower[place], 0.0
+        for axis in range(3):
+            upper = lower = 0.0
+            for end in range(ENDS):
+                upper += lips.weight[place, end] * position[upper_nodes[end], axis]
+                lower += lips.weight[place, end] * position[lower_nodes[end], axis]
+            lips.middle[place, axis] = 0.5 * (upper + lower)
+            lips.normal[place, axis] = 0.0
+            square += (upper - lower) ** 2
+        is_open = upper_nodes[0] != lower_nodes[0] or upper_nodes[1] != lower_nodes[1]
+        any_near = any_near or (is_open and square < lips.slide[place] ** 2)
+    return any_near
+
+
+@kernel
+def _add_normals(lips: Lips) -> None:
+    """Write the normals of the surface between both walls, not of length 1."""
+    middle, normal = lips.middle, lips.normal
+    for t in range(len(lips.triangles)):
+        a, b, c = lips.triangles[t, 0], lips.triangles[t, 1], lips.triangles[t, 2]
+        ux, uy, uz = middle[b, 0] - middle[a, 0], middle[b, 1] - middle[a, 1], middle[b, 2] - middle[a, 2]
+        vx, vy, vz = middle[c, 0] - middle[a, 0], middle[c, 1] - middle[a, 1], middle[c, 2] - middle[a, 2]
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        for corner in range(3):
+            place = lips.triangles[t, corner]
+            normal[place, 0] -= x
+            normal[place, 1] -= y
+            normal[place, 2] -= z
+
+
+@kernel
+def _take(lips: Lips, place: int, state: State, mobility: Floats, step: float, found: int) -> bool:
+    """Return whether a place is to be resolved, and fill the record number `found`."""
+    normal, contact = lips.normal[place], lips.contacts[found]
+    size = math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
+    if size == 0.0:
+        return False
+    give = gap = opening = square = 0.0
+    for axis in range(3):
+        contact.normal[axis] = normal[axis] / size
+    for end in range(ENDS):
+        upper, lower, weight = lips.upper[place, end], lips.lower[place, end], lips.weight[place, end]
+        contact.node[end], contact.node[ENDS + end] = upper, lower
+        contact.weight[end], contact.weight[ENDS + end] = weight, -weight
+        if upper != lower:
+            give += weight * weight * (mobility[upper] + mobility[lower])
+    if give == 0.0:
+        return False
+    for axis in range(3):
+        apart = moving = 0.0
+        for k in range(2 * ENDS):
+            apart += contact.weight[k] * state.position[contact.node[k], axis]
+            moving += contact.weight[k] * state.velocity[contact.node[k], axis]
+        square += apart * apart
+        gap += contact.normal[axis] * apart
+        opening += contact.normal[axis] * moving
+    if gap > NEAR or square - gap * gap > lips.slide[place] ** 2 or gap < -lips.slide[place]:
+        return False
+    contact.least = min(0.0, gap + step * (RECOVERY_SPEED - opening))
+    contact.stiffness, contact.pressed = 1.0 / (step * give), 0.0
+    return True
+
+
+@kernel
+def press_lips(lips: Lips, state: State, mobility: Floats, found: int, step: float) -> bool:
+    """Make one pass over the listed places.
+
+    Parameters
+    ----------
+    lips : Lips
+        The lips; updated.
+    state : State
+        State of the simulation; updated.
+    mobility : Floats, shape (n,), 1/kg
+        Velocity of each node for a unit impulse.
+    found : int
+        Number of the listed places.
+    step : float, s
+        The substep.
+
+    Returns
+    -------
+    bool
+        True when the impulses changed little.
+    """
+    change = total = 0.0
+    lips.counts[1] = 0
+    for index in range(found):
+        contact = lips.contacts[index]
+        normal, gap = contact.normal, 0.0
+        for k in range(2 * ENDS):
+            position = state.position[contact.node[k]]
+            gap += contact.weight[k] * (normal[0] * position[0] + normal[1] * position[1] + normal[2] * position[2])
+        pushed = max(0.0, contact.pressed - (gap - contact.least) * contact.stiffness)
+        more = pushed - contact.pressed
+        contact.pressed = pushed
+        total += pushed
+        change += abs(more)
+        lips.counts[1] += pushed > 0.0
+        if more == 0.0:
+            continue
+        for k in range(2 * ENDS):
+            node = contact.node[k]
+            # Where both sides have a node in common it feels nothing.
+            if node == contact.node[(k + ENDS) % (2 * ENDS)]:
+                continue
+            move = more * contact.weight[k] * mobility[node]
+            for axis in range(3):
+                state.velocity[node, axis] += move * normal[axis]
+                state.position[node, axis] += step * move * normal[axis]
+    return change <= SETTLED * total
+
+
+def add_lip_impulses(lips: Lips, step: float, force: Floats) -> None:
+    """Add the forces of lips on each other in the last substep.
+
+    Parameters
+    ----------
+    lips : Lips
+        The lips.
+    step : float, s
+        The substep.
+    force : Floats, shape (n, 3), N
+        Forces on the nodes; updated.
+    """
+    contacts = lips.contacts[: lips.counts[2]]
+    push = (contacts.pressed / step)[:, None, None] * contacts.normal[:, None, :]
+    np.add.at(force, contacts.node, contacts.weight[:, :, None] * push)

@@ -1,0 +1,64 @@
+"""Lips of cuts: points of both walls that lay on each other before, as the kernels read them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.model.data.records import Record, Vector
+
+ENDS = 2  # of the edge of cells that a point lies on
+
+
+class LipContact(Record):
+    """Point whose two sides touch in a substep, or nearly do."""
+
+    node: Annotated[Longs, (2 * ENDS,)]  # those of the upper side, then those of the lower one
+    weight: Annotated[Floats, (2 * ENDS,)]  # of each in the gap; negative on the lower side
+    normal: Vector  # from the lower side to the upper one
+    least: float  # m, the least gap allowed
+    stiffness: float  # N s/m, the impulse that opens it by a metre
+    pressed: float  # N s, given so far
+
+
+class Lips(NamedTuple):
+    """Points of q places on the walls of cuts, none where nothing is cut. The upper side is the positive one."""
+
+    upper: Longs  # (q, ENDS) nodes between which each lies on that side
+    lower: Longs  # (q, ENDS) those of the other side: of each, the other copy, or the same node where both sides meet
+    weight: Floats  # (q, ENDS) the same on both sides
+    slide: Floats  # (q,) m that the sides may have slid along each other and still touch there
+    triangles: Longs  # (f, 3) of the upper wall, between places; counter-clockwise seen from the lower one
+    normal: Floats  # (q, 3) room, m^2, from the lower side to the upper one
+    middle: Floats  # (q, 3) room, m
+    contacts: Any  # (q,) LipContact: room
+    counts: Longs  # (3,) searches so far; places that touched in the last substep, and those that were listed
+
+
+def make_lips(places: int = 0, triangles: int = 0) -> Lips:
+    """Return lips of zeros.
+
+    Parameters
+    ----------
+    places : int, optional
+        Number of places.
+    triangles : int, optional
+        Number of triangles.
+    """
+
+    def longs(*shape: int) -> Longs:
+        return np.zeros(shape, dtype=np.int64)
+
+    return Lips(
+        upper=longs(places, ENDS),
+        lower=longs(places, ENDS),
+        weight=np.zeros((places, ENDS)),
+        slide=np.zeros(places),
+        triangles=longs(triangles, 3),
+        normal=np.zeros((places, 3)),
+        middle=np.zeros((places, 3)),
+        contacts=LipContact.rows(longs(places * LipContact.words())),
+        counts=longs(3),
+    )
