@@ -53,7 +53,11 @@ def points_of(found, position):
 
 
 def check_entries(found, organ):
-    assert found.node.shape == found.weight.shape == found.normal.shape == (len(found.body), 3)
+    assert found.node.shape == found.weight.shape == (len(found.body), 4)
+    assert found.normal.shape == (len(found.body), 3)
+    # In an uncut organ a point lies in a triangle.
+    np.testing.assert_array_equal(found.node[:, 3], found.node[:, 0])
+    np.testing.assert_array_equal(found.weight[:, 3], 0.0)
     np.testing.assert_allclose(found.weight.sum(axis=1), 1.0, atol=1e-12)
     assert np.all(found.weight >= 0.0)
     assert np.all((found.node >= 0) & (found.node < organ.n_surface))
@@ -65,7 +69,7 @@ def test_far_tool_gives_an_empty_set_and_counts_the_skip():
     finder = make_finder(organ, Tool("left", radius=0.005))
     found = find(finder, organ, [1.0, 0.0, 0.0, *STILL])
     assert len(found.body) == len(found.node) == len(found.weight) == len(found.normal) == 0
-    np.testing.assert_array_equal(found.tip_node, [[-1, -1, -1]])
+    np.testing.assert_array_equal(found.tip_node, [[-1, -1, -1, -1]])
     assert (finder.counters.sets, finder.counters.far_skips, finder.counters.narrow_phases) == (1, 1, 0)
 
 
@@ -88,7 +92,7 @@ def test_every_entry_is_a_point_of_a_triangle_near_the_tool(organ, tool):
     check_entries(found, organ)
     assert finder.counters.narrow_phases == 1
     triangles = {tuple(sorted(t)) for t in organ.surface_triangles.tolist()}
-    for nodes in found.node:
+    for nodes in found.node[:, :3]:
         assert len(set(nodes)) == 1 or tuple(sorted(nodes.tolist())) in triangles
     assert found.header.dropped == 0
     twice = {tuple(np.round(point, 12)) for point in points_of(found, organ.rest_positions)}
@@ -154,7 +158,7 @@ def test_flat_tool_over_the_middle_of_a_triangle_has_points_in_it(tmp_path, gap)
         turn, _ = Rotation.align_vectors([-normal], [[0.0, 0.0, 1.0]])
         middle = (a + b + c) / 3.0
         found = find(finder, organ, [*(middle + gap * normal), *turn.as_quat()])
-        inside = np.all(np.sort(found.node, axis=1) == np.sort(triangle), axis=1)
+        inside = np.all(np.sort(found.node[:, :3], axis=1) == np.sort(triangle), axis=1)
         assert inside.any(), f"triangle {number}"
 
 
@@ -174,7 +178,7 @@ def test_a_jaw_finds_points_as_close_together_as_each_triangle_asks_for(tmp_path
     local = local_compliance(organ, radius)
     for triangle, edge in zip(organ.surface_triangles, longest, strict=True):
         m = divisions_of(edge / (OF_OTHERS.spacing * radius))
-        rows = np.flatnonzero(inner & (np.sort(found.node, axis=1) == np.sort(triangle)).all(axis=1))
+        rows = np.flatnonzero(inner & (np.sort(found.node[:, :3], axis=1) == np.sort(triangle)).all(axis=1))
         assert len(rows) == (m - 1) * (m - 2) // 2
         wanted = m**2 * np.einsum("kc,kcx->kx", found.weight[rows], local[found.node[rows]])
         np.testing.assert_allclose(found.compliance[rows], wanted)
@@ -195,7 +199,7 @@ def test_tissue_gives_way_to_a_jaw_as_far_as_the_points_around_lie_close_not_as_
     assert own.max() > 1.5 * own.min()
     inner = np.count_nonzero(found.weight > 0.0, axis=1) == 3
     for triangle, room in zip(organ.surface_triangles, own, strict=True):
-        rows = inner & (np.sort(found.node, axis=1) == np.sort(triangle)).all(axis=1)
+        rows = inner & (np.sort(found.node[:, :3], axis=1) == np.sort(triangle)).all(axis=1)
         np.testing.assert_allclose(found.most_give[rows], room, rtol=1e-6)
     at_node = found.weight.max(axis=1) == 1.0
     for node, room in zip(found.node[at_node, 0], found.most_give[at_node], strict=True):
@@ -325,10 +329,10 @@ def test_tip_reaches_no_farther_than_it_should():
     near, far = over(organ, (0.0, 0.0, 1.0), 0.99 * TIP_REACH), over(organ, (0.0, 0.0, 1.0), 1.01 * TIP_REACH)
     found = find(finder, organ, near, far, engaged=[0, 0], pushing=[1, 1])
     assert np.all(found.tip_node[0] >= 0)
-    np.testing.assert_array_equal(found.tip_node[1], [-1, -1, -1])
+    np.testing.assert_array_equal(found.tip_node[1], [-1, -1, -1, -1])
     np.testing.assert_array_equal(found.tip_weight[1], 0.0)
     silent = find(finder, organ, near, near, engaged=[0, 0], pushing=[0, 1])
-    np.testing.assert_array_equal(silent.tip_node[0], [-1, -1, -1])
+    np.testing.assert_array_equal(silent.tip_node[0], [-1, -1, -1, -1])
 
 
 # geometry --------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import pytest
 
 from helpers.pressing import given, lead, line, press
 from helpers.scenes import ball, kidney
-from tissue_sim.contact import finder
+from tissue_sim.contact import contact_lattice
 from tissue_sim.contact.local_compliance import (
     LAYER,
     OF_BALLS,
@@ -71,7 +71,7 @@ def test_points_between_nodes_give_way_by_more():
     scene = Scene(organ, [Tool("finger", radius=2.0 * edge)])
     press(scene, 0.5 * edge, hold=1)
     found = scene.contacts
-    parts = finder.divisions_of(edges.max() / (OF_BALLS.spacing * 2.0 * edge))
+    parts = contact_lattice.divisions_of(edges.max() / (OF_BALLS.spacing * 2.0 * edge))
     nodes = parts**2 * local_compliance(organ, 2.0 * edge)
     assert {1, 2, 3} >= set(np.count_nonzero(found.weight, axis=1)) > {1}
     for node, weight, compliance in zip(found.node, found.weight, found.compliance, strict=True):
@@ -124,6 +124,6 @@ def test_force_depends_on_neither_the_spacing_of_points_nor_on_friction(monkeypa
     _, force = pressed()
     _, sticking = pressed(friction=10.0)
     assert sticking == pytest.approx(force, rel=0.08)
-    monkeypatch.setattr(finder, "LEAST_DIVISIONS", 4)
+    monkeypatch.setattr(contact_lattice, "LEAST_DIVISIONS", 4)
     _, fine = pressed()
     assert fine == pytest.approx(force, rel=0.06)

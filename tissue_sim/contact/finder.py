@@ -25,7 +25,14 @@ from tissue_sim.contact.broad_phase import (
     surface_box,
     triangles_in_box,
 )
-from tissue_sim.contact.contact_lattice import COARSEST, MOST_DIVISIONS, divisions_of, fineness_of, lattices
+from tissue_sim.contact.contact_lattice import (
+    COARSEST,
+    LEAST_DIVISIONS,
+    MOST_DIVISIONS,
+    divisions_of,
+    fineness_of,
+    lattices,
+)
 from tissue_sim.contact.local_compliance import OF_BALLS, OF_OTHERS, extra_compliance_between_nodes, most_give
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.touched_surface import TouchedSurface
@@ -125,6 +132,8 @@ class ContactFinder:
             # take most of a tick.
             each = edges if kind in (CONVEX, GRID) and not is_fine else np.where(surface.is_old, usual, edges)
             parts = np.array([divisions_of(edge / (give.spacing * size)) for edge in each])
+            # What a cut has made smaller needs fewer points to have as many on an area.
+            parts[~surface.is_old & (edges <= usual / LEAST_DIVISIONS) & (parts == LEAST_DIVISIONS)] = 1
             parts[surface.is_loose] = 1
             # A nearest point is another one each time, with no force that it could have given way to.
             room = np.zeros(len(each)) if is_fine else most_give(give, organ, size, each / parts)

@@ -84,7 +84,7 @@ def test_region_solves_its_nodes_as_the_whole_model_does_with_the_rest_held():
 def push_tip(simulation, size):
     """An external force at the tip over node TOP, along -z, N."""
     contacts = simulation.state.contacts
-    contacts.tip_node[0], contacts.tip_weight[0] = TOP, [1.0, 0.0, 0.0]
+    contacts.tip_node[0], contacts.tip_weight[0] = TOP, [1.0, 0.0, 0.0, 0.0]
     simulation.take_force(0, np.array([0.0, 0.0, -size]), 1)
 
 

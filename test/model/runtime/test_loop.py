@@ -13,7 +13,7 @@ from helpers.patience import LIMIT, wait_for
 from helpers.scenes import ball
 from helpers.states import assert_same
 from tissue_sim.handles import handle, row
-from tissue_sim.model.data.contact_set import contact_set
+from tissue_sim.model.data.contact_set import contact_set, padded
 from tissue_sim.model.data.records import copy_of, words_of
 from tissue_sim.model.data.state import results_in
 from tissue_sim.model.data.world import make_world
@@ -124,8 +124,8 @@ def all_nodes(releases=0):
     normals = organ.surface_positions / np.linalg.norm(organ.surface_positions, axis=1, keepdims=True)
     found = contact_set(1, len(nodes))
     found.header.points = len(nodes)
-    found.node[:], found.weight[:], found.normal[:] = nodes, weights, normals
-    found.tip_node[0], found.tip_weight[0], found.engaged[0] = top, 1.0 / 3.0, 1
+    found.node[:], found.weight[:], found.normal[:] = padded("node", nodes), padded("weight", weights), normals
+    found.tip_node[0], found.tip_weight[0], found.engaged[0] = [*top, top[0]], [*[1.0 / 3.0] * 3, 0.0], 1
     found.reach[0], found.releases[0] = 1e3, releases  # everywhere
     return found
 

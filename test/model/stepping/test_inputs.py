@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from helpers.scenes import ball, free_ball
 from tissue_sim.contact.tools import Tool, ToolSet
-from tissue_sim.model.data.contact_set import contact_set
+from tissue_sim.model.data.contact_set import contact_set, padded
 from tissue_sim.model.simulation import Simulation, sphere_tools
 
 FAR = np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0])
@@ -23,7 +23,11 @@ def engaged_at(pose):
 def take_set(simulation, sequence, tip_node=(-1, -1, -1), tip_weight=(0.0, 0.0, 0.0), engaged=1, releases=None):
     """A contact set without entries, which reaches everywhere."""
     found = contact_set(1, 0)
-    found.tip_node[0], found.tip_weight[0], found.engaged[0] = tip_node, tip_weight, engaged
+    found.tip_node[:], found.tip_weight[:] = (
+        padded("tip_node", np.array([tip_node])),
+        padded("tip_weight", np.array([tip_weight])),
+    )
+    found.engaged[0] = engaged
     found.reach[0] = 1e3
     found.releases[0] = simulation.state.bodies[0].releases if releases is None else releases
     simulation.take_contacts(found, sequence)

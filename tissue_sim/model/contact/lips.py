@@ -2,11 +2,13 @@
 
 Before a cut opens, its walls lie on each other, so that no distance of surfaces tells which of them are in front of
 which. But every point of one wall has its partner on the other: the two copies of the place where the cut crosses an
-edge of cells. Along the wall's normal, as it is now, the upper one must not come below the lower one. Their impulses
-are equal and opposite, without friction, and found together with those of the tools by projected Gauss-Seidel. They
-start from zero in every substep: nothing has to be kept, and a bag can begin anywhere.
+edge of cells. Along the mean normal of both walls, as they are now, the upper one must not come below the lower one.
+Their impulses are equal and opposite, without friction, and found together with those of the tools by projected
+Gauss-Seidel. They start from zero in every substep: nothing has to be kept, and a bag can begin anywhere. They are
+bounded: between tools and lips there may be no way out, and impulses that accumulate there throw light nodes.
 
-Partners that have slid apart by more than an edge of cells don't touch: what is opposite by then is not known.
+Partners that have slid apart by more than an edge of cells, or whose walls don't face each other any more, don't touch:
+what is opposite by then is not known.
 """
 
 from __future__ import annotations
@@ -15,13 +17,15 @@ import math
 
 import numpy as np
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.lips import ENDS, Lips
 from tissue_sim.model.data.state import State
 
 NEAR = 5e-5  # m: distance within which sides may come to touch while others are resolved
 RECOVERY_SPEED = 0.2  # m/s, largest speed at which what lay inside comes out
+FACING = 0.5  # cosine between both walls' normals, from which on they face each other
+MOST_SPEED = 2.0  # m/s by which a substep may change that at which sides approach
 SETTLED = 0.02  # fraction of the impulses that a pass may still change
 
 
@@ -49,9 +53,10 @@ def find_lips(lips: Lips, state: State, mobility: Floats, step: float) -> int:
         return 0
     lips.counts[0] += 1
     lips.counts[1] = lips.counts[2] = 0
-    if not _place_middles(lips, state.position):
+    if not _place_sides(lips, state.position):
         return 0
-    _add_normals(lips)
+    for side in range(2):
+        _add_normals(lips.place[side], lips.triangles, lips.normal[side])
     found = 0
     for place in range(len(lips.upper)):
         if _take(lips, place, state, mobility, step, found):
@@ -61,8 +66,8 @@ def find_lips(lips: Lips, state: State, mobility: Floats, step: float) -> int:
 
 
 @kernel
-def _place_middles(lips: Lips, position: Floats) -> bool:
-    """Write the middles between both sides; return whether any of them are within reach of each other."""
+def _place_sides(lips: Lips, position: Floats) -> bool:
+    """Write where both sides of each place are; return whether any of them are within reach of each other."""
     any_near = False
     for place in range(len(lips.upper)):
         upper_nodes, lower_nodes, square = lips.upper[place], lips.lower[place], 0.0
@@ -71,8 +76,7 @@ def _place_middles(lips: Lips, position: Floats) -> bool:
             for end in range(ENDS):
                 upper += lips.weight[place, end] * position[upper_nodes[end], axis]
                 lower += lips.weight[place, end] * position[lower_nodes[end], axis]
-            lips.middle[place, axis] = 0.5 * (upper + lower)
-            lips.normal[place, axis] = 0.0
+            lips.place[0, place, axis], lips.place[1, place, axis] = upper, lower
             square += (upper - lower) ** 2
         is_open = upper_nodes[0] != lower_nodes[0] or upper_nodes[1] != lower_nodes[1]
         any_near = any_near or (is_open and square < lips.slide[place] ** 2)
@@ -80,31 +84,47 @@ def _place_middles(lips: Lips, position: Floats) -> bool:
 
 
 @kernel
-def _add_normals(lips: Lips) -> None:
-    """Write the normals of the surface between both walls, not of length 1."""
-    middle, normal = lips.middle, lips.normal
-    for t in range(len(lips.triangles)):
-        a, b, c = lips.triangles[t, 0], lips.triangles[t, 1], lips.triangles[t, 2]
-        ux, uy, uz = middle[b, 0] - middle[a, 0], middle[b, 1] - middle[a, 1], middle[b, 2] - middle[a, 2]
-        vx, vy, vz = middle[c, 0] - middle[a, 0], middle[c, 1] - middle[a, 1], middle[c, 2] - middle[a, 2]
+def _add_normals(place: Floats, triangles: Longs, normal: Floats) -> None:
+    """Write the normals (q, 3) of a wall, m^2, from the lower side to the upper one."""
+    normal[:] = 0.0
+    for t in range(len(triangles)):
+        a, b, c = place[triangles[t, 0]], place[triangles[t, 1]], place[triangles[t, 2]]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
         x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         for corner in range(3):
-            place = lips.triangles[t, corner]
-            normal[place, 0] -= x
-            normal[place, 1] -= y
-            normal[place, 2] -= z
+            of_corner = normal[triangles[t, corner]]
+            of_corner[0] -= x
+            of_corner[1] -= y
+            of_corner[2] -= z
+
+
+@kernel
+def _write_normal(upper: Floats, lower: Floats, normal: Floats) -> bool:
+    """Write the mean of both walls' unit normals, (3,) each, as one; return whether the walls face each other."""
+    square = other = agrees = 0.0
+    for axis in range(3):
+        square += upper[axis] * upper[axis]
+        other += lower[axis] * lower[axis]
+        agrees += upper[axis] * lower[axis]
+    if square == 0.0 or other == 0.0 or agrees < FACING * math.sqrt(square * other):
+        return False
+    square, other, size = math.sqrt(square), math.sqrt(other), 0.0
+    for axis in range(3):
+        normal[axis] = upper[axis] / square + lower[axis] / other
+        size += normal[axis] * normal[axis]
+    for axis in range(3):
+        normal[axis] /= math.sqrt(size)
+    return True
 
 
 @kernel
 def _take(lips: Lips, place: int, state: State, mobility: Floats, step: float, found: int) -> bool:
     """Return whether a place is to be resolved, and fill the record number `found`."""
-    normal, contact = lips.normal[place], lips.contacts[found]
-    size = math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
-    if size == 0.0:
+    contact = lips.contacts[found]
+    if not _write_normal(lips.normal[0, place], lips.normal[1, place], contact.normal):
         return False
     give = gap = opening = square = 0.0
-    for axis in range(3):
-        contact.normal[axis] = normal[axis] / size
     for end in range(ENDS):
         upper, lower, weight = lips.upper[place, end], lips.lower[place, end], lips.weight[place, end]
         contact.node[end], contact.node[ENDS + end] = upper, lower
@@ -124,7 +144,7 @@ def _take(lips: Lips, place: int, state: State, mobility: Floats, step: float, f
     if gap > NEAR or square - gap * gap > lips.slide[place] ** 2 or gap < -lips.slide[place]:
         return False
     contact.least = min(0.0, gap + step * (RECOVERY_SPEED - opening))
-    contact.stiffness, contact.pressed = 1.0 / (step * give), 0.0
+    contact.stiffness, contact.pressed, contact.most = 1.0 / (step * give), 0.0, MOST_SPEED / give
     return True
 
 
@@ -158,7 +178,7 @@ def press_lips(lips: Lips, state: State, mobility: Floats, found: int, step: flo
         for k in range(2 * ENDS):
             position = state.position[contact.node[k]]
             gap += contact.weight[k] * (normal[0] * position[0] + normal[1] * position[1] + normal[2] * position[2])
-        pushed = max(0.0, contact.pressed - (gap - contact.least) * contact.stiffness)
+        pushed = min(contact.most, max(0.0, contact.pressed - (gap - contact.least) * contact.stiffness))
         more = pushed - contact.pressed
         contact.pressed = pushed
         total += pushed

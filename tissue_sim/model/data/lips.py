@@ -21,6 +21,7 @@ class LipContact(Record):
     least: float  # m, the least gap allowed
     stiffness: float  # N s/m, the impulse that opens it by a metre
     pressed: float  # N s, given so far
+    most: float  # N s, the largest one allowed
 
 
 class Lips(NamedTuple):
@@ -31,8 +32,8 @@ class Lips(NamedTuple):
     weight: Floats  # (q, ENDS) the same on both sides
     slide: Floats  # (q,) m that the sides may have slid along each other and still touch there
     triangles: Longs  # (f, 3) of the upper wall, between places; counter-clockwise seen from the lower one
-    normal: Floats  # (q, 3) room, m^2, from the lower side to the upper one
-    middle: Floats  # (q, 3) room, m
+    place: Floats  # (2, q, 3) room: where they are on the upper side and on the lower one, m
+    normal: Floats  # (2, q, 3) room: that of the wall there, m^2, from the lower side to the upper one
     contacts: Any  # (q,) LipContact: room
     counts: Longs  # (3,) searches so far; places that touched in the last substep, and those that were listed
 
@@ -57,8 +58,8 @@ def make_lips(places: int = 0, triangles: int = 0) -> Lips:
         weight=np.zeros((places, ENDS)),
         slide=np.zeros(places),
         triangles=longs(triangles, 3),
-        normal=np.zeros((places, 3)),
-        middle=np.zeros((places, 3)),
+        place=np.zeros((2, places, 3)),
+        normal=np.zeros((2, places, 3)),
         contacts=LipContact.rows(longs(places * LipContact.words())),
         counts=longs(3),
     )
