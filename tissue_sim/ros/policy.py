@@ -98,7 +98,7 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
     forces = [name for link in links for name in _topics(namespace, link, "external_cf")]
     wrenches = [name for link in links for name in _topics(namespace, link, "servo_cf")]
     own = f"/{node}"
-    shown = _of_organs(own, values, "inclusions", "mesh", "skeleton", "surface")
+    shown = _of_organs(own, values, "cuts", "inclusions", "mesh", "mesh_version", "skeleton", "surface")
     if values["organs"]:
         shown += _below(own, "ligaments")
     return {
@@ -117,8 +117,12 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
                 "/tf_static",
                 *_below(own, *(["respiration"] if values["organs"] else [])),
                 *_below(own, *(f"{tool}/enable" for tool in values["tools"])),
+                *_of_organs(own, values, "cut_path"),
             ],
-            _below(own, "pause", "record", "reset", "step", *SERVICES, *PARAMETER_SERVICES),
+            [
+                *_below(own, "pause", "record", "reset", "step", *SERVICES, *PARAMETER_SERVICES),
+                *_of_organs(own, values, "cut"),
+            ],
         ),
         f"{own}/bridge": Allowed(
             f"{namespace}/haptic_bridge",

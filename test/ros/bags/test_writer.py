@@ -151,7 +151,7 @@ def stalled(tmp_path, monkeypatch):
     monkeypatch.setattr(BagWriter, "write", when_let_go)
     monkeypatch.setattr(spool, "MOST_WAITING", 8e6)
     organs = Organs(Loop(Joined([Simulation(ball(2))])))
-    recorder = Recorder("/tissue_sim", organs, {"": (ball(2), ball(2).to_bytes)}, {"tools": ["left"]})
+    recorder = Recorder("/tissue_sim", organs, [""], {"tools": ["left"]})
     for topic in TOOL_TOPICS:
         recorder.add_topic("left", topic, f"/left/{topic}")
     organs.loop.start()

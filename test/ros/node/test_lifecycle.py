@@ -344,7 +344,7 @@ def test_bag_with_a_full_queue_is_closed_without_the_rest(tmp_path, monkeypatch)
     """What a slow disk can't take in time is left out and counted; the bag can be read."""
     simulation = Simulation(ball(2))
     loop = Loop(Joined([simulation]))
-    recorder = Recorder("/tissue_sim", Organs(loop), {"": (ball(2), ball(2).to_bytes)}, {"tools": ["left"]})
+    recorder = Recorder("/tissue_sim", Organs(loop), [""], {"tools": ["left"]})
     for topic in TOOL_TOPICS:
         recorder.add_topic("left", topic, f"/left/{topic}")
     write = BagWriter.write

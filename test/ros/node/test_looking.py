@@ -20,6 +20,7 @@ from helpers.ros.processes import poke_path, running_node, shipped, start_publis
 from tissue_sim.ros.node.output.markers import OrganMarkers
 from tissue_sim.ros.shared.appearance import MOVING, SHADES, TISSUE
 from tissue_sim.ros.shared.client import cloud_array
+from tissue_sim.ros.shared.shown_organ import ShownOrgan
 
 pytestmark = pytest.mark.extended
 
@@ -133,7 +134,7 @@ def test_the_rviz_config_shows_what_the_node_publishes(client):
                 assert end.qos_profile.reliability.name == topic["Reliability Policy"].upper().replace(" ", "_")
                 assert end.qos_profile.durability.name == topic["Durability Policy"].upper().replace(" ", "_")
     markers = next(display for display in config["Displays"] if display["Class"].endswith("MarkerArray"))
-    template = OrganMarkers("organ", {"": shipped()}, 2)
+    template = OrganMarkers("organ", {"": ShownOrgan(shipped())}, 2)
     assert set(markers["Namespaces"]) == {m.ns for m in deserialize_message(template.deletion(), MarkerArray).markers}
 
 

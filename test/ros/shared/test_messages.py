@@ -22,6 +22,7 @@ from tissue_sim.ros.shared.cdr import (
     unit_pose,
 )
 from tissue_sim.ros.shared.messages import CloudTemplate, NumbersTemplate, rest_mesh
+from tissue_sim.ros.shared.shown_organ import ShownOrgan
 from tissue_sim.ros.shared.tool_messages import POSE_TYPES, ToolTopics
 
 FRAMES = ["", "o", "organ", "frames", "a_rather_long_frame/of_an_arm"]
@@ -155,7 +156,7 @@ def test_what_a_bag_holds_may_be_cut_short():
 
 def test_rest_mesh_is_the_organ():
     organ = shipped()
-    read = deserialize_message(rest_mesh(organ), Mesh)
+    read = deserialize_message(rest_mesh(ShownOrgan(organ)), Mesh)
     assert np.array_equal([t.vertex_indices for t in read.triangles], organ.surface_triangles)
     assert np.array_equal([(v.x, v.y, v.z) for v in read.vertices], organ.surface_positions)
 

@@ -17,9 +17,9 @@ from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.shapes import CAPSULE, SPHERE
 from tissue_sim.organ.meshes.mesh_formats import GLTF_TO_LPS
-from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.comparison import Shown
-from tissue_sim.ros.bags.player import replay
+from tissue_sim.ros.bags.organ_player import ShownSurface
+from tissue_sim.ros.bags.player import Player
 from tissue_sim.ros.bags.reading import Bag
 from tissue_sim.ros.shared.appearance import shade_of, shades, tissue_colour
 
@@ -68,10 +68,16 @@ def frames_of(bag: Bag, every: int) -> list[Frame]:
         [tool.name for tool in bag.tools],
         [ticks] * len(bag.tools),
         [np.zeros((count, 6))] * len(bag.tools),
-        [ticks] * len(organs),
-        [np.zeros((count, organ.n_surface, 3), dtype=np.float32) for _, organ in organs],
+        [ticks[:0]] * len(organs),
+        [np.zeros((0, organ.n_surface, 3), dtype=np.float32) for _, organ in organs],
     )
-    shown = replay(bag.recording, wanted=wanted).shown
+    player, at, surfaces = Player(bag.recording, [organ for _, organ in organs]), set(ticks.tolist()), {}
+
+    def keep(tick: int) -> None:
+        if tick in at:
+            surfaces[tick] = [one.shown() for one in player.organs]
+
+    shown = player.run(wanted, keep).shown
     tools = ToolSet(bag.tools)
     of_tools = [
         _ShownTool(bag, tools, number, ticks, wrenches[:, :3]) for number, wrenches in enumerate(shown.wrenches)
@@ -80,19 +86,16 @@ def frames_of(bag: Bag, every: int) -> list[Frame]:
     frames = []
     for index, (tick, time) in enumerate(zip(ticks.tolist(), bag.clock(ticks).tolist(), strict=True)):
         parts = [
-            _organ_part(name, organ, surfaces[index], scales[name])
-            for (name, organ), surfaces in zip(organs, shown.surfaces, strict=True)
+            _organ_part(name, surface, scales[name]) for (name, _), surface in zip(organs, surfaces[tick], strict=True)
         ]
         frames.append(Frame(tick, time, parts + [part for tool in of_tools for part in tool.parts(index)]))
     return frames
 
 
-def _organ_part(name: str, organ: Organ, surface: NDArray[np.float32], scale: Floats) -> Part:
-    positions = surface.astype(np.float64)
-    moved = positions - organ.surface_positions
-    return Part(
-        name, positions, organ.surface_triangles, {"displacement_m": moved}, shade_of(moved, scale).astype(np.uint8)
-    )
+def _organ_part(name: str, surface: ShownSurface, scale: Floats) -> Part:
+    moved = surface.positions - surface.rest
+    shades_of = shade_of(moved, scale).astype(np.uint8)
+    return Part(name, surface.positions, surface.triangles, {"displacement_m": moved}, shades_of)
 
 
 class _ShownTool:

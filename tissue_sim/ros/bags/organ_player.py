@@ -59,6 +59,14 @@ class Taken(NamedTuple):
     contact_set: bool
 
 
+class ShownSurface(NamedTuple):
+    """Surface of an organ at a tick, with the walls of its cuts."""
+
+    positions: Floats  # (p, 3) m
+    rest: Floats  # (p, 3) m
+    triangles: Ints  # (t, 3)
+
+
 class OrganPlayer:
     """A simulation that applies what the journal names."""
 
@@ -203,12 +211,13 @@ class OrganPlayer:
     def _finder_of(self, organ: Organ, cut: RecordedCut) -> ContactFinder:
         return ContactFinder(TouchedSurface(organ, cut.surface), self.tools)
 
-    def shown(self) -> tuple[Floats, Ints]:
-        """Return the surface in its present place, (p, 3) m, with the walls of cuts, and its triangles (t, 3)."""
+    def shown(self) -> ShownSurface:
+        """Return the surface in its present place, with the walls of cuts."""
         shown = ShownOrgan(self.simulation.organ, self.cut_surface)
         rows = np.zeros((shown.n_rows, 3))
         shown.fill(rows, self.simulation.positions)
-        return shown.points(rows) + self.simulation.state.carried, shown.triangles
+        positions = shown.points(rows) + self.simulation.state.carried
+        return ShownSurface(positions, shown.points(shown.rest), shown.triangles)
 
     def keep(self, tick: int) -> None:
         """Keep what a contact set was found from: the positions of a tick, and where the tools were.

@@ -57,7 +57,7 @@ def scene(monkeypatch):
     monkeypatch.setattr(physics, "results", lambda: copy.deepcopy(told))
     monkeypatch.setattr(physics, "positions", lambda out: (np.copyto(out, organ.rest_positions) or 1, np.zeros(3)))
     recorder = SimpleNamespace(contacts=lambda *_: None, together=threading.RLock())
-    search = ContactSearch(finder, ServedOrgan("", organ, physics), [port], recorder)
+    search = ContactSearch(finder, ServedOrgan("", physics), [port], recorder)
     worker = ContactWorker([search], None, [port], threading.Event(), warned.append)
     middle = organ.surface_positions.mean(axis=0)
     made = SimpleNamespace(worker=worker, finder=finder, physics=physics, told=told, middle=middle, warned=warned)

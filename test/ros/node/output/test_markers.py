@@ -8,6 +8,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from helpers.ros.processes import shipped
 from tissue_sim.ros.node.output.markers import ARROW_LENGTH, OrganMarkers, all_finite, write_displacement
 from tissue_sim.ros.shared.appearance import SHADES
+from tissue_sim.ros.shared.shown_organ import ShownOrgan
 
 CENTRE = np.array([[0.1, 0.2, 0.3], [0.0, 0.0, 0.0]])
 WRENCH = np.zeros((2, 6))
@@ -16,7 +17,7 @@ WRENCH[0, :3] = (0.0, 0.0, 2.0)
 
 def message_of(organ, positions, share=None):
     """What a viewer gets, and the same written by ROS."""
-    template = OrganMarkers("organ", {"": organ}, 2, coloured=share is not None)
+    template = OrganMarkers("organ", {"": ShownOrgan(organ)}, 2, coloured=share is not None)
     raw = template.message(3_000_000_007, positions, CENTRE, WRENCH, share)
     read = deserialize_message(raw, MarkerArray)
     assert len(serialize_message(read)) == len(raw), "nothing but what the markers say"
@@ -49,7 +50,7 @@ def test_positions_and_forces_are_shown():
 
 def test_an_arrow_goes_with_its_force_and_comes_back():
     organ = shipped()
-    template = OrganMarkers("organ", {"": organ}, 2)
+    template = OrganMarkers("organ", {"": ShownOrgan(organ)}, 2)
     for force, action in ((0.0, Marker.DELETE), (0.5, Marker.ADD), (1e-5, Marker.DELETE)):
         wrench = np.full((2, 6), 0.0)
         wrench[1, 0] = force
@@ -58,7 +59,7 @@ def test_an_arrow_goes_with_its_force_and_comes_back():
 
 
 def test_all_are_deleted_in_the_end():
-    gone = deserialize_message(OrganMarkers("organ", {"": shipped()}, 2).deletion(), MarkerArray)
+    gone = deserialize_message(OrganMarkers("organ", {"": ShownOrgan(shipped())}, 2).deletion(), MarkerArray)
     assert [marker.action for marker in gone.markers] == [Marker.DELETE] * 4
 
 

@@ -12,17 +12,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.bags.suite.scenes import STEP, Scene, Step
+from tissue_sim.ros.bags.suite.scenes import STEP, Blade, Scene, Step
 from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.children import Child
@@ -78,7 +81,7 @@ def record(scene: Scene, organ: Organ, organ_file: Path, target: Path) -> dict[s
 
 class _Sender:
     def __init__(self, node: Node, scene: Scene, child: Child) -> None:
-        self._child, self._scene = child, scene
+        self._node, self._child, self._scene = node, child, scene
         self._made = scene.made_tools()
         links = [ToolLink.by_default(tool.name, "organ") for tool in self._made]
         self._tools = [
@@ -101,16 +104,45 @@ class _Sender:
         self._tell_time()
         due = time.monotonic()
         for step in self._scene.steps(organ, self._made):
+            due = self._cut(step.cut, due) if step.cut is not None else due
             self._send(step)
-            due = max(due + PACE, time.monotonic() + 0.5 * PACE)
-            time.sleep(max(0.0, due - 0.5 * PACE - time.monotonic()))
-            self._time += STEP
-            self._tell_time()
-            time.sleep(max(0.0, due - time.monotonic()))
+            due = self._advance(due)
         time.sleep(QUIET)
         self._reports.take_all()
         report = self._wait_for(lambda: client.physics_status(self._reports.take_all(), NODE))
         return {key: int(value) for key, value in report.items() if ".refused." in key}
+
+    def _advance(self, due: float) -> float:
+        """Let a step's time pass; return when it was over, monotonic s."""
+        due = max(due + PACE, time.monotonic() + 0.5 * PACE)
+        time.sleep(max(0.0, due - 0.5 * PACE - time.monotonic()))
+        self._time += STEP
+        self._tell_time()
+        time.sleep(max(0.0, due - time.monotonic()))
+        return due
+
+    def _cut(self, blade: Blade, due: float) -> float:
+        """Have the organ cut, while time passes; return when that is done, monotonic s."""
+        path = PathMessage()
+        path.header.frame_id = "organ"
+        for point in blade.edge.tolist():
+            pose = PoseStamped()
+            place, turn = pose.pose.position, pose.pose.orientation
+            place.x, place.y, place.z = point
+            turn.x, turn.y, turn.z, turn.w = blade.pose.tolist()
+            path.poses.append(pose)
+        paths = self._node.create_publisher(PathMessage, f"/{NODE}/cut_path", QoSProfile(depth=1))
+        service = self._node.create_client(Trigger, f"/{NODE}/cut")
+        self._wait_for(lambda: paths.get_subscription_count() and service.service_is_ready())
+        paths.publish(path)
+        time.sleep(QUIET)
+        answer = service.call_async(Trigger.Request())
+        while not answer.done():
+            due = self._advance(due)
+            rclpy.spin_once(self._node, timeout_sec=0.0)
+        if not answer.result().success:
+            raise UserError(f"the organ was not cut: {answer.result().message}")
+        return due
 
     def _is_heard(self) -> bool:
         publishers = [self._poses, self._clock, *self._forces]

@@ -22,7 +22,16 @@ RADIUS = 0.005  # m, of a usual tool
 FAR = 0.03  # m from the surface, where a tool waits
 CLEAR = 0.003  # m between the surface and a tool that acts by its external force only
 LEFT_ALONE = 0.2  # s after the last action, so that a bag ends at rest
+CUT_EDGE = np.array([[0.055, 0.0, 0.0], [0.075, 0.0, 0.0]])  # m, beside the kidney's lateral side
+LIP, PRESSED, PULLED = 0.008, 0.003, 0.008  # m from the cut, into the tissue, and aside
 TO_SLEEP = 1.5  # s in which the organ comes to rest and falls asleep
+
+
+class Blade(NamedTuple):
+    """Where a cut begins, and where it is moved; the node's parameter cut_depth says how far."""
+
+    edge: Floats  # (2, 3) m
+    pose: Floats  # (4,) quaternion xyzw that turns z to the direction
 
 
 class Step(NamedTuple):
@@ -31,6 +40,7 @@ class Step(NamedTuple):
     poses: Mapping[int, Floats] = {}  # (7,) m, quaternion xyzw
     angles: Mapping[int, float] = {}  # rad between a gripper's jaws
     forces: Mapping[int, Floats] = {}  # (3,) N
+    cut: Blade | None = None  # the organ is cut, and more steps without anything are sent until it is
     refused: Sequence[str] = ()  # kinds of bad input that the first tool sends, as the node counts them
 
 
@@ -201,6 +211,23 @@ def _sleep(organ: Organ, tools: Sequence[Tool]) -> Steps:
         yield from _nothing(TO_SLEEP)
 
 
+def _cut_and_spread(organ: Organ, tools: Sequence[Tool]) -> Steps:
+    """Cut the lateral side, pull the lips apart by friction, and release them."""
+    surface, way = _surface(organ, tools[0].radius), np.array([0.0, 1.0, 0.0])
+    quarter = np.sqrt(0.5)
+    yield Step(cut=Blade(CUT_EDGE, np.array([-quarter, 0.0, 0.0, quarter])))
+    middle, aside = CUT_EDGE.mean(axis=0), np.array([0.0, 0.0, 1.0])
+    found = {tool: surface.touch(middle + side * LIP * aside, way) for tool, side in ((0, -1.0), (1, 1.0))}
+    places = {tool: touch.place for tool, touch in found.items() if touch}
+    pressed = {tool: place + PRESSED * way for tool, place in places.items()}
+    pulled = {tool: place + (2 * tool - 1) * PULLED * aside for tool, place in pressed.items()}
+    away = {tool: place - FAR * way for tool, place in places.items()}
+    legs = (away, away), (away, places), (places, pressed), (pressed, pulled), (pulled, pulled), (pulled, away)
+    for seconds, (start, end) in zip((0.1, 0.3, 0.2, 0.5, 0.3, 0.3), legs, strict=True):
+        yield from _along({tool: (start[tool], end[tool], way) for tool in places}, seconds)
+    yield from _nothing(LEFT_ALONE)
+
+
 _SHARED = tuple(f"point_{index}" for index in range(GLOBAL_POINTS))
 SCENES = (
     Scene("stroke", "a tool moved along the front", _scripted("stroke")),
@@ -230,5 +257,12 @@ SCENES = (
     ),
     Scene("fly_through", "a tool through the whole organ at 1.5 m/s", _fly),
     Scene("bad_input", "poses that are refused, and poses that stop coming", _bad_input),
+    Scene(
+        "cut",
+        "a cut whose lips two tools pull apart",
+        _cut_and_spread,
+        ("left", "right"),
+        parameters={"cut_depth": "0.03", "marker_rate": "1.0"},
+    ),
     Scene("sleep", "touched, asleep, woken, asleep", _sleep),
 )
