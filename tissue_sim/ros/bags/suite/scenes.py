@@ -223,7 +223,7 @@ def _cut_and_spread(organ: Organ, tools: Sequence[Tool]) -> Steps:
     pulled = {tool: place + (2 * tool - 1) * PULLED * aside for tool, place in pressed.items()}
     away = {tool: place - FAR * way for tool, place in places.items()}
     legs = (away, away), (away, places), (places, pressed), (pressed, pulled), (pulled, pulled), (pulled, away)
-    for seconds, (start, end) in zip((0.1, 0.3, 0.2, 0.5, 0.3, 0.3), legs, strict=True):
+    for seconds, (start, end) in zip((0.04, 0.2, 0.12, 0.32, 0.08, 0.2), legs, strict=True):
         yield from _along({tool: (start[tool], end[tool], way) for tool in places}, seconds)
     yield from _nothing(LEFT_ALONE)
 
