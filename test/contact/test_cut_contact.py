@@ -11,6 +11,7 @@ from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.contact.touched_surface import TouchedSurface
+from tissue_sim.contact.triangles import nearest_among
 from tissue_sim.model.data.contact_set import POINT_NODES
 from tissue_sim.organ.placement import placed
 from tissue_sim.organ.winding import inside
@@ -129,8 +130,6 @@ def test_wherever_a_hand_presses_it_feels_the_tissue(radius, way):
 
 def clearance(points, triangles, place):
     """Distance of a place from a surface, m."""
-    from tissue_sim.contact.triangles import nearest_among
-
     return nearest_among(points[triangles], place[None])[2][0]
 
 
