@@ -8,7 +8,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.organ_topics import path_of
 from tissue_sim.ros.viewer.scene import InclusionView, OrganView, SkeletonView
@@ -28,6 +28,7 @@ class ViewedOrgan:
         self._within = client.NewestMessage(node, Mesh, f"{below}/inclusions", client.latched_qos())
         self._skeleton = SkeletonView(server, name)
         self._inclusions: InclusionView | None = None
+        self._inclusion_mesh: tuple[Floats, Longs] | None = None  # the newest
         self.view: OrganView | None = None
         self.points: Floats | None = None  # last positions of the surface, (n, 3) m
         self.frame_id = ""
@@ -60,11 +61,15 @@ class ViewedOrgan:
 
     def take_inclusions(self) -> None:
         """Take the surfaces of inclusions, once the organ's own has come."""
-        mesh = self._within.take() if self.view is not None else None
-        if mesh is not None and self.view is not None:
+        mesh = self._within.take()
+        if mesh is not None:
+            self._inclusion_mesh = client.mesh_arrays(mesh)
             if self._inclusions is not None:
                 self._inclusions.remove()
-            self._inclusions = InclusionView(self._server, *client.mesh_arrays(mesh), self.view, self.name)
+                self._inclusions = None
+        # Once for each surface: a cut gives the organ another one.
+        if self.view is not None and self._inclusions is None and self._inclusion_mesh is not None:
+            self._inclusions = InclusionView(self._server, *self._inclusion_mesh, self.view, self.name)
             self._drawn = None
 
     def draw(self, eye: Floats | None, opacity: float) -> None:
