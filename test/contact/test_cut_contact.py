@@ -198,6 +198,26 @@ def test_far_from_the_cut_points_and_compliance_are_those_of_the_uncut_organ():
     np.testing.assert_allclose(found.compliance, wanted.compliance, rtol=1e-12)
 
 
+def test_tissue_between_contact_points_yields_as_much_on_an_area_as_without_the_cut():
+    """The stiffness of all points under a ball together: at the cut there are more, each of a smaller area."""
+    tools = ToolSet([Tool("left", radius=0.008)])
+    scene = Scene(slab(), [BALL])
+    scene.cut(0, *INCISION)
+    pose = np.array([[MIDDLE, 0.015, TOP + 0.0075, 0.0, 0.0, 0.0, 1.0]])
+    one, none = np.ones(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
+
+    def stiffness(finder, position):
+        found = finder.find(position, Sought(pose, np.array([0.003]), one, none, none))
+        places = np.einsum("kc,kcx->kx", found.weight, position[found.node])
+        above = (places[:, 2] > TOP - 1e-9) & (np.abs(places[:, 0] - MIDDLE) < 0.006)
+        return above.sum(), (1.0 / found.compliance[above, 0]).sum()
+
+    points, wanted = stiffness(ContactFinder(slab(), tools), slab().rest_positions)
+    more, found = stiffness(ContactFinder.of(scene.simulation, tools), scene.simulation.positions)
+    assert more > 1.3 * points
+    assert found == pytest.approx(wanted, rel=0.25)
+
+
 def test_a_force_at_a_tip_in_the_cut_acts_on_the_wall_beside_it():
     scene = opened([BALL])
     at = [MIDDLE - 0.003, 0.015, TOP - 0.007]

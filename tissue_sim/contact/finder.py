@@ -107,8 +107,9 @@ class ContactFinder:
         self._matrix, self._box_low, self._box_high = np.zeros(9), np.zeros(3), np.zeros(3)  # of a body
         self._normal, self._seen = np.zeros((self.n_points, 3)), np.zeros(self.n_points, dtype=np.int64)
         most = MOST_FOUND * len(tools.grown)
-        whole = *np.zeros((2, most), dtype=np.int64), np.zeros((most, 3), dtype=np.int64)
-        self._points = Found(*whole, np.zeros((most, 3)), np.zeros((most, 3)), np.zeros((most, 2)))
+        body, triangle = np.zeros((2, most), dtype=np.int64)
+        corners, weight, normal = np.zeros((most, 3), dtype=np.int64), np.zeros((most, 3)), np.zeros((most, 3))
+        self._points = Found(body, triangle, corners, weight, normal, np.zeros((most, 2)))
         self._rest = surface.rest
         self._model = fcl.CollisionObject(_fcl_model(self._rest, self.triangles))
         # Made once: python-fcl keeps 32 bytes of every one that goes.

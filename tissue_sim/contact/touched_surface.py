@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tissue_sim.array_types import Floats, Longs, Mask
+from tissue_sim.array_types import Floats, Ints, Longs, Mask
 from tissue_sim.contact.local_compliance import local_compliance
 from tissue_sim.jit import kernel
 from tissue_sim.model.cutting.cut import CutOrgan
@@ -190,7 +190,7 @@ def _of_nodes(organ: Organ) -> CutSurface:
     return CutSurface(nodes, np.zeros(nodes.shape), organ.surface_triangles, wall, own, np.zeros_like(own))
 
 
-def _cells_under(triangles: Longs, cut: CutSurface) -> tuple[Longs, Floats, Mask]:
+def _cells_under(triangles: Ints, cut: CutSurface) -> tuple[Longs, Floats, Mask]:
     """Return the nodes (t, POINT_NODES) under triangles (t, 3), their corners' weights, and which have more nodes."""
     count = len(triangles)
     nodes, weights = np.zeros((count, POINT_NODES), dtype=np.int64), np.zeros((count, 3, POINT_NODES))
