@@ -183,9 +183,24 @@ def test_lips_that_have_slid_past_each_other_do_not_touch():
         cut.reset()
         cut.apply_force([0], [[0.0, 0.0, 0.0]])
         shift = slid * lips.slide.max()
-        cut.positions[right] += [-1e-4, shift, 0.0]
+        cut.positions[right] += [-1e-3, shift, 0.0]
         cut.step()
         assert (lips.counts[2] > 0) == touches, slid
+
+
+def test_only_places_that_have_not_slid_far_touch():
+    """Of a piece that was twisted about the bar's axis those near it."""
+    cut = Simulation(bar()).cut(*BAR_THROUGH)
+    lips, rest = cut.model.lips, cut.model.rest
+    _, right = halves_of_bar(cut)
+    axis, turn = np.array([0.0, 0.01, 0.01]), Rotation.from_rotvec([2.0, 0.0, 0.0])
+    cut.apply_force([0], [[0.0, 0.0, 0.0]])
+    cut.positions[right] = turn.apply(rest[right] - axis) + axis - [1e-3, 0.0, 0.0]
+    cut.step()
+    place = np.einsum("qe,qex->qx", lips.weight, rest[lips.upper])
+    slid = 2.0 * np.sin(1.0) * np.linalg.norm((place - axis)[:, 1:], axis=1)
+    assert 0 < (slid < lips.slide).sum() < 0.5 * len(slid)
+    assert lips.counts[2] == (slid < lips.slide).sum()
 
 
 def halves_of_bar(cut):
