@@ -231,12 +231,33 @@ def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | No
     lookup : Callable[[str], Transform] | None
         Transforms other frames to the node's `tf_target`; None without tf.
     """
+    known, led, to_organ = _known(values, lookup)
+    known.setdefault(_frame_of(values, tool), to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"])))
+    return Frames(known, values[f"{tool}.motion_scale"], led)
+
+
+def frames_of_node(values: Values, lookup: Callable[[str], Transform] | None) -> Frames:
+    """Return the frames that poses of something else than a tool may come in.
+
+    Parameters
+    ----------
+    values : Values
+        The parameters.
+    lookup : Callable[[str], Transform] | None
+        Transforms other frames to the node's `tf_target`; None without tf.
+    """
+    known, led, _ = _known(values, lookup)
+    return Frames(known, 1.0, led)
+
+
+def _known(
+    values: Values, lookup: Callable[[str], Transform] | None
+) -> tuple[dict[str, Transform], Callable[[str], Transform] | None, Transform]:
+    """Return the transforms from the organ's frame and base_frame to the organ, a lookup of others, and the second."""
     organ_id, base_id = _organ_and_base(values)
     to_organ = Transform.of_pose(values["organ_pose"]).inverse()
-    known = {base_id: to_organ, organ_id: Transform()}
-    known.setdefault(_frame_of(values, tool), to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"])))
     led = None if lookup is None else lambda frame_id: to_organ.after(lookup(frame_id))
-    return Frames(known, values[f"{tool}.motion_scale"], led)
+    return {base_id: to_organ, organ_id: Transform()}, led, to_organ
 
 
 def _organ_and_base(values: Values) -> tuple[str, str]:
