@@ -1,16 +1,10 @@
-"""What the tests of pictures share: a context to draw with, or the reason why there is none."""
+"""Tests of pictures need something to draw with."""
 
 import pytest
 
-from tissue_sim.errors import UserError
+from helpers.drawing import require_drawing
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _can_draw():
-    pytest.importorskip("moderngl")
-    from tissue_sim.rendering.offscreen import made_context
-
-    try:
-        made_context().release()
-    except UserError as error:
-        pytest.skip(str(error))
+    require_drawing()

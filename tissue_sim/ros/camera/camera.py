@@ -62,8 +62,8 @@ class Camera:
         self._node, self._target, self._settings, self._viewpoint = node, target, settings, viewpoint
         recorded = bag[1] if bag is not None else frozenset[str]()
         self._pose_topic = f"/{settings.name}/pose"
-        self.bag = None if bag is None else CameraBag(bag[0], self._bagged(recorded))
         self.drawn = Offscreen(settings.lens, settings.light, settings.samples)
+        self.bag = None if bag is None else CameraBag(bag[0], self._bagged(recorded))
         keep = self.bag.keep if self.bag is not None else _forget
         self._eyes = [EyeTopics(node, settings, eye, recorded, keep) for eye in settings.eyes]
         self._poses = node.create_publisher(PoseStamped, self._pose_topic, RELIABLE)

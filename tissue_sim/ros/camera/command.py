@@ -122,6 +122,8 @@ def settings_of(args: argparse.Namespace) -> CameraSettings:
         raise UserError("--eye and --look-at belong together; give both")
     if args.record_depth and args.record is None:
         raise UserError("--record-depth chooses what --record writes; name a bag with --record")
+    if args.record is not None and Path(args.record).exists():
+        raise UserError(f"{args.record} is there already; name a new folder with --record")
     usual = Light()
     return CameraSettings(
         name=path_of(args.node.rpartition("/")[0], args.name).strip("/"),
