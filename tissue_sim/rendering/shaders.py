@@ -109,7 +109,7 @@ void main() {
 #ifdef METAL
     vec3 mirrored = reflect(-to_eye, normal);
     float room = 0.25 + 0.75 * smoothstep(-0.6, 0.7, -mirrored.y);
-    vec3 light = base * (0.10 * facing + 0.22 * room * (0.3 + 0.7 * lit) + 0.22 * ggx(square, 0.02) * facing);
+    vec3 light = base * (0.14 * facing + 0.24 * room * (0.3 + 0.7 * lit) + 0.55 * ggx(square, 0.012) * facing);
 #else
     // Light that enters moist tissue comes out around, reddish, and a film on it shines.
     float around = max((towards + 0.3) / 1.3, 0.0) * (0.3 + 0.7 * lit);

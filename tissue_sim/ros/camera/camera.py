@@ -19,7 +19,8 @@ from tissue_sim.rendering.pinhole import beside
 from tissue_sim.ros.camera.bag import CameraBag
 from tissue_sim.ros.camera.seen_scene import FIRST_ORGAN, SeenOrgan, SeenTools
 from tissue_sim.ros.camera.settings import CameraSettings
-from tissue_sim.ros.camera.topics import TOPICS, EyeTopics
+from tissue_sim.ros.camera.topic_names import POSE, TOPICS
+from tissue_sim.ros.camera.topics import EyeTopics
 from tissue_sim.ros.camera.viewpoint import Viewpoint
 from tissue_sim.ros.node.input.tf_lookup import tf_installed
 from tissue_sim.ros.shared import client
@@ -61,7 +62,7 @@ class Camera:
     ) -> None:
         self._node, self._target, self._settings, self._viewpoint = node, target, settings, viewpoint
         recorded = bag[1] if bag is not None else frozenset[str]()
-        self._pose_topic = f"/{settings.name}/pose"
+        self._pose_topic = f"/{settings.name}/{POSE}"
         self.drawn = Offscreen(settings.lens, settings.light, settings.samples)
         self.bag = None if bag is None else CameraBag(bag[0], self._bagged(recorded))
         keep = self.bag.keep if self.bag is not None else _forget

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from tissue_sim.rendering.offscreen import Light
 from tissue_sim.rendering.pinhole import Pinhole
+from tissue_sim.ros.camera.topic_names import EYES
 
 
 @dataclass(frozen=True)
@@ -44,4 +45,4 @@ class CameraSettings:
     @property
     def eyes(self) -> tuple[str, ...]:
         """Names of its cameras; one without a name where it is single."""
-        return ("left", "right") if self.baseline > 0.0 else ("",)
+        return EYES if self.baseline > 0.0 else ("",)

@@ -7,23 +7,13 @@ from typing import Any
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from tissue_sim.rendering.offscreen import Picture
 from tissue_sim.ros.camera.image_messages import COLOUR, DEPTH, LABELS, ImageTemplate, InfoTemplate, JpegTemplate
 from tissue_sim.ros.camera.settings import CameraSettings
+from tissue_sim.ros.camera.topic_names import COLOUR_TOPICS, DEPTH_TOPICS, LABEL_TOPICS, TOPICS
 from tissue_sim.ros.shared.organ_topics import path_of
 from tissue_sim.ros.shared.qos import RELIABLE
-
-# Below a camera's name, with the classes of the messages.
-COLOUR_TOPICS: dict[str, type] = {
-    "image_raw": Image,
-    "image_raw/compressed": CompressedImage,
-    "camera_info": CameraInfo,
-}
-DEPTH_TOPICS: dict[str, type] = {"depth/image_raw": Image, "depth/camera_info": CameraInfo}
-LABEL_TOPICS: dict[str, type] = {"segmentation/image_raw": Image, "segmentation/camera_info": CameraInfo}
-TOPICS = COLOUR_TOPICS | DEPTH_TOPICS | LABEL_TOPICS
 
 Keep = Callable[[str, int, bytes], None]  # takes a topic, a time, ns, and a message
 
