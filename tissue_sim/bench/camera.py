@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,8 +29,7 @@ from tissue_sim.ros.shared.children import Child
 from tissue_sim.ros.shared.priority import below, is_allowed
 
 if TYPE_CHECKING:
-    from rclpy.node import Node
-
+    from tissue_sim.ros.probes.picture_times import PictureTimes
     from tissue_sim.ros.probes.poke_probe import PokeProbe
 
 PRIORITY = 20  # of the second node's loop
@@ -82,6 +82,7 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any], filmed: tuple
     """Fill in the turns of one node, each when it is over."""
     priority, length = node["realtime_priority"], min(seconds, TURN)
     with Graph() as graph:
+        from tissue_sim.ros.probes.picture_times import PictureTimes
         from tissue_sim.ros.probes.poke_probe import PokeProbe
         from tissue_sim.ros.probes.tool_driver import RADIUS
         from tissue_sim.ros.shared.client import client_node
@@ -97,7 +98,7 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any], filmed: tuple
                 for name in (ALONE, BESIDE):
                     beside = filming(graph, hand, filmed, length) if name == BESIDE else nullcontext({})
                     with beside as pictures:
-                        figures = _turn(hand, length, priority, own)
+                        figures = _turn(hand, length, priority, partial(PictureTimes, own, "camera"))
                     node["turns"][name].append(figures | pictures)
                     rows.tell(f"{_whose(node)}, turn {number + 1}, {name}", f"{figures['late_percent']:.2f} % late")
 
@@ -127,22 +128,11 @@ def _end(camera: Child) -> None:
         raise UserError(f"the camera failed, {camera.last_words()}")
 
 
-def _turn(hand: PokeProbe, length: float, priority: int, node: Node) -> dict[str, float]:
+def _turn(hand: PokeProbe, length: float, priority: int, times: Callable[[], PictureTimes]) -> dict[str, float]:
     """Return the figures of one turn: of the node, of the camera where there is one, and of a bare loop."""
-    from diagnostic_msgs.msg import DiagnosticArray
-
-    from tissue_sim.ros.shared.client import NewestMessage
-
-    reports = NewestMessage(node, DiagnosticArray, "/diagnostics", 50)  # type: ignore[arg-type]
+    reports = times()
     found = hand.poke(length)
-    spent = [
-        float(item.value)
-        for report in reports.take_all()
-        for status in report.status
-        for item in status.values
-        if status.name == "camera: pictures" and item.key == "picture_ms"
-    ]
-    reports.close()
+    spent = reports.close()
     first, last = found.told[0], found.told[-1]
     done = last.tick - first.tick
     return {

@@ -152,7 +152,7 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
 
 def _topics(namespace: str, link: ToolLink, *topics: str) -> list[str]:
     """Return the absolute names of those of a tool's topics that it has; measured_js only of a gripper."""
-    names = [link.topics.names[topic] for topic in topics if topic != "measured_js" or link.tool.shape == "gripper"]
+    names = [link.topics.names[topic] for topic in topics if topic != "measured_js" or link.tool.has_jaws]
     return [name if name.startswith("/") else f"{namespace}/{name}" for name in names if name]
 
 

@@ -75,6 +75,8 @@ def run(args: argparse.Namespace) -> int:
     """Publish pictures until SIGINT or SIGTERM; return 0, or 1 when a bag could not be written to its end."""
     settings = settings_of(args)
     os.nice(args.nice)  # before any thread is made, as each has its own
+    if os.environ.get("XIDLE"):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     with client.Stop() as stop, client.client_node(args.name, args.node) as node:
         from tissue_sim.ros.camera.camera import Camera
 
