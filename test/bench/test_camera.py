@@ -49,7 +49,7 @@ def test_short_run_with_real_processes(tmp_path, monkeypatch):
     monkeypatch.setattr(camera, "WARMING_UP", 4.0)
     monkeypatch.setattr(camera, "BARE", 0.2)
     file = tmp_path / "camera.json"
-    assert main(["bench", "camera", "--seconds", "4", "--json", str(file)]) == 0
+    assert main(["bench", "camera", "--seconds", "4", "--nice", "0", "--json", str(file)]) == 0
     without, beside = json.loads(file.read_text())["rows"]
     assert (without["camera"], beside["camera"]) == (ALONE, BESIDE)
     assert beside["pictures_hz"] > 0.0

@@ -1,4 +1,4 @@
-"""The gripper of config/instruments on bars of cells: the force at which they slip, and that they are held without creep.
+"""The gripper of config/instruments on bars of cells: the force at which they slip, and no creep below it.
 
 It is drawn out across a bar whose sides are parallel, and its fingers are longer than the bar is high: neither a wedge
 nor an edge adds to friction. While it slides, the force is that of Coulomb: the coefficient times the sum of the normal
@@ -126,3 +126,6 @@ def test_below_it_is_held_without_creep(name, seconds):
     assert len(held[0]) > 10
     assert pull > 0.4 * friction * normal
     assert crept < 1e-5
+    grasped.scene.simulation.settings.friction = 0.3 * friction
+    grasped.lead(300)
+    assert np.linalg.norm(grasped.points(held) - before, axis=1).max() > 1e-4, "too little friction would be seen"

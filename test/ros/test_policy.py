@@ -172,7 +172,7 @@ def test_a_viewer_does_what_the_policy_allows_and_nothing_else(node, graph, open
 @pytest.mark.extended
 def test_a_camera_does_what_the_policy_allows_and_nothing_else(node, tmp_path, graph):
     pytest.importorskip("moderngl")
-    camera = Process(["-m", "tissue_sim", "camera", "--width=64", "--height=48"], tmp_path / "camera.log")
+    camera = Process(["-m", "tissue_sim", "camera", "--width=64", "--height=48", "--nice=0"], tmp_path / "camera.log")
     pair = {name for name in allowed(SHIPPED)["/tissue_sim/camera"]["publish"] if re.search("/left/|/right/", name)}
     described = {"/camera_tf/get_type_description"}  # only where tf is installed
     here = {"/tf", "/tf_static"}

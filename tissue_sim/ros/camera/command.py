@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from tissue_sim.ros.camera.settings import CameraSettings
     from tissue_sim.ros.camera.viewpoint import Viewpoint
 
-NICE = 10  # how much less important than other processes
 IDLE_TIME = 0.2  # s between two checks while nobody subscribes
 RECORDED = ("image_raw/compressed", "camera_info")
 RECORDED_DEPTH = ("depth/image_raw", "depth/camera_info", "segmentation/image_raw", "segmentation/camera_info")
@@ -68,15 +67,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--record", metavar="BAG", help="folder for a bag of the compressed images, made anew")
     add("--record-depth", action="store_true", help="with --record, the images of depth and segmentation, too")
-    add("--nice", type=int, choices=range(20), metavar="0..19", default=NICE, help="how much it stands back")
+    add(
+        "--nice",
+        type=int,
+        choices=range(20),
+        metavar="0..19",
+        help="how much it stands back behind other processes (default: as much as it can, SCHED_IDLE)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Publish pictures until SIGINT or SIGTERM; return 0, or 1 when a bag could not be written to its end."""
     settings = settings_of(args)
-    os.nice(args.nice)  # before any thread is made, as each has its own
-    if os.environ.get("XIDLE"):
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    stand_back(args.nice)
     with client.Stop() as stop, client.client_node(args.name, args.node) as node:
         from tissue_sim.ros.camera.camera import Camera
 
@@ -103,6 +106,20 @@ def run(args: argparse.Namespace) -> int:
             sys.stderr.write(f"tissue_sim: error: {camera.bag.problem}\n")
             return 1
     return 0
+
+
+def stand_back(nice: int | None) -> None:
+    """Let other processes go first, before any thread is made, as each has its own priority.
+
+    Parameters
+    ----------
+    nice : int | None
+        Niceness, 0 to 19; None for what is behind all of these: it runs while the processor has nothing else to do.
+    """
+    if nice is None:
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    else:
+        os.nice(nice)
 
 
 def settings_of(args: argparse.Namespace) -> CameraSettings:
