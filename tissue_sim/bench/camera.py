@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -96,8 +96,10 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any], filmed: tuple
         with progress.still():
             for number in rows.each(range(max(1, round(seconds / length))), "turns"):
                 for name in (ALONE, BESIDE):
-                    beside = filming(graph, hand, filmed, length) if name == BESIDE else nullcontext({})
-                    with beside as pictures:
+                    camera: AbstractContextManager[dict[str, float]] = nullcontext({})
+                    if name == BESIDE:
+                        camera = filming(graph, hand, filmed, length)
+                    with camera as pictures:
                         figures = _turn(hand, length, priority, partial(PictureTimes, own, "camera"))
                     node["turns"][name].append(figures | pictures)
                     rows.tell(f"{_whose(node)}, turn {number + 1}, {name}", f"{figures['late_percent']:.2f} % late")
