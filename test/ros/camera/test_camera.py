@@ -1,19 +1,21 @@
 """The camera as a process beside a real node: images over DDS that agree with their CameraInfo, and a bag of them."""
 
 import io
+import os
 import time
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from PIL import Image as Pillow
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from helpers.patience import wait_for
-from helpers.ros.processes import UNHURRIED, Process, running_node, shipped
+from helpers.ros.processes import FAKE_TF, UNHURRIED, Process, running_node, shipped
 from tissue_sim.cli import main
 from tissue_sim.rendering.pinhole import inverse_of, look_at, matrix_of
 from tissue_sim.ros.shared import client
@@ -40,9 +42,9 @@ def begin(tmp_path):
     """Starts cameras of small pictures, at the usual place unless words choose another one; they end with the test."""
     made = []
 
-    def one(*words):
-        usual = ["--width=160", "--height=120", "--nice=0", "--rate=20"]
-        made.append(Process(["-m", "tissue_sim", "camera", *usual, *words], tmp_path / f"camera{len(made)}.log"))
+    def one(*words, **environment):
+        command = ["-m", "tissue_sim", "camera", "--width=160", "--height=120", "--nice=0", "--rate=20", *words]
+        made.append(Process(command, tmp_path / f"camera{len(made)}.log", **environment))
         return made[-1]
 
     yield one
@@ -200,6 +202,28 @@ def test_the_pose_of_a_topic_in_another_frame_and_other_axes(node, graph, begin,
     assert (turned.inv() * optical).magnitude() < 1e-9
     assert seen["image_raw"].header.frame_id == "lens"
     assert (pixels(seen["segmentation/image_raw"]) == 1).mean() > 0.1
+
+
+def test_the_pose_of_a_frame_in_tf(node, graph, begin, listen):
+    """With a stand-in for tf2_ros: the frame lies in base_frame, and the camera's own is told in the organ's."""
+    begin("--tf=ecm", "--name=ecm_camera", PYTHONPATH=f"{FAKE_TF}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    boxes = listen("pose", "segmentation/image_raw", before="/ecm_camera")
+    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    frames = graph.create_publisher(TransformStamped, "/tf_static", latched)
+    told = client.NewestMessage(graph, TransformStamped, "/tf", QoSProfile(depth=10))
+    placed = TransformStamped(child_frame_id="ecm")
+    placed.header.frame_id = "table"
+    offset, turn = placed.transform.translation, placed.transform.rotation
+    offset.x, offset.y, offset.z = EYE[0], EYE[1], EYE[2] + 0.5
+    turn.x, turn.y, turn.z, turn.w = POSE[3:].tolist()
+    frames.publish(placed)
+    found = together(boxes)
+    place = found["pose"].pose.position
+    assert [place.x, place.y, place.z] == pytest.approx(EYE)
+    assert (pixels(found["segmentation/image_raw"]) == 1).mean() > 0.1
+    own = wait_for(told.take, "the camera's frame is not on tf")
+    assert (own.header.frame_id, own.child_frame_id) == ("organ", "ecm_camera_optical_frame")
+    assert own.transform.translation.x == pytest.approx(EYE[0])
 
 
 def test_a_tool_is_seen_where_its_bridge_moves_it(node, graph, begin, listen):
