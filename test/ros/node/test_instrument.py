@@ -9,6 +9,8 @@ from visualization_msgs.msg import MarkerArray
 from helpers.paths import CONFIG
 from helpers.patience import wait_for
 from helpers.ros.processes import UNHURRIED
+from tissue_sim import read_bag
+from tissue_sim.cli import main
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.qos import STREAM
 
@@ -17,10 +19,11 @@ AWAY = np.array([0.2, 0.1, 0.3])  # m, far from the organ
 
 @pytest.fixture
 def node(start, tmp_path):
-    return start(tmp_path, UNHURRIED, profile=CONFIG / "instruments" / "two_finger.yaml")
+    recorded = "record:=true", f"record_folder:={tmp_path}/bags"
+    return start(tmp_path, UNHURRIED, *recorded, profile=CONFIG / "instruments" / "two_finger.yaml")
 
 
-def test_links_are_shown_where_the_joint_puts_them(node, graph):
+def test_links_are_shown_where_the_joint_puts_them_and_a_bag_replays(node, graph, tmp_path):
     poses = graph.create_publisher(PoseStamped, "left/measured_cp", STREAM)
     joints = graph.create_publisher(JointState, "left/gripper/measured_js", STREAM)
     markers = client.NewestMessage(graph, MarkerArray, "/tissue_sim/tools", STREAM)
@@ -49,6 +52,12 @@ def test_links_are_shown_where_the_joint_puts_them(node, graph):
         return "angle refused: it contains no position of the joint 'opening'" in node.text()
 
     wait_for(refused, node.text)
+
+    assert node.stop() == 0, node.text()
+    (folder,) = (tmp_path / "bags").iterdir()
+    assert main(["replay", str(folder)]) == 0
+    angles = read_bag(folder)["left/angle"].values
+    assert angles[-1] == 0.01
 
 
 def test_a_urdf_that_is_not_there_ends_the_node_with_one_line(start, tmp_path):
