@@ -51,18 +51,24 @@ class SeenOrgan:
         self._look = Look((red / 255.0, green / 255.0, blue / 255.0), label=min(label, FIRST_TOOL - 1))
         self.name = name
         self.rest: Floats | None = None
+        self._pending: tuple[Floats, Longs] | None = None  # a mesh whose positions have not come
         self.frame_id, self.stamp = "", 0  # of the newest surface; ns
 
     def take(self) -> bool:
         """Take what has come; return whether the surface is new."""
         if (mesh := self._mesh.take()) is not None:
-            self.rest, triangles = client.mesh_arrays(mesh)
-            self._drawn.add(self._body, self.rest, triangles, self._look)
-        if self.rest is None or (surface := self._surface.take()) is None:
+            self._pending = client.mesh_arrays(mesh)
+        if (surface := self._surface.take()) is None:
             return False
         positions = client.cloud_array(surface)
-        # A different number of nodes belongs to an organ whose mesh is still on its way.
-        if positions.shape != self.rest.shape or not np.isfinite(positions).all():
+        if not np.isfinite(positions).all():
+            return False
+        # A mesh is drawn once there are positions of it: until then, those that come are of the one before.
+        if self._pending is not None and positions.shape == self._pending[0].shape:
+            self.rest, triangles = self._pending
+            self._drawn.add(self._body, self.rest, triangles, self._look)
+            self._pending = None
+        if self.rest is None or positions.shape != self.rest.shape:
             return False
         self._drawn.move(self._body, positions)
         self.frame_id = surface.header.frame_id
