@@ -56,6 +56,8 @@ setup(
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "image": ["SimpleITK", "scikit-image", "matplotlib", "jinja2", "nibabel", "highdicom", "pydicom", "meshio"],
         "viewer": ["viser", "websockets", "msgspec", "zstandard"],  # all but the first come with it
+        "camera": ["moderngl", "pillow"],
+        "instruments": ["fast-simplification"],
         "calibration": ["scikit-fem", "netgen-mesher", "matplotlib", "joblib", "threadpoolctl"],
         "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],
         "cluster": ["distributed"],

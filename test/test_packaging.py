@@ -40,6 +40,7 @@ EXECUTABLES = dict(entry.split(" = ") for entry in SETUP["entry_points"]["consol
 # Modules whose distribution has another name, and the ROS packages that an extra brings as one.
 DISTRIBUTION_OF = {
     "fcl": "python-fcl",
+    "PIL": "pillow",
     "ruamel": "ruamel.yaml",
     "skimage": "scikit-image",
     "netgen": "netgen-mesher",

@@ -353,6 +353,17 @@ def test_every_topic_is_listed_with_its_type(topics):
         assert re.match(rf"\w+/{kind}\b", listed[name]), name
 
 
+def test_every_topic_of_the_camera_is_listed_with_its_type():
+    pytest.importorskip("rclpy")
+    from tissue_sim.ros.camera.topic_names import TOPICS
+
+    (rows,) = (rows for head, *rows in tables(DOCS / "camera.md") if head[0] == "camera topic")
+    listed = {row[0].strip("`"): row[1] for row in rows}
+    assert listed == {name: f"sensor_msgs/{kind.__name__}" for name, kind in TOPICS.items()} | {
+        "pose": "geometry_msgs/PoseStamped"
+    }
+
+
 def test_every_command_is_listed():
     page = (DOCS / "commands.md").read_text(encoding="utf-8")
     (rows,) = (rows for head, *rows in tables(DOCS / "commands.md") if head[0] == "command")

@@ -16,7 +16,12 @@ from tissue_sim.errors import UserError, output_is_gone, printable, stop_output
 from tissue_sim.unexpected_errors import INTERRUPTED, catch_all, tell
 from tissue_sim.version import __version__
 
-UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends normally; they report no progress once they run
+UNTIL_ASKED = (
+    "demo",
+    "view",
+    "bridge",
+    "camera",
+)  # commands that Ctrl-C ends normally; they report no progress once they run
 
 
 def _with_signs(words: Sequence[str]) -> list[str]:

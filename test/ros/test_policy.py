@@ -113,12 +113,13 @@ def test_names_follow_the_nodes_parameters():
     values = defaults(tools=["arm"]) | {"arm.measured_cp": "~/pose", "arm.servo_cf": "/MTML/servo_cf"}
     values |= {"arm.external_cf": "arm/push"}
     found = allowed(policy.fitted("ward/organ", values | {"arm.shape": "gripper"}))
-    assert set(found) == {"/ward/organ", "/ward/organ/bridge", "/ward/organ/viewer"}
+    assert set(found) == {f"/ward/organ{name}" for name in ("", "/bridge", "/camera", "/viewer")}
     inward = {"/ward/organ/pose", "/ward/arm/push", "/ward/arm/gripper/measured_js"}
     assert inward < found["/ward/organ"]["subscribe"]
     assert inward < found["/ward/organ/bridge"]["publish"]
     assert "/MTML/servo_cf" in found["/ward/organ"]["publish"] & found["/ward/organ/bridge"]["subscribe"]
-    assert not any("left" in name for sets in found.values() for names in sets.values() for name in names)
+    others = {name for sets in found.values() for names in sets.values() for name in names}
+    assert not any("left" in name for name in others if not name.startswith("/ward/camera/"))  # that is an eye
 
 
 def test_a_scene_has_the_topics_of_its_organs():
@@ -166,6 +167,18 @@ def test_a_viewer_does_what_the_policy_allows_and_nothing_else(node, graph, open
     assert page.wait(lambda: page.poke._tool.held)
     check(graph, SHIPPED, "/tissue_sim/viewer", nodes, publish=poses - {"/left/measured_cp"})
     page.tick(False)
+
+
+@pytest.mark.extended
+def test_a_camera_does_what_the_policy_allows_and_nothing_else(node, tmp_path, graph):
+    pytest.importorskip("moderngl")
+    camera = Process(["-m", "tissue_sim", "camera", "--width=64", "--height=48", "--nice=0"], tmp_path / "camera.log")
+    pair = {name for name in allowed(SHIPPED)["/tissue_sim/camera"]["publish"] if re.search("/left/|/right/", name)}
+    described = {"/camera_tf/get_type_description"}  # only where tf is installed
+    here = {"/tf", "/tf_static"}
+    nodes = ("/camera", "/camera_parameters")
+    check(graph, SHIPPED, "/tissue_sim/camera", nodes, publish=pair | here, subscribe=here, reply=described)
+    assert camera.stop() == 0, camera.text()
 
 
 @pytest.mark.extended

@@ -34,6 +34,10 @@ BENCHMARKS = {
         "tissue_sim.bench.markers",
         "processor load of markers, plain and coloured, compared with a node that only publishes them",
     ),
+    "camera": (
+        "tissue_sim.bench.camera",
+        "late ticks of a node beside a camera, images per second, time of a picture",
+    ),
     "page": ("tissue_sim.bench.page", "pictures per second that the page sends of a scene whose organs all move"),
     "latency": (
         "tissue_sim.bench.latency",

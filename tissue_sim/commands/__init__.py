@@ -16,6 +16,7 @@ COMMANDS = {
     "bench": ("tissue_sim.bench.command", "measure speed, accuracy and stability"),
     "replay": ("tissue_sim.ros.bags.replay", "compute recorded bags again and compare"),
     "view": ("tissue_sim.ros.viewer.view", "show a running node in the browser"),
+    "camera": ("tissue_sim.ros.camera.command", "publish an endoscope's images of a running node"),
     "policy": ("tissue_sim.ros.policy", "print the DDS Security policy of a running node and its clients"),
     "bridge": ("tissue_sim.ros.bridge.play", "simulate a haptic bridge that follows a script"),
 }

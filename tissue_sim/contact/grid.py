@@ -48,6 +48,27 @@ def distance_grid(mesh: trimesh.Trimesh, margin: float) -> Grid:
     return Grid(np.ascontiguousarray(signed), low, spacing)
 
 
+def distances_to(mesh: trimesh.Trimesh, points: Floats) -> Floats:
+    """Return how far points are from a mesh's surface, inside or outside.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        The mesh, m.
+    points : Floats, shape (p, 3), m
+        The points.
+
+    Returns
+    -------
+    Floats, shape (p,), m
+        The distances.
+    """
+    usual = float(np.median(mesh.edges_unique_length))
+    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=2.0 * usual, max_iter=20)
+    pieces = vertices[faces]
+    return np.abs(_distance(pieces, cKDTree(pieces.mean(axis=1)), points))
+
+
 def _distance(pieces: Floats, tree: cKDTree, points: Floats) -> Floats:
     """Return distances (p,) m of points (p, 3) to outward triangles (t, 3, 3), negative inside.
 

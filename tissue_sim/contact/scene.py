@@ -102,6 +102,8 @@ class Scene:
                 one.set_substeps()
         self._sequence, self._ticks_a_set, self._ticks = 0, ticks_a_set, 0
         self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
+        # Each has one body, about whose origin it is moved: that of an instrument's part lies beside it.
+        self._has_own_origins = all(one.n_bodies == 1 and one.shape != "urdf" for one in tools)
         if len(organs) > 1 or attachments or breathing is not None or self_contact:
             self.joined = join(self.simulations, attachments, breathing, breathes, organ_friction)
         else:
@@ -219,10 +221,10 @@ class Scene:
     def wrenches(self) -> Floats:
         """Haptic output of each tool about its origin, (T, 6) N and N m.
 
-        The live array of an organ alone, unless a tool has more than one body.
+        The live array of an organ alone, unless a tool has more than one body, or a URDF.
         """
         felt, poses = self.joined.wrench, self.simulation.state.body_pose[:, :3]
-        if len(felt) == len(self.tools.tools):
+        if self._has_own_origins:
             return felt
         origins = self._origin - self.offsets[0]
         return np.array([about(at, felt[own], poses[own]) for at, own in zip(origins, self.tools.bodies, strict=True)])

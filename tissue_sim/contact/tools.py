@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 from tissue_sim.arguments import number_of
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.gripper import Jaws, jaw_poses
+from tissue_sim.contact.quaternions import multiply, rotate
+from tissue_sim.contact.urdf import Instrument, Part, read_instrument
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes
 from tissue_sim.organ.shipped import shipped_file
@@ -20,8 +23,10 @@ from tissue_sim.organ.shipped import shipped_file
 if TYPE_CHECKING:
     import trimesh
 
-SHAPE_NAMES = ("sphere", "capsule", "gripper", "mesh")
+SHAPE_NAMES = ("sphere", "capsule", "gripper", "mesh", "urdf")
 MOST_PLANES = 256
+MOST_FACES = 2000  # of a part of an instrument; more are decimated
+MOST_MOVED = 2e-4  # m by which that may move its surface
 MARGIN = 0.003  # m around a tool: distance that it may cover before the next contact set
 SLACK = 0.003  # m that the surface may have moved from rest where FCL is used
 
@@ -35,17 +40,24 @@ class Tool:
     name : str
         Its name.
     shape : str
-        sphere, capsule, gripper (two capsules, or two jaws of a mesh; see contact.gripper) or mesh.
+        sphere, capsule, gripper (two capsules, or two jaws of a mesh; see contact.gripper), mesh, or urdf.
     radius : float
         Radius of a sphere or of capsules, m.
     length : float
         Length, m, of capsules between the centres of their caps, from the origin along -z; or from a gripper's tips to
         its hinge.
     mesh : str
-        Mesh file in m, a closed surface where it is not convex; config/jaws/flat.obj comes with the package.
+        Mesh file in m, a closed surface where it is not convex; config/jaws/flat.obj comes with the package. Of an
+        instrument its URDF.
     smoothing : float
         Fraction of the time between two poses in which the tool moves to the newer one. 1: it moves evenly, and arrives
         as the next pose is due; 0: it arrives within a tick.
+    links : Sequence[str]
+        Links of a URDF whose collision elements are the tool's bodies; none for all.
+    tip_link : str
+        Link of a URDF whose frame is the tool's; empty for its root.
+    jaw_joint : str
+        Joint of a URDF that moves the jaws; empty for none.
     """
 
     name: str
@@ -54,11 +66,34 @@ class Tool:
     length: float = 0.05
     mesh: str = ""
     smoothing: float = 1.0
+    links: Sequence[str] = ()
+    tip_link: str = ""
+    jaw_joint: str = ""
 
     @property
     def n_bodies(self) -> int:
-        """Number of its rigid bodies: the two jaws of a gripper, or one."""
-        return 2 if self.shape == "gripper" else 1
+        """Number of its rigid bodies: the two jaws of a gripper, the parts of an instrument, or one."""
+        return len(self.instrument.parts) if self.shape == "urdf" else 2 if self.shape == "gripper" else 1
+
+    @property
+    def has_jaws(self) -> bool:
+        """Whether an angle, or another position of a joint, moves its bodies."""
+        return self.shape == "gripper" or (self.shape == "urdf" and bool(self.jaw_joint))
+
+    @property
+    def instrument(self) -> Instrument:
+        """What its URDF describes.
+
+        Raises
+        ------
+        UserError
+            Where that can't be used; the message names the tool.
+        """
+        links = tuple(link for link in self.links if link)
+        try:
+            return read_instrument(self.mesh, links, self.tip_link, self.jaw_joint)
+        except UserError as error:
+            raise UserError(f"tool '{self.name}': {error}") from None
 
     @property
     def is_round(self) -> bool:
@@ -146,7 +181,7 @@ class ToolSet:
         pose : Floats, shape (7,), m and unit quaternion xyzw
             Pose of the tool.
         angle : float, rad, optional
-            Angle between the jaws of a gripper.
+            Angle between the jaws of a gripper, or position of an instrument's joint.
 
         Returns
         -------
@@ -154,6 +189,9 @@ class ToolSet:
             shape (b, 7), m and unit quaternion xyzw
         """
         chosen = self.tools[tool]
+        if chosen.shape == "urdf":
+            turn, places = tuple(pose[3:].tolist()), chosen.instrument.places(angle)
+            return np.array([[*(pose[:3] + rotate(turn, one.at)), *multiply(turn, one.turn)] for one in places])
         if chosen.n_bodies == 1:
             return pose[None]
         return jaw_poses(pose, angle, *chosen.jaws)
@@ -179,6 +217,8 @@ def _bodies(tool: Tool) -> list[_Body]:
         raise UserError(f"tool '{tool.name}': unknown shape '{tool.shape}'; choose one of {', '.join(SHAPE_NAMES)}")
     if tool.shape == "mesh":
         return [_mesh_body(tool)]
+    if tool.shape == "urdf":
+        return [_part_body(tool, part) for part in tool.instrument.parts]
     if tool.shape == "gripper" and tool.mesh:
         _check_length(tool)
         return [_mesh_body(tool)] * tool.n_bodies
@@ -197,33 +237,99 @@ def _check_length(tool: Tool) -> None:
         raise UserError(f"tool '{tool.name}': length {tool.length:g} m is outside 0..2")
 
 
+def _part_body(tool: Tool, part: Part) -> _Body:
+    """Return the body of a part of an instrument, about the origin of its collision element."""
+    import trimesh
+
+    if min(part.size) <= 0.0:
+        raise UserError(f"tool '{tool.name}': link '{part.link}' has a {part.kind} of size {part.size}; give it more")
+    if part.kind == "sphere":
+        return _Body(SPHERE, (part.size[0], 0.0), np.zeros((2, 3)), part.size[0])
+    if part.kind == "box":
+        return _body_of(tool, part.link, trimesh.creation.box(part.size))
+    if part.kind == "cylinder":
+        return _body_of(tool, part.link, trimesh.creation.cylinder(part.size[0], part.size[1], sections=32))
+    mesh = _loaded(tool, part.file)
+    mesh.apply_scale(part.size)
+    mesh.merge_vertices()
+    return _body_of(tool, part.file, simplified(mesh, f"tool '{tool.name}': mesh '{part.file}'"), may_be_round=True)
+
+
+def simplified(mesh: trimesh.Trimesh, name: str) -> trimesh.Trimesh:
+    """Return a mesh that is decimated towards MOST_FACES faces, where it has more.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        The mesh, m.
+    name : str
+        Its name for messages.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        The mesh itself, or one whose surface is at most MOST_MOVED from that of the first.
+
+    Raises
+    ------
+    UserError
+        Where that can't be done.
+    """
+    if len(mesh.faces) <= MOST_FACES:
+        return mesh
+    try:
+        made = mesh.simplify_quadric_decimation(face_count=MOST_FACES, aggression=1)
+    except ImportError:
+        raise UserError(
+            f"{name} has {len(mesh.faces)} faces, and decimating them to {MOST_FACES} needs fast-simplification:"
+            " pip install fast-simplification"
+        ) from None
+    from tissue_sim.contact.grid import distances_to
+
+    moved = float(distances_to(made, mesh.vertices).max())
+    if moved > MOST_MOVED or (mesh.is_watertight and not made.is_watertight):
+        raise UserError(
+            f"{name} has {len(mesh.faces)} faces; {len(made.faces)} would move its surface by {1e3 * moved:.2g} mm:"
+            " simplify it by hand"
+        )
+    return made
+
+
 def _mesh_body(tool: Tool) -> _Body:
+    return _body_of(tool, tool.mesh, _loaded(tool, tool.mesh))
+
+
+def _loaded(tool: Tool, file: str) -> trimesh.Trimesh:
     import trimesh  # takes a fifth of a node's start, and few nodes have tools of a mesh
 
-    path = Path(tool.mesh) if Path(tool.mesh).is_file() else shipped_file(tool.mesh)
+    path = Path(file) if Path(file).is_file() else shipped_file(file)
     if path is None:
-        raise UserError(f"tool '{tool.name}': mesh file '{tool.mesh}' does not exist; name one in metres")
+        raise UserError(f"tool '{tool.name}': mesh file '{file}' does not exist; name one in metres")
     if path.suffix[1:].lower() not in trimesh.available_formats():  # a bag may name any file, which must not be opened
-        raise UserError(f"tool '{tool.name}': '{tool.mesh}' is not a mesh file; name one such as jaw.obj or jaw.stl")
+        raise UserError(f"tool '{tool.name}': '{file}' is not a mesh file; name one such as jaw.obj or jaw.stl")
     try:
-        mesh = trimesh.load_mesh(path)
+        return trimesh.load_mesh(path)
+    except Exception as error:  # a mesh library's own errors are of many kinds
+        raise UserError(f"tool '{tool.name}': cannot read mesh file '{file}': {error}") from None
+
+
+def _body_of(tool: Tool, file: str, mesh: trimesh.Trimesh, may_be_round: bool = False) -> _Body:
+    """Return the body of a mesh; one that may be round has distances instead of planes where these would be many."""
+    try:
         with np.errstate(invalid="ignore"):  # a flat one has no centre of mass; it is refused below
             hull = mesh.convex_hull
     except Exception as error:  # a mesh library's own errors are of many kinds
-        raise UserError(f"tool '{tool.name}': cannot read mesh file '{tool.mesh}': {error}") from None
+        raise UserError(f"tool '{tool.name}': cannot read mesh file '{file}': {error}") from None
     if hull.extents.max() > 2.0:
-        raise UserError(
-            f"tool '{tool.name}': mesh '{tool.mesh}' is {hull.extents.max():.3g} m long; meshes are in metres"
-        )
+        raise UserError(f"tool '{tool.name}': mesh '{file}' is {hull.extents.max():.3g} m long; meshes are in metres")
     if hull.extents.min() < 1e-5:
-        raise UserError(f"tool '{tool.name}': mesh '{tool.mesh}' is flat; give it a thickness")
+        raise UserError(f"tool '{tool.name}': mesh '{file}' is flat; give it a thickness")
     corners, smallest = np.array(hull.vertices), 0.5 * float(hull.extents.min())
-    if mesh.is_convex:
-        return _Body(CONVEX, (0.0, 0.0), corners, smallest, planes=_planes(tool, hull), mesh=hull)
+    if mesh.is_convex and not (may_be_round and len(hull.faces) > MOST_PLANES):
+        return _Body(CONVEX, (0.0, 0.0), corners, smallest, planes=_planes(tool, file, hull), mesh=hull)
     if not mesh.is_watertight:
         raise UserError(
-            f"tool '{tool.name}': mesh '{tool.mesh}' is neither convex nor closed; close its holes, or save its"
-            " convex hull"
+            f"tool '{tool.name}': mesh '{file}' is neither convex nor closed; close its holes, or save its convex hull"
         )
     from tissue_sim.contact.grid import distance_grid
 
@@ -238,14 +344,13 @@ def _deepest(grid: Grid) -> Floats:
     return np.asarray(grid.origin + grid.spacing * np.array(at))
 
 
-def _planes(tool: Tool, hull: trimesh.Trimesh) -> Floats:
+def _planes(tool: Tool, file: str, hull: trimesh.Trimesh) -> Floats:
     normals = np.asarray(hull.face_normals)
     offsets = np.einsum("ij,ij->i", normals, hull.triangles[:, 0])
     planes = np.unique(np.round(np.column_stack([normals, offsets]), 9), axis=0)
     if len(planes) > MOST_PLANES:
         raise UserError(
-            f"tool '{tool.name}': the convex hull of '{tool.mesh}' has {len(planes)} faces;"
-            f" simplify it to {MOST_PLANES}"
+            f"tool '{tool.name}': the convex hull of '{file}' has {len(planes)} faces; simplify it to {MOST_PLANES}"
         )
     return planes
 

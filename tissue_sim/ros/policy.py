@@ -1,4 +1,4 @@
-"""Command `tissue_sim policy`: what DDS Security (sros2) has to allow a node, its haptic bridge and its viewer."""
+"""Command `tissue_sim policy`: what DDS Security (sros2) has to allow a node, its bridge, its viewer and a camera."""
 
 from __future__ import annotations
 
@@ -89,6 +89,7 @@ def fitted(node: str, values: Mapping[str, Any]) -> str:
 
 def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
     """Return what each process may do, by its enclave."""
+    from tissue_sim.ros.camera.topic_names import CAMERA, EYES, NODES, POSE, TOPICS
     from tissue_sim.ros.node.services.simulation_services import SERVICES
     from tissue_sim.ros.shared.tool_link import ToolLink
 
@@ -140,12 +141,22 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
             (),
             _below(own, "get_parameters", "record", "reset"),
         ),
+        f"{own}/camera": Allowed(
+            f"{namespace}/{CAMERA}",
+            [f"{namespace}/{CAMERA}{part}" for part in NODES],
+            # Those of a single camera and of a pair; a topic of its pose has a name of the user's.
+            [path_of(f"{namespace}/{CAMERA}", eye) + f"/{topic}" for eye in ("", *EYES) for topic in TOPICS]
+            + [f"{namespace}/{CAMERA}/{POSE}", "/diagnostics", "/tf", "/tf_static"],
+            [*_of_organs(own, values, "mesh", "surface"), f"{own}/tools", "/diagnostics", "/tf", "/tf_static"],
+            (),
+            [f"{own}/get_parameters"],
+        ),
     }
 
 
 def _topics(namespace: str, link: ToolLink, *topics: str) -> list[str]:
     """Return the absolute names of those of a tool's topics that it has; measured_js only of a gripper."""
-    names = [link.topics.names[topic] for topic in topics if topic != "measured_js" or link.tool.shape == "gripper"]
+    names = [link.topics.names[topic] for topic in topics if topic != "measured_js" or link.tool.has_jaws]
     return [name if name.startswith("/") else f"{namespace}/{name}" for name in names if name]
 
 

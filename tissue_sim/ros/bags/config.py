@@ -61,8 +61,10 @@ def check_config(config: Mapping[str, Any]) -> None:
     chosen |= {name: _is_name for name in ("integrator", "return_target") if name in parameters}
     for tool in config["tools"]:
         chosen |= {f"{tool}.{name}": fits for name, fits in {**of_tool, "mesh": _is_name}.items()}
-        if f"{tool}.smoothing" in parameters:  # bags from before this parameter lack it
-            chosen[f"{tool}.smoothing"] = _is_number
+        # Bags from before these parameters lack them.
+        later: dict[str, Fits] = {"smoothing": _is_number, "links": _is_names}
+        later |= {"tip_link": _is_name, "jaw_joint": _is_name}
+        chosen |= {f"{tool}.{name}": fits for name, fits in later.items() if f"{tool}.{name}" in parameters}
     _check(parameters, "parameters.", chosen)
     if parameters.get("return_target", "rest") != "rest":
         raise ValueError("its return springs follow the skeleton, which this version's don't do; record it again")

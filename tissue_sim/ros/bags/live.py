@@ -113,7 +113,7 @@ class _Live:
                 raise UserError(
                     f"--live needs tool '{tool.name}' with WrenchStamped, and poses and wrenches in the organ's frame"
                 )
-            self._tools.append(ScriptedTool(self._node, link, tool.shape == "gripper"))
+            self._tools.append(ScriptedTool(self._node, link, tool.has_jaws))
             self._frames.append(link.topics.frame_id)
             name = link.topics.names
             self._wrenches.append(client.NewestMessage(self._node, WrenchStamped, name["servo_cf"], KEEP, raw=True))

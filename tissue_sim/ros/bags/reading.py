@@ -128,7 +128,7 @@ def _all_of(
         ticks, poses = _taken(recording, body, "pose", recording.poses[number], 7)
         yield f"{tool.name}/position", "m", ticks, poses[:, :3]
         yield f"{tool.name}/quaternion", "", ticks, poses[:, 3:]
-        if tool.n_bodies > 1:
+        if tool.has_jaws:
             angles = {sequence: np.array([angle]) for sequence, angle in recording.angles[number].items()}
             ticks, values = _taken(recording, body, "pose", angles, 1)
             yield f"{tool.name}/angle", "rad", ticks, values[:, 0]

@@ -178,7 +178,11 @@ def tools_of(config: dict[str, Any]) -> list[Tool]:
         Tool(
             name,
             **{key: parameters[f"{name}.{key}"] for key in keys},
-            smoothing=parameters.get(f"{name}.smoothing", 1.0),  # its value before it was a parameter
+            # Their values before they were parameters.
+            smoothing=parameters.get(f"{name}.smoothing", 1.0),
+            links=tuple(parameters.get(f"{name}.links", ())),
+            tip_link=parameters.get(f"{name}.tip_link", ""),
+            jaw_joint=parameters.get(f"{name}.jaw_joint", ""),
         )
         for name in config["tools"]
     ]

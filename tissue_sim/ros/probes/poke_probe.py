@@ -32,6 +32,8 @@ class NodeReport(NamedTuple):
     pace: float  # simulated time over that of the clock, since the previous report
     busy: float  # s, median time of a tick
     degraded: str  # what is given up
+    busy_p99: float = 0.0  # s, 99th percentile of the time of a tick, and
+    late_p99: float = 0.0  # s, of its lateness
 
 
 class PokeFigures(NamedTuple):
@@ -150,4 +152,6 @@ def _as_told(stamp: Any, values: dict[str, str]) -> NodeReport:
         float(values["real_time_factor"]),
         1e-6 * float(values["tick_p50_us"]),
         values["degraded"],
+        1e-6 * float(values["tick_p99_us"]),
+        1e-6 * float(values["late_p99_us"]),
     )

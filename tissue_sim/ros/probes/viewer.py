@@ -15,7 +15,7 @@ from typing import Self
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
@@ -30,6 +30,8 @@ KINDS = {
     "surface": (PointCloud2, stream_qos),
     "servo_cf": (WrenchStamped, stream_qos),
     "diagnostics": (DiagnosticArray, stream_qos),
+    "image_raw": (Image, stream_qos),
+    "compressed": (CompressedImage, stream_qos),
 }
 
 

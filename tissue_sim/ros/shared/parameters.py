@@ -130,7 +130,10 @@ TOOL_SPECS = (
     Spec("shape", "sphere", "shape of the tool; its origin is the tip", choices=SHAPE_NAMES),
     Spec("radius", 0.005, "m, of a sphere or capsule", 5e-4, 0.5),
     Spec("length", 0.05, "m, from a capsule's tip along -z; from a gripper's tips to its hinge", 0.0, 2.0),
-    Spec("mesh", "", "mesh file of the tool, or of a gripper's jaw, in metres; closed where it is not convex"),
+    Spec("mesh", "", "mesh file of the tool, or of a gripper's jaw, in metres, closed unless convex; or a URDF"),
+    Spec("links", [""], "links of a URDF whose collision elements are the tool's bodies; empty for all that have any"),
+    Spec("tip_link", "", "link of a URDF whose frame is the tool's, the frame of its poses' axes; empty for its root"),
+    Spec("jaw_joint", "", "joint of a URDF that measured_js moves, by its name there; empty for none"),
     Spec("smoothing", 1.0, "fraction of the time between two poses in which the tool moves to the newer one", 0.0, 1.0),
     Spec("device_damping", 0.0, "N s/m of the device, which limits the coupling; 0: unknown", 0.0, 100.0, True),
     Spec("passivity_damping", 0.0, "N s/m, most that a passivity observer adds; 0: none", 0.0, 100.0, True),
@@ -181,8 +184,9 @@ def tool_of(values: Values, name: str) -> Tool:
     name : str
         Name of the tool.
     """
-    get = {key: values[f"{name}.{key}"] for key in ("shape", "radius", "length", "mesh", "smoothing")}
-    return Tool(name, **get)
+    keys = "shape", "radius", "length", "mesh", "smoothing", "tip_link", "jaw_joint"
+    links = tuple(link for link in values[f"{name}.links"] if link)
+    return Tool(name, **{key: values[f"{name}.{key}"] for key in keys}, links=links)
 
 
 def usual_topics(tool: str) -> dict[str, str]:
@@ -232,12 +236,33 @@ def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | No
     lookup : Callable[[str], Transform] | None
         Transforms other frames to the node's `tf_target`; None without tf.
     """
+    known, led, to_organ = _known(values, lookup)
+    known.setdefault(_frame_of(values, tool), to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"])))
+    return Frames(known, values[f"{tool}.motion_scale"], led)
+
+
+def frames_of_node(values: Values, lookup: Callable[[str], Transform] | None) -> Frames:
+    """Return the frames that poses of something else than a tool may come in.
+
+    Parameters
+    ----------
+    values : Values
+        The parameters.
+    lookup : Callable[[str], Transform] | None
+        Transforms other frames to the node's `tf_target`; None without tf.
+    """
+    known, led, _ = _known(values, lookup)
+    return Frames(known, 1.0, led)
+
+
+def _known(
+    values: Values, lookup: Callable[[str], Transform] | None
+) -> tuple[dict[str, Transform], Callable[[str], Transform] | None, Transform]:
+    """Return the transforms from the organ's frame and base_frame to the organ, a lookup of others, and the second."""
     organ_id, base_id = _organ_and_base(values)
     to_organ = Transform.of_pose(values["organ_pose"]).inverse()
-    known = {base_id: to_organ, organ_id: Transform()}
-    known.setdefault(_frame_of(values, tool), to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"])))
     led = None if lookup is None else lambda frame_id: to_organ.after(lookup(frame_id))
-    return Frames(known, values[f"{tool}.motion_scale"], led)
+    return {base_id: to_organ, organ_id: Transform()}, led, to_organ
 
 
 def organ_frames(values: Values, lookup: Callable[[str], Transform] | None) -> Frames:

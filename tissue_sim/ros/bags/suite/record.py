@@ -85,8 +85,7 @@ class _Sender:
         self._made = scene.made_tools()
         links = [ToolLink.by_default(tool.name, "organ") for tool in self._made]
         self._tools = [
-            ScriptedTool(node, link, link_tool.shape == "gripper")
-            for link, link_tool in zip(links, self._made, strict=True)
+            ScriptedTool(node, link, link_tool.has_jaws) for link, link_tool in zip(links, self._made, strict=True)
         ]
         stream = client.stream_qos()
         self._poses = node.create_publisher(PoseStamped, links[0].topics.names["measured_cp"], stream)

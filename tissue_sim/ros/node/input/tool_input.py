@@ -96,7 +96,7 @@ class ToolInput:
             self._bagged_force = recorder.add_topic(tool.name, "external_cf", name, qos)
         self.enabled = True
         self._subscriptions.append(node.create_subscription(Bool, f"~/{tool.name}/enable", self._on_enable, RELIABLE))
-        if tool.is_gripper:
+        if tool.has_jaws:
             self._subscriptions.append(
                 node.create_subscription(JointState, names["measured_js"], self._on_angle, qos),
             )
@@ -178,10 +178,10 @@ class ToolInput:
         stamp = self._stamp(message)
         if not raw:
             raw = self._bag_pose.message(stamp, message.values)
-        angle = self._bag_angle.message(0, [self._angle]) if tool.is_gripper else b""
+        angle = self._bag_angle.message(0, [self._angle]) if tool.has_jaws else b""
         placed = tool.tools.poses(tool.index, pose, self._angle)
         self._recorder.received(self._bagged_pose, raw)
-        if tool.is_gripper:
+        if tool.has_jaws:
             self._recorder.received(self._bagged_angle, angle)
         sequence = self._organs.post_poses(tool.bodies, placed, stamp)
         self.newest = NewestPose(sequence, pose, placed, frame_id, to_organ, raw, angle)
@@ -194,9 +194,14 @@ class ToolInput:
         with self._refusing("angle"):
             if not message.position:
                 raise Refused("no_angle", "it contains no position")
-            if not math.isfinite(message.position[0]):
+            at, wanted = 0, self._tool.jaw_joint
+            if wanted and message.name:
+                if wanted not in message.name[: len(message.position)]:
+                    raise Refused("no_joint", f"it contains no position of the joint '{wanted}'")
+                at = message.name.index(wanted)
+            if not math.isfinite(message.position[at]):
                 raise Refused("nan_angle", "it contains a value that is not finite")
-            self._angle = float(message.position[0])
+            self._angle = float(message.position[at])
 
     def _on_force(self, raw: bytes) -> None:
         if not self.enabled or not self._force_gate.passes():

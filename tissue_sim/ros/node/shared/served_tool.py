@@ -45,13 +45,18 @@ class ServedTool:
 
     @property
     def bodies(self) -> list[int]:
-        """Which of all rigid bodies are the tool's: the two jaws of a gripper, or one."""
+        """Which of all rigid bodies are the tool's: the two jaws of a gripper, the parts of an instrument, or one."""
         return self.tools.bodies[self.index]
 
     @property
-    def is_gripper(self) -> bool:
-        """Whether it is a tool of two jaws."""
-        return len(self.bodies) > 1
+    def has_jaws(self) -> bool:
+        """Whether measured_js moves its jaws."""
+        return self.tools.tools[self.index].has_jaws
+
+    @property
+    def jaw_joint(self) -> str:
+        """Name of its jaws' joint in measured_js; empty where the first one counts."""
+        return self.tools.tools[self.index].jaw_joint
 
     @property
     def is_unmoved(self) -> bool:
@@ -107,9 +112,10 @@ class ServedTool:
         Floats
             shape (6,), N and N m
         """
-        if not self.is_gripper:
+        placed = pose.placed
+        if len(self.bodies) == 1 and np.array_equal(placed[0, :3], pose.pose[:3]):
             return of_bodies[self.bodies[0]]
-        return about(pose.pose[:3], of_bodies[self.bodies], pose.placed[:, :3])
+        return about(pose.pose[:3], of_bodies[self.bodies], placed[:, :3])
 
 
 class NewestPose(NamedTuple):

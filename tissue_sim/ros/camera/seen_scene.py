@@ -1,0 +1,165 @@
+"""What a camera sees of a node: its organs' surfaces and its tools, as bodies that are drawn."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Mesh
+from visualization_msgs.msg import Marker, MarkerArray
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.rendering.bodies import MOST_LABEL, Look
+from tissue_sim.rendering.offscreen import Offscreen
+from tissue_sim.rendering.primitives import ball, cylinder
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.appearance import tissue_colour
+from tissue_sim.ros.shared.organ_topics import path_of
+
+FIRST_ORGAN, FIRST_TOOL = 1, 101  # labels
+STEEL = (0.62, 0.64, 0.67)
+SILENT_AFTER = 3.0  # s without markers, after which nobody knows where the tools are
+
+
+class SeenOrgan:
+    """An organ whose topics lie below a node's name, or below its own there.
+
+    Parameters
+    ----------
+    node : Node
+        The node that subscribes.
+    drawn : Offscreen
+        What draws it.
+    target : str
+        Name of the node that serves it.
+    name : str
+        Its name in a scene; empty for a single organ.
+    label : int
+        Its label in a segmentation.
+    """
+
+    def __init__(self, node: Node, drawn: Offscreen, target: str, name: str, label: int) -> None:
+        below = path_of(f"/{target}", name)
+        self._mesh = client.NewestMessage(node, Mesh, f"{below}/mesh", client.latched_qos())
+        self._surface = client.NewestMessage(node, PointCloud2, f"{below}/surface", client.stream_qos())
+        self._drawn, self._body = drawn, f"organ/{name}"
+        red, green, blue = tissue_colour(name)
+        self._look = Look((red / 255.0, green / 255.0, blue / 255.0), label=min(label, FIRST_TOOL - 1))
+        self.name = name
+        self.rest: Floats | None = None
+        self._pending: tuple[Floats, Longs] | None = None  # a mesh whose positions have not come
+        self.frame_id, self.stamp = "", 0  # of the newest surface; ns
+
+    def take(self) -> bool:
+        """Take what has come; return whether the surface is new."""
+        if (mesh := self._mesh.take()) is not None:
+            self._pending = client.mesh_arrays(mesh)
+        if (surface := self._surface.take()) is None:
+            return False
+        positions = client.cloud_array(surface)
+        if not np.isfinite(positions).all():
+            return False
+        # A mesh is drawn once there are positions of it: until then, those that come are of the one before.
+        if self._pending is not None and positions.shape == self._pending[0].shape:
+            self.rest, triangles = self._pending
+            self._drawn.add(self._body, self.rest, triangles, self._look)
+            self._pending = None
+        if self.rest is None or positions.shape != self.rest.shape:
+            return False
+        self._drawn.move(self._body, positions)
+        self.frame_id = surface.header.frame_id
+        self.stamp = surface.header.stamp.sec * 1_000_000_000 + surface.header.stamp.nanosec
+        return True
+
+    def remove(self) -> None:
+        """Remove it from the picture, and unsubscribe."""
+        for inbox in (self._mesh, self._surface):
+            inbox.close()
+        self._drawn.remove(self._body)
+
+
+class SeenTools:
+    """The tools of a node, as its markers show them.
+
+    Parameters
+    ----------
+    node : Node
+        The node that subscribes.
+    drawn : Offscreen
+        What draws them.
+    target : str
+        Name of the node that serves them.
+    """
+
+    def __init__(self, node: Node, drawn: Offscreen, target: str) -> None:
+        self._markers = client.NewestMessage(node, MarkerArray, f"/{target}/tools", client.stream_qos())
+        self._drawn = drawn
+        self._names: tuple[str, ...] = ()  # of the tools, in order
+        self._shapes: dict[str, tuple[Any, ...]] = {}  # of each body
+        self._heard = -np.inf
+
+    def use(self, names: Sequence[str]) -> None:
+        """Use the order of the node's tools for their labels."""
+        if tuple(names) != self._names:
+            self._names = tuple(names)
+            self._clear()
+
+    def take(self) -> None:
+        """Take what has come; tools of which nothing is heard any more are not drawn."""
+        message, now = self._markers.take(), time.monotonic()
+        if message is None:
+            if now - self._heard > SILENT_AFTER:
+                self._clear()
+            return
+        self._heard = now
+        parts = [marker for marker in message.markers if marker.type != Marker.ARROW]
+        there = {f"tool/{marker.ns}/{marker.id}" for marker in parts}
+        for body in set(self._shapes) - there:
+            self._remove(body)
+        for marker in parts:
+            self._show(f"tool/{marker.ns}/{marker.id}", marker)
+
+    def _show(self, body: str, marker: Marker) -> None:
+        shape = (marker.type, marker.scale.x, marker.scale.z, len(marker.points))
+        if self._shapes.get(body) != shape:
+            made = shape_of(marker)
+            if made is None:
+                return
+            order = self._names.index(marker.ns) if marker.ns in self._names else len(self._names)
+            is_flat = marker.type == Marker.TRIANGLE_LIST
+            label = min(FIRST_TOOL + order, MOST_LABEL)
+            self._drawn.add(body, *made, Look(STEEL, label, is_metal=True, is_flat=is_flat, texture=0.0))
+            self._shapes[body] = shape
+        place, turn = marker.pose.position, marker.pose.orientation
+        pose = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+        self._drawn.place(body, pose if marker.action == Marker.ADD else None)
+
+    def _remove(self, body: str) -> None:
+        self._drawn.remove(body)
+        del self._shapes[body]
+
+    def _clear(self) -> None:
+        for body in list(self._shapes):
+            self._remove(body)
+
+
+def shape_of(marker: Marker) -> tuple[Floats, Longs] | None:
+    """Return vertices (n, 3) m and triangles (t, 3) of a marker; None for one that is no body.
+
+    Parameters
+    ----------
+    marker : Marker
+        A sphere, a cylinder or a list of triangles.
+    """
+    if marker.type == Marker.SPHERE:
+        return ball(0.5 * marker.scale.x)
+    if marker.type == Marker.CYLINDER:
+        return cylinder(0.5 * marker.scale.x, marker.scale.z)
+    if marker.type == Marker.TRIANGLE_LIST and marker.points:
+        points = np.array([(p.x, p.y, p.z) for p in marker.points])
+        return points, np.arange(len(points)).reshape(-1, 3)
+    return None
