@@ -181,8 +181,8 @@ def load_matrix(organ: Organ, filling: FeMesh, shut: Mask | None = None) -> csr_
 
     The force F_i at a surface node is the traction F_i phi_i(x) / A_i, where phi_i is 1 at the node and falls to 0
     across the triangles around it, and A_i its integral. Its work on the shape functions is integrated exactly where
-    edges have their nodes in the middle. Where `shut` (f, 3) is set for a facet and a corner of its triangle, phi_i is 0
-    on that facet: it lies beyond a cut.
+    edges have their nodes in the middle. Where `shut` (f, 3) is set for a facet and a corner of its triangle, phi_i is
+    0 on that facet: it lies beyond a cut.
     """
     skfem, _ = libraries()
     triangles = organ.surface_triangles

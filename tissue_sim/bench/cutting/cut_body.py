@@ -115,7 +115,9 @@ class CutBody:
         """Return for which facets (f, 3) corners of their triangle lie beyond the cut, so that no load passes."""
         corners = self.filling.nodes[self.filling.facets[:, :3]].mean(axis=1)
         place = self.sheet.place(corners)
-        side = self.sheet.place(self.organ.surface_positions).across[self.organ.surface_triangles[self.filling.triangle]]
+        side = self.sheet.place(self.organ.surface_positions).across[
+            self.organ.surface_triangles[self.filling.triangle]
+        ]
         beyond = (side < 0.0) != (place.across < 0.0)[:, None]
         shut: Floats = beyond & self.sheet.covers(place)[:, None]
         return shut

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.cases import Surface, surface_of, tractions
@@ -18,10 +19,12 @@ from tissue_sim.organ.surfaces.sizing import mean_edge
 
 PATCH = 19  # nodes under a load
 BESIDE, FAR = 1.4, 3.8  # mean edges from the cut to the middle of a patch at a lip, and of one away from it
+CLEAR = 2.0  # mean edges from the clamp to the middle of a patch far away
 MOST_FORCE = 1.1  # of Young's modulus times the square of the mean edge: 0.2 N on the kidney
 MOST_REACH = 0.008  # m, largest displacement of the linear body
 MOST_TRACTION = 0.4  # of Young's modulus
 SHIFTS, SHIFT = 61, 0.35  # places beside the wanted one, within so many mean edges, of which the clearest is taken
+CLOSE = 1e-4  # m from a sheet, where its side is determined
 SPACING = 0.5  # mean edges between two points of a polyline
 
 
@@ -67,7 +70,7 @@ CUTS = (
     Cut("slab", "flat", 0.030, 0.012, (0.1, 0.1, 1.0), 30.0),
     Cut("slab", "L", 0.036, 0.010, (-0.1, 0.05, 1.0), 75.0),
     Cut("liver", "flat", 0.045, 0.020, (0.0, 0.0, 1.0), 0.0),
-    Cut("liver", "curved", 0.045, 0.015, (0.3, 0.0, 1.0), 60.0),
+    Cut("liver", "curved", 0.060, 0.020, (0.3, 0.0, 1.0), 60.0),
 )
 
 
@@ -116,7 +119,8 @@ def placed(organ: Organ, cut: Cut) -> Place:
         sheet = sheet_of(organ, polyline, into, cut.depth)
         clear = _clearance(organ, sheet)
         if best is None or clear > best[0]:
-            best = clear, Place(polyline[len(polyline) // 2], along, into, _across(sheet, polyline), sheet)
+            start = polyline[len(polyline) // 2]
+            best = clear, Place(start, along, into, _across(sheet, start, along), sheet)
     assert best is not None
     return best[1]
 
@@ -162,13 +166,10 @@ def _clearance(organ: Organ, sheet: Sheet) -> float:
     return float(np.abs(place.across[near]).min(initial=np.inf))
 
 
-def _across(sheet: Sheet, polyline: Floats) -> Floats:
-    """Return the unit vector to the positive side in the middle of a sheet."""
-    middle, step = polyline[len(polyline) // 2], 1e-5
-    slope = np.array([(sheet.place((middle + way)[None]).across[0]) for way in step * np.eye(3)])
-    slope -= sheet.place(middle[None]).across[0]
-    slope -= (slope @ sheet.direction) * sheet.direction
-    return np.asarray(slope / np.linalg.norm(slope))
+def _across(sheet: Sheet, middle: Floats, along: Floats) -> Floats:
+    """Return the unit vector across a cut in its middle, which halves the angle of an L, to the positive side."""
+    way = np.cross(sheet.direction, along)
+    return np.asarray(way * np.sign(sheet.place((middle + CLOSE * way)[None]).across[0]))
 
 
 class Loads(NamedTuple):
@@ -244,8 +245,10 @@ def _patch(surface: Surface, sheet: Sheet, middle: Floats, side: float) -> Longs
 
 
 def _end(surface: Surface, middle: Floats, way: Floats) -> Longs:
-    """Return the free nodes around the one that is farthest from the cut in a direction and not held."""
-    ahead = np.where(surface.free, (surface.positions - middle) @ way, -np.inf)
+    """Return the free nodes around the one that is farthest from the cut in a direction, and not at the clamp."""
+    held = surface.positions[~surface.free]
+    clear = cKDTree(held).query(surface.positions)[0] > CLEAR * surface.edge if len(held) else surface.free
+    ahead = np.where(clear, (surface.positions - middle) @ way, -np.inf)
     node = int(np.argmax(ahead))
     good = np.flatnonzero(surface.free & (surface.normal @ surface.normal[node] > 0.0))
     apart = np.linalg.norm(surface.positions[good] - surface.positions[node], axis=1)

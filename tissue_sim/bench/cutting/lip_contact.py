@@ -19,9 +19,9 @@ from tissue_sim.calibration.solid import Solid
 
 STIFF = 10.0  # a wall's stiffness, in Young's moduli over its mean edge
 DEEP = 0.25  # mean edges of a wall by which the lips pass through each other, from which contact begins at rest
-MOST_ROUNDS = 12  # of determining where nodes touch
-STILL = 1e-3  # relative change of the displacements between two rounds, at the end
-TOLERANCE = 1e-6  # of the energy
+MOST_ROUNDS = 8  # of determining where nodes touch
+STILL = 2e-3  # relative change of the displacements between two rounds, at the end
+TOLERANCE = 1e-5  # of the energy
 CANDIDATES = 12  # triangles of a wall among which the nearest is looked for
 BESIDE = 0.5  # mean edges of a wall beyond its rim, where a node doesn't touch it
 SUB = np.array([(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)])  # triangles of a quadratic facet
@@ -161,7 +161,7 @@ class Lips:
         normal, _, beside, corners, weights = self._nearest(nodes + moved)
         if twins:
             corners, weights = np.stack([self._below] * 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(normal), 1))
-            normal, beside = self._node_normals(nodes + moved), np.zeros(len(normal), dtype=bool)
+            normal, beside = self._normals(nodes + moved)[self._below], np.zeros(len(normal), dtype=bool)
         chosen = np.flatnonzero(~beside)
         normal, corners, weights = normal[chosen], corners[chosen], weights[chosen]
         own, k, n = self._above[chosen], len(chosen), len(nodes)
@@ -173,15 +173,14 @@ class Lips:
         rows = coo_array((values.ravel(), (row, columns.ravel())), shape=(k, 3 * n)).tocsr()
         return Springs(rows, rows @ nodes.ravel(), stiffness[chosen])
 
-    def _node_normals(self, positions: Floats) -> Floats:
-        """Return the normals (k, 3) of the lower wall at its nodes, towards the other."""
+    def _normals(self, positions: Floats) -> Floats:
+        """Return the lower wall's normals (n, 3) at its nodes, towards the other wall; 0 at other nodes."""
         corner = positions[self._triangles]
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         total = np.zeros((len(positions), 3))
         for column in self._triangles.T:
             np.add.at(total, column, normal)
-        found = total[self._below]
-        return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
+        return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None])
 
     def _nearest(self, positions: Floats) -> tuple[Floats, Floats, Floats, Longs, Floats]:
         """Return where the lower wall is nearest to each node (k,) of the upper one.
@@ -199,8 +198,8 @@ class Lips:
         best = np.argmin(np.einsum("kcx,kcx->kc", away, away), axis=1)
         row = np.arange(len(points))
         chosen, weight, away = candidates[row, best], weights[row, best], away[row, best]
-        a, b, c = (corner[chosen][:, k] for k in range(3))
-        normal = np.cross(b - a, c - a)
+        # Normals are interpolated between nodes, so that they don't jump where the nearest triangle changes.
+        normal = np.einsum("kw,kwx->kx", weight, self._normals(positions)[triangles[chosen]])
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         gap = np.einsum("kx,kx->k", away, normal)
         beside = np.linalg.norm(away - gap[:, None] * normal, axis=1) > BESIDE * self._edge

@@ -232,9 +232,7 @@ def _without_cut(organ: Organ, loads: Loads) -> tuple[Floats, Floats]:
     better = finer.settle_linear(loads.force) - body.settle_linear(loads.force)
     del finer
     moved, potential = [], []
-    for force, found in zip(
-        loads.force, body.solid.settle_many([body.loads(one) for one in loads.force]), strict=True
-    ):
+    for force, found in zip(loads.force, body.solid.settle_many([body.loads(one) for one in loads.force]), strict=True):
         moved.append(found.displacement[: organ.n_surface])
         energy = body.solid.energy(found.displacement)[0]
         potential.append(energy - float(np.vdot(body.loads(force), found.displacement)))
@@ -244,7 +242,7 @@ def _without_cut(organ: Organ, loads: Loads) -> tuple[Floats, Floats]:
 def _opening_force(body: CutBody, loads: Loads, coarse: list[Answer], fine: list[Answer]) -> float:
     """Return the force, N on each lip, that opens the middle of a cut by OPENED; nan where none is found."""
     which = loads.names.index(OPENING)
-    size = patch_force(loads, which)
+    size = patch_force(loads.force[which])
     ratio = middle_opening(fine[which].opening) / middle_opening(coarse[which].opening)
 
     def opened_by(force: float) -> float | None:
@@ -254,9 +252,9 @@ def _opening_force(body: CutBody, loads: Loads, coarse: list[Answer], fine: list
     return force_for(OPENED, size * OPENED / middle_opening(fine[which].opening), opened_by)
 
 
-def patch_force(loads: Loads, which: int) -> float:
-    """Return the force, N, of a load of two opposite patches on one of them."""
-    return 0.5 * float(np.linalg.norm(loads.force[which], axis=1).sum())
+def patch_force(force: Floats) -> float:
+    """Return the force, N, on each of the two patches of a load (n, 3) N."""
+    return 0.5 * float(np.linalg.norm(force, axis=1).sum())
 
 
 def middle_opening(opening: Floats) -> float:

@@ -101,7 +101,9 @@ class _Fronts:
     def slopes(self, points: Floats) -> Floats:
         """Return their gradients (k, 4, 3)."""
         ways = STEP * np.eye(3)
-        return np.stack([(self.values(points + way) - self.values(points - way)) / (2.0 * STEP) for way in ways], axis=2)
+        return np.stack(
+            [(self.values(points + way) - self.values(points - way)) / (2.0 * STEP) for way in ways], axis=2
+        )
 
     def covers(self, points: Floats, more: float = 0.0) -> Mask:
         """Return which points (k,) of the sheet the cut reaches."""
