@@ -12,7 +12,7 @@ from tissue_sim.bench.cutting.reference import STORED, remake
 from tissue_sim.bench.printing import emit, exit_code
 from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.errors import UserError
-from tissue_sim.organ.shipped import shipped_file
+from tissue_sim.organ.shipped import shipped_organ
 
 ORGANS = ("kidney", "slab", "liver")
 
@@ -48,8 +48,7 @@ def run(args: argparse.Namespace) -> int:
         emit(found, times.text(found), args.json)
         return exit_code(found, check=args.check)
     if args.remake:
-        # Where the package is installed, the file lies beside the organ that it is for.
-        remake(kidney(), shipped_file(STORED) or Path(STORED))
+        remake(kidney(), shipped_organ().parents[2] / STORED)
     found = accuracy.as_json(*accuracy.measure(makers(Path(args.data) if args.data else None), args.organs))
     emit(found, accuracy.text(found), args.json)
     return exit_code(found, check=args.check)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Floats, Ints, Longs, Mask
 from tissue_sim.bench.cutting.lip_contact import Lips, TouchingSolid
 from tissue_sim.bench.cutting.split_mesh import Opened, opened, split
 from tissue_sim.calibration.fe_mesh import (
@@ -43,8 +43,8 @@ class Sizes(NamedTuple):
     grading: Grading
 
 
-COARSE = Sizes(0.7, 0.55, Grading())
-FINE = Sizes(0.5, 0.35, Grading(clamp=2, growth=1.0))
+COARSE = Sizes(0.8, 0.6, Grading(clamp=0, growth=2.0))
+FINE = Sizes(0.55, 0.4, Grading())
 
 
 class Answer(NamedTuple):
@@ -111,7 +111,7 @@ class CutBody:
         """Number of nodes, mid-edge nodes included."""
         return len(self.solid.nodes)
 
-    def _shut(self) -> Floats:
+    def _shut(self) -> Mask:
         """Return for which facets (f, 3) corners of their triangle lie beyond the cut, so that no load passes."""
         corners = self.filling.nodes[self.filling.facets[:, :3]].mean(axis=1)
         place = self.sheet.place(corners)
@@ -119,7 +119,7 @@ class CutBody:
             self.organ.surface_triangles[self.filling.triangle]
         ]
         beyond = (side < 0.0) != (place.across < 0.0)[:, None]
-        shut: Floats = beyond & self.sheet.covers(place)[:, None]
+        shut: Mask = beyond & self.sheet.covers(place)[:, None]
         return shut
 
     def _lip_places(self, made: Opened) -> tuple[Floats, Longs]:
@@ -206,7 +206,7 @@ def _places(sheet: Sheet, spacing: float) -> tuple[Floats, Floats]:
     return grid.reshape(-1, 3), front
 
 
-def _are_walls(faces: Longs, walls: Longs, n: int) -> Floats:
+def _are_walls(faces: Longs, walls: Longs, n: int) -> Mask:
     """Return which faces (f,) of ascending corners are walls."""
 
     def keys(corners: Longs) -> Longs:
@@ -214,14 +214,13 @@ def _are_walls(faces: Longs, walls: Longs, n: int) -> Floats:
         found: Longs = (corners[:, 0] * n + corners[:, 1]) * n + corners[:, 2]
         return found
 
-    found: Floats = np.isin(keys(faces), keys(walls))
-    return found
+    return np.isin(keys(faces), keys(walls))
 
 
-def _lips(made: Opened, pairs: Longs, n: int) -> Lips:
+def _lips(made: Opened, pairs: Ints, n: int) -> Lips:
     """Return the two walls of a cut, each a list of quadratic facets whose nodes lie on those of the other."""
-    below, above = np.arange(n), np.arange(n)
+    below, above = np.arange(n, dtype=np.int32), np.arange(n, dtype=np.int32)
     below[made.original[made.below]] = made.below
     above[made.original[made.above]] = made.above
-    walls = [with_middles(node[made.walls].astype(np.int32), pairs, n).astype(np.int64) for node in (below, above)]
-    return Lips(*walls, made.points, made.cells)
+    lower, upper = (with_middles(node[made.walls], pairs, n).astype(np.int64) for node in (below, above))
+    return Lips(lower, upper, made.points, made.cells)

@@ -23,6 +23,7 @@ CLEAR = 2.0  # mean edges from the clamp to the middle of a patch far away
 MOST_FORCE = 1.1  # of Young's modulus times the square of the mean edge: 0.2 N on the kidney
 MOST_REACH = 0.008  # m, largest displacement of the linear body
 MOST_TRACTION = 0.4  # of Young's modulus
+GENTLE = 0.3  # of all that: lips that are pressed together, which without contact pass far through each other
 SHIFTS, SHIFT = 61, 0.35  # places beside the wanted one, within so many mean edges, of which the clearest is taken
 CLOSE = 1e-4  # m from a sheet, where its side is determined
 SPACING = 0.5  # mean edges between two points of a polyline
@@ -179,7 +180,7 @@ class Loads(NamedTuple):
     force: Floats  # (c, n_surface, 3) N
 
 
-OPENING = "both lips apart"
+OPENING, CLOSING = "both lips apart", "both lips together"
 
 
 def loads_of(organ: Organ, place: Place) -> Loads:
@@ -204,7 +205,7 @@ def loads_of(organ: Organ, place: Place) -> Loads:
         "one lip along the cut": ((plus, along),),
         "one lip out": ((plus, -into),),
         "one lip in": ((plus, into),),
-        "both lips together": ((plus, -across), (minus, across)),
+        CLOSING: ((plus, -across), (minus, across)),
         "press beside the cut": ((beside, -_facing(surface, beside)),),
         "press far away": ((ends[0], -_facing(surface, ends[0])),),
         "pull sideways far away": ((ends[1], across),),
@@ -231,6 +232,7 @@ def scaled(organ: Organ, loads: Loads, reach: Floats) -> Loads:
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)
     most = np.minimum(MOST_REACH / reach, MOST_TRACTION * organ.youngs_modulus / tractions(loads.force, organ))
     factor = np.minimum(most, MOST_FORCE * organ.youngs_modulus * edge**2)
+    factor = factor * np.where([name == CLOSING for name in loads.names], GENTLE, 1.0)
     return loads._replace(force=loads.force * factor[:, None, None])
 
 

@@ -13,14 +13,14 @@ import numpy as np
 from scipy.sparse import bsr_array, coo_array, csr_array, diags_array
 from scipy.spatial import cKDTree
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.calibration.cholesky import Cholesky, NotPositive
 from tissue_sim.calibration.solid import Solid
 
-STIFF = 10.0  # a wall's stiffness, in Young's moduli over its mean edge
+STIFF = 40.0  # a wall's stiffness, in Young's moduli over its mean edge
 DEEP = 0.25  # mean edges of a wall by which the lips pass through each other, from which contact begins at rest
 MOST_ROUNDS = 8  # of determining where nodes touch
-STILL = 2e-3  # relative change of the displacements between two rounds, at the end
+STILL = 5e-3  # relative change of the displacements between two rounds, at the end
 TOLERANCE = 1e-5  # of the energy
 CANDIDATES = 12  # triangles of a wall among which the nearest is looked for
 BESIDE = 0.5  # mean edges of a wall beyond its rim, where a node doesn't touch it
@@ -182,7 +182,7 @@ class Lips:
             np.add.at(total, column, normal)
         return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None])
 
-    def _nearest(self, positions: Floats) -> tuple[Floats, Floats, Floats, Longs, Floats]:
+    def _nearest(self, positions: Floats) -> tuple[Floats, Floats, Mask, Longs, Floats]:
         """Return where the lower wall is nearest to each node (k,) of the upper one.
 
         The wall's normals (k, 3), gaps (k,) m, whether the node lies beside the wall, the nodes (k, 3) of the triangle
@@ -206,7 +206,7 @@ class Lips:
         return normal, gap, beside, triangles[chosen], weight
 
 
-def _points_into_tissue(triangles: Longs, points: Floats, cells: Longs) -> Floats:
+def _points_into_tissue(triangles: Longs, points: Floats, cells: Longs) -> Mask:
     """Return which triangles (w,) of elements have normals that point into their element."""
     n = len(points)
     faces = cells[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3)
@@ -221,7 +221,7 @@ def _points_into_tissue(triangles: Longs, points: Floats, cells: Longs) -> Float
     owner = order[np.searchsorted(of_cells[order], wanted)] // 4
     a, b, c = (points[triangles[:, k]] for k in range(3))
     into = np.einsum("wx,wx->w", np.cross(b - a, c - a), points[cells[owner]].mean(axis=1) - a)
-    turned: Floats = into > 0.0
+    turned: Mask = into > 0.0
     return turned
 
 

@@ -7,7 +7,8 @@ calibration.reference. The results of the kidney ship with the package, the othe
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,12 +17,12 @@ from numpy.typing import NDArray
 
 from tissue_sim import progress
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.bench.cutting.cut_body import FINE, SAMPLES, Answer, CutBody
+from tissue_sim.bench.cutting.cut_body import COARSE, FINE, SAMPLES, Answer, CutBody
 from tissue_sim.bench.cutting.cuts import CUTS, OPENING, Cut, Loads, Place, loads_of, placed, scaled
 from tissue_sim.bench.pinch_reference import fits
 from tissue_sim.calibration.evaluation import errors
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.reference import FINER, LEFT
+from tissue_sim.calibration.reference import LEFT
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_file
@@ -29,7 +30,7 @@ from tissue_sim.result_cache import remembered
 
 STORED = "config/references/cut.npz"  # of the kidney that ships
 VERSION = 1  # of what is computed here
-TOUCHES = 5e-5  # m by which lips would pass through each other, from which contact is taken into account
+TOUCHES = 1e-4  # m by which lips would pass through each other, from which contact is taken into account
 UNIT = 5e-7  # m, of displacements in the file
 OPENED = 0.005  # m by which the lips are pulled apart in the middle
 MOST_TRIES, CLOSE = 4, 0.03  # of finding the force for that, and relative distance from it
@@ -218,21 +219,27 @@ def computed(organ: Organ, cut: Cut, place: Place) -> Reference:
 def _equilibria(body: CutBody, loads: Loads) -> tuple[list[Answer], list[Answer], Floats]:
     """Return the equilibria without and with contact of the lips, and the potential energy (c,) J of the former."""
     free, touching, potential = [], [], []
-    for force, (answer, moved) in zip(loads.force, body.settle_many(loads.force), strict=True):
+    settled = progress.steps(body.settle_many(loads.force), "equilibria", len(loads.force))
+    for force, (answer, moved) in zip(loads.force, settled, strict=True):
         free.append(answer)
         touching.append(body.touching(force, moved) if answer.closed > TOUCHES else answer)
         potential.append(body.solid.energy(moved)[0] - float(np.vdot(body.loads(force), moved)))
     return free, touching, np.array(potential)
 
 
+@lru_cache(maxsize=1)
+def _uncut_bodies(organ: Organ) -> tuple[Body, Body]:
+    """Return the uncut organ on meshes as fine as those with the cut; the cuts of an organ share them."""
+    return Body(organ, grading=COARSE.grading), Body(organ, grading=FINE.grading)
+
+
 def _without_cut(organ: Organ, loads: Loads) -> tuple[Floats, Floats]:
     """Return the uncut organ's displacements (c, n, 3) m, corrected by a finer mesh, and potential energy (c,) J."""
-    body = Body(organ)
-    finer = Body(organ, np.flatnonzero(loads.force.any(axis=(0, 2))), FINER)
+    body, finer = _uncut_bodies(organ)
     better = finer.settle_linear(loads.force) - body.settle_linear(loads.force)
-    del finer
     moved, potential = [], []
-    for force, found in zip(loads.force, body.solid.settle_many([body.loads(one) for one in loads.force]), strict=True):
+    settled = body.solid.settle_many([body.loads(one) for one in loads.force])
+    for force, found in zip(loads.force, settled, strict=True):
         moved.append(found.displacement[: organ.n_surface])
         energy = body.solid.energy(found.displacement)[0]
         potential.append(energy - float(np.vdot(body.loads(force), found.displacement)))
@@ -262,7 +269,7 @@ def middle_opening(opening: Floats) -> float:
     return float(np.linalg.norm(opening[SAMPLES // 2]))
 
 
-def force_for(wanted: float, guess: float, opened_by: object) -> float:
+def force_for(wanted: float, guess: float, opened_by: Callable[[float], float | None]) -> float:
     """Return the force, N, at which a function of it takes a value; nan where it isn't found.
 
     Parameters
@@ -274,7 +281,6 @@ def force_for(wanted: float, guess: float, opened_by: object) -> float:
     opened_by : Callable[[float], float | None]
         The function; None where it has no value.
     """
-    assert callable(opened_by)
     known = [(0.0, 0.0)]
     for _ in range(MOST_TRIES):
         value = opened_by(guess)
