@@ -8,9 +8,8 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Mask
 from tissue_sim.bench import rows
 from tissue_sim.bench.cutting.cuts import CUTS, OPENING, Cut, placed
 from tissue_sim.bench.cutting.modelled import Modelled
@@ -22,6 +21,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.sizing import mean_edge
 
 MOST_MEAN, MOST_WORST, MOST_GAP, MOST_FORCE = 4.0, 15.0, 20.0, 10.0  # %
+_HEAD = ("apart", "uncut", "cut", "gap", "left out", "touch", "cut", "free")
 CHANGES = 5.0  # %, by which the cut changes the displacement under a load whose released energy is compared
 
 
@@ -37,8 +37,8 @@ class Compared(NamedTuple):
     gap: Floats  # (c,) of the opening along the lips
     uncut: Floats  # (c,) of the uncut organ, against finite elements without the cut
     left_out: Floats  # (c,) of the uncut organ, against finite elements with the cut
-    touch: NDArray[np.bool_]  # (c,) whether the lips touch
-    settled: NDArray[np.bool_]  # (c,) of both
+    touch: Mask  # (c,) whether the lips touch
+    settled: Mask  # (c,) of both
     force: float  # of the force that opens the middle by OPENED; nan where it isn't known
     energy: float  # of the energy that the cut releases; nan where it isn't known
     off: float  # of the reference, at most
@@ -145,59 +145,50 @@ def as_json(found: list[Compared], skipped: list[str]) -> dict[str, Any]:
     table = [_row(one.cut.name, [one]) | _own(one) for one in found]
     if found:
         table.append(_row("all", found))
-        resolved = [one for one in found if one.resolved]
-        table.append(_row("all, lips apart", found, lambda one: ~one.touch))
-        table.append(_row("all, lips touch", found, lambda one: one.touch))
-        table.append(_row("resolved, lips apart", resolved, lambda one: ~one.touch))
-    loads = [
-        _row(name, found, lambda one, name=name: np.array([other == name for other in one.names]))  # type: ignore[misc]
-        for name in (found[0].names if found else ())
-    ]
+        table.append(_row("all resolved", [one for one in found if one.resolved]))
+    loads = [_row(name, found, name) for name in (found[0].names if found else ())]
+    whole = _row("all", found)
     forces = [abs(one.force) for one in found]
     worst = max(forces) if forces and all(map(math.isfinite, forces)) else None
     bounds = []
-    for name, rule in (("lips apart", lambda one: ~one.touch), ("lips touch", lambda one: one.touch)):
-        row = _row(name, found, rule)
+    for key, name in (("apart", "lips apart"), ("touch", "lips touch")):
         bounds += [
-            Bound(f"displacement, {name}: mean", row["mean_percent"], MOST_MEAN, "%"),
-            Bound(f"displacement, {name}: worst", row["worst_percent"], MOST_WORST, "%"),
-            Bound(f"opening of the lips, {name}: mean", row["gap_percent"], MOST_GAP, "%"),
+            Bound(f"displacement, {name}: mean", whole[key]["mean_percent"], MOST_MEAN, "%"),
+            Bound(f"displacement, {name}: worst", whole[key]["worst_percent"], MOST_WORST, "%"),
+            Bound(f"opening of the lips, {name}: mean", whole[key]["gap_percent"], MOST_GAP, "%"),
         ]
     bounds.append(Bound("force that opens a cut by 5 mm, worst cut", worst, MOST_FORCE, "%"))
     return {"rows": table, "loads": loads, "skipped": skipped, "bounds": [one.as_json() for one in bounds]}
 
 
-def _row(
-    name: str, found: list[Compared], chosen: Callable[[Compared], NDArray[np.bool_]] | None = None
-) -> dict[str, Any]:
-    """Return the figures of some loads on some cuts; None where there is none."""
+def _row(name: str, found: list[Compared], load: str | None = None) -> dict[str, Any]:
+    """Return the figures of some cuts, of all loads or one: of those under which lips stay apart, and of the others."""
 
-    def of(field: str) -> Floats:
-        parts = [
-            getattr(one, field)[one.settled & (chosen(one) if chosen else np.ones(len(one.settled), dtype=bool))]
-            for one in found
-        ]
-        return np.concatenate(parts) if parts else np.zeros(0)
-
-    def mean(field: str) -> float | None:
-        return float(of(field).mean()) if len(of(field)) else None
-
-    def worst(field: str) -> float | None:
-        return float(of(field).max()) if len(of(field)) else None
+    def chosen(one: Compared, touch: bool) -> Mask:
+        named = np.array([load in (None, other) for other in one.names])
+        return named & one.settled & (one.touch == touch)
 
     return {
         "name": name,
-        "loads": len(of("error")),
-        "uncut_mean_percent": mean("uncut"),
-        "uncut_worst_percent": worst("uncut"),
-        "mean_percent": mean("error"),
-        "worst_percent": worst("error"),
-        "free_mean_percent": mean("free_error"),
-        "free_worst_percent": worst("free_error"),
-        "gap_percent": mean("gap"),
-        "left_out_mean_percent": mean("left_out"),
-        "left_out_worst_percent": worst("left_out"),
+        "apart": _figures(found, [chosen(one, False) for one in found]),
+        "touch": _figures(found, [chosen(one, True) for one in found]),
     }
+
+
+def _figures(found: list[Compared], chosen: list[Mask]) -> dict[str, Any]:
+    """Return the figures of chosen loads (c,) on some cuts; None where there is none."""
+
+    def of(field: str) -> Floats:
+        parts = [getattr(one, field)[some] for one, some in zip(found, chosen, strict=True)]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    figures: dict[str, Any] = {"loads": len(of("error"))}
+    for key, field in (("", "error"), ("uncut_", "uncut"), ("free_", "free_error"), ("left_out_", "left_out")):
+        values = of(field)
+        figures[f"{key}mean_percent"] = float(values.mean()) if len(values) else None
+        figures[f"{key}worst_percent"] = float(values.max()) if len(values) else None
+    gap = of("gap")
+    return figures | {"gap_percent": float(gap.mean()) if len(gap) else None}
 
 
 def _own(one: Compared) -> dict[str, Any]:
@@ -205,7 +196,6 @@ def _own(one: Compared) -> dict[str, Any]:
     return {
         "edges": one.edges,
         "resolved": one.resolved,
-        "touching": int(one.touch.sum()),
         "not_settled": int(np.count_nonzero(~one.settled)),
         "force_percent": one.force if math.isfinite(one.force) else None,
         "energy_percent": one.energy if math.isfinite(one.energy) else None,
@@ -230,53 +220,40 @@ def text(found: dict[str, Any]) -> str:
     str
         The text.
     """
-    head = [
-        "cut, mm",
-        "edges",
-        "loads",
-        "touch",
-        "uncut",
-        "cut",
-        "lips free",
-        "gap",
-        "left out",
-        "force",
-        "energy",
-        "+-",
-    ]
-    table = [head]
-    for row in found["rows"]:
-        edges = "-" if "edges" not in row else f"{row['edges']:.1f}{'' if row['resolved'] else ' *'}"
-        own = [_number(row.get(key)) for key in ("force_percent", "energy_percent", "reference_percent")]
-        pairs = [
-            f"{_number(row[f'{key}mean_percent'])} / {_number(row[f'{key}worst_percent'])}"
-            for key in ("uncut_", "", "free_", "left_out_")
-        ]
-        counts = [str(row["loads"]), str(row.get("touching", "-"))]
-        table.append([row["name"], edges, *counts, *pairs[:3], _number(row["gap_percent"]), pairs[3], *own])
-    by_load = [["load", "loads", "uncut", "cut", "lips free", "gap"]]
-    for row in found["loads"]:
-        pairs = [
-            f"{_number(row[f'{key}mean_percent'])} / {_number(row[f'{key}worst_percent'])}"
-            for key in ("uncut_", "", "free_")
-        ]
-        by_load.append([row["name"], str(row["loads"]), *pairs, _number(row["gap_percent"])])
     lines = [
-        "errors in % against finite elements, mean / worst of the loads: of displacements of the surface (uncut: of",
-        "the organ before the cut; cut: against lips that touch each other; lips free: against lips that pass through",
-        "each other; left out: of the uncut organ against the cut one), of the opening along the lips (gap), of the",
-        "force that opens the cut by 5 mm, and of the energy that the cut releases; edges: depth in mean edges of the",
-        "surface, * not resolved; touch: loads under which lips touch; +-: error of the finite elements, at most",
+        "errors in % against finite elements with the same cut, whose lips touch each other; mean / worst of the loads",
+        "under which they stay apart, and of those under which they touch: of displacements of the surface (uncut: of",
+        "the organ before the cut; left out: of the uncut organ against the cut one; free: against lips that pass",
+        "through each other, as the model's do), of the opening along the lips (gap), of the force that opens the cut",
+        "by 5 mm, and of the energy that the cut releases; edges: depth in mean edges of the surface, * not resolved;",
+        "+-: error of the finite elements, at most",
         "",
-        *aligned(table),
+        *aligned([["cut, mm", *_HEAD, "edges", "force", "energy", "+-"], *map(_cells, found["rows"])]),
         "",
-        *aligned(by_load),
+        *aligned([["load", *_HEAD], *(_cells(row)[: len(_HEAD) + 1] for row in found["loads"])]),
         "",
         *found["skipped"],
         *([""] if found["skipped"] else []),
         *bound_lines(found["bounds"]),
     ]
     return "\n".join(lines)
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    """Return the cells of a row."""
+
+    def pair(which: str, key: str) -> str:
+        if not row[which]["loads"]:
+            return "-"
+        return f"{_number(row[which][f'{key}mean_percent'])} / {_number(row[which][f'{key}worst_percent'])}"
+
+    apart, touch = row["apart"], row["touch"]
+    edges = "-" if "edges" not in row else f"{row['edges']:.1f}{'' if row['resolved'] else ' *'}"
+    own = [_number(row.get(key)) for key in ("force_percent", "energy_percent", "reference_percent")]
+    return [
+        *(row["name"], str(apart["loads"]), pair("apart", "uncut_"), pair("apart", ""), _number(apart["gap_percent"])),
+        *(pair("apart", "left_out_"), str(touch["loads"]), pair("touch", ""), pair("touch", "free_"), edges, *own),
+    ]
 
 
 def _number(value: float | None) -> str:
