@@ -152,7 +152,7 @@ def test_quarter_points_do_the_work_of_halvings(monkeypatch):
         return np.linalg.norm(found - fine) / np.linalg.norm(fine)
 
     with_them = error(1)
-    monkeypatch.setattr("tissue_sim.calibration.fe_mesh._to_quarter_points", lambda nodes, pairs, front: None)
+    monkeypatch.setattr("tissue_sim.calibration.fe_mesh.to_quarter_points", lambda nodes, pairs, front: None)
     without = [error(halvings) for halvings in (1, 2)]
     assert with_them < 0.05
     assert with_them < without[1] < without[0]

@@ -49,6 +49,10 @@ BENCHMARKS = {
     ),
     "contact": ("tissue_sim.bench.contact", "time of a contact set with two tools in touch"),
     "pinch": ("tissue_sim.bench.pinch", "two tools compress the organ: time of a tick, inverted cells, force"),
+    "cut": (
+        "tissue_sim.bench.cutting.command",
+        "cuts: their time and that of the ticks around them; with --accuracy, error against finite elements",
+    ),
     "presses": ("tissue_sim.bench.presses", "tools enter fast, late or in jumps: failed presses, error of the force"),
     "haptics": (
         "tissue_sim.bench.haptics",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -38,6 +38,13 @@ class Grading(NamedTuple):
     def finer(self) -> Grading:
         """Return a grading twice as fine at the clamp's edge and under the loads, growing more slowly from there."""
         return self._replace(clamp=self.clamp + 1, near=self.near + 1, growth=self.growth / 1.5)
+
+
+class Source(NamedTuple):
+    """Places around which elements are small."""
+
+    places: Floats  # (p, 3) m
+    size: float  # m, of elements there
 
 
 class FeMesh(NamedTuple):
@@ -78,17 +85,22 @@ def fill(organ: Organ, near: NDArray[Any] | None = None, grading: Grading | None
     grading = Grading() if grading is None else grading
     positions, triangles = organ.surface_positions, organ.surface_triangles
     held = clamped_triangles(organ)
-    mesh = _graded(organ, held, near, grading)
+    mesh = graded(organ, sources_of(organ, near, grading), grading)
     nodes, elements = quadratic(mesh)
     corners = mesh.facets[:, mesh.boundary_facets()].T.astype(np.int32)
-    triangle = _parents(mesh.p.T[corners], positions[triangles])
+    triangle = parents(mesh.p.T[corners], positions[triangles])
     clamped = held[triangle]
+    pairs = mesh.edges.T
     front = np.zeros(mesh.p.shape[1], dtype=bool)
     front[np.intersect1d(corners[clamped], corners[~clamped])] = True
-    pairs = mesh.edges.T
-    _to_quarter_points(nodes, pairs, front)
-    middles = len(front) + _rows(pairs, corners[:, [[0, 1], [1, 2], [0, 2]]], len(front))
-    return FeMesh(nodes, elements, np.concatenate([corners, middles], axis=1).astype(np.int32), triangle, clamped)
+    to_quarter_points(nodes, pairs, front)
+    return FeMesh(nodes, elements, with_middles(corners, pairs, len(front)), triangle, clamped)
+
+
+def with_middles(corners: Ints, pairs: Ints, n: int) -> Ints:
+    """Return quadratic facets (f, 6) of linear ones (f, 3), given the edges (k, 2) whose middles follow n corners."""
+    middles = n + _rows(pairs, corners[:, [[0, 1], [1, 2], [0, 2]]], n)
+    return np.concatenate([corners, middles], axis=1).astype(np.int32)
 
 
 def quadratic(mesh: Any) -> tuple[Floats, Ints]:
@@ -100,7 +112,7 @@ def quadratic(mesh: Any) -> tuple[Floats, Ints]:
     return nodes, np.ascontiguousarray(basis.element_dofs.T.astype(np.int32))
 
 
-def _to_quarter_points(nodes: Floats, pairs: Ints, front: NDArray[np.bool_]) -> None:
+def to_quarter_points(nodes: Floats, pairs: Ints, front: NDArray[np.bool_]) -> None:
     """Move the midpoints of edges (k, 2) that leave the front to a quarter of their length.
 
     There a quadratic element represents the square root of the distance, as displacements behave where a clamp ends
@@ -126,22 +138,42 @@ def _rows(pairs: Ints, wanted: Ints, n: int) -> Ints:
     return order[np.searchsorted(known, keys(wanted), sorter=order)].astype(np.int32)
 
 
-def _graded(organ: Organ, held: NDArray[np.bool_], near: NDArray[Any] | None, grading: Grading) -> Any:
-    """Return Netgen's mesh with its longest edges bisected until no element is too large, a skfem.MeshTet."""
-    skfem, _ = libraries()
+def sources_of(organ: Organ, near: NDArray[Any] | None, grading: Grading) -> list[Source]:
+    """Return where elements are small: along the clamp's edge, under loads on some nodes (k,), and at inclusions."""
     positions, triangles = organ.surface_positions, organ.surface_triangles
-    points, cells = _tetrahedra(organ)
-    mesh = skfem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T))
     edge = float(np.linalg.norm(positions[triangles[:, 0]] - positions[triangles[:, 1]], axis=1).mean())
     least = edge / 2.0**grading.clamp
-    sources = [(_along(positions, clamp_edges(triangles, held), 0.5 * least), least)]
+    sources = [Source(_along(positions, clamp_edges(triangles, clamped_triangles(organ)), 0.5 * least), least)]
     if near is not None and len(near):
         loaded = np.isin(triangles, near).any(axis=1)
         inside = np.concatenate([positions[triangles[loaded]].mean(axis=1), positions[np.asarray(near)]])
-        sources.append((inside, edge / 2.0**grading.near))
+        sources.append(Source(inside, edge / 2.0**grading.near))
     if len(organ.inclusion_positions):
-        sources.append((organ.inclusion_positions, least))
-    trees = [(cKDTree(where), size) for where, size in sources if len(where)]
+        sources.append(Source(organ.inclusion_positions, least))
+    return sources
+
+
+def graded(organ: Organ, sources: Sequence[Source], grading: Grading) -> Any:
+    """Return Netgen's mesh with its longest edges bisected until no element is too large, a skfem.MeshTet.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    sources : Sequence[Source]
+        Where elements are small.
+    grading : Grading
+        Their growth from there, and halvings of all.
+
+    Raises
+    ------
+    UserError
+        Where Netgen can't fill the surface.
+    """
+    skfem, _ = libraries()
+    points, cells = _tetrahedra(organ)
+    mesh = skfem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T))
+    trees = [(cKDTree(source.places), source.size) for source in sources if len(source.places)]
     for _ in range(MOST_PASSES):
         corners = mesh.p.T[mesh.t.T]
         longest = np.zeros(len(corners))
@@ -263,7 +295,7 @@ def _meshed(positions: bytes, triangles: bytes) -> tuple[Floats, Ints]:
     return found, cells
 
 
-def _parents(small: Floats, large: Floats) -> Ints:
+def parents(small: Floats, large: Floats) -> Ints:
     """Return for each small triangle (f, 3, 3) m the large one (t, 3, 3) of which it is a part.
 
     Raises UserError where one lies in none.

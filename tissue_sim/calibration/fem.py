@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Mask
 from tissue_sim.calibration.fe_mesh import FeMesh, Grading, coordinates, fill, libraries
 from tissue_sim.calibration.solid import Material, Solid
 from tissue_sim.errors import UserError
@@ -176,16 +176,16 @@ def volume_change(organ: Organ, displacement: Floats) -> float:
     return now / organ.volume - 1.0
 
 
-def load_matrix(organ: Organ, filling: FeMesh) -> csr_array:
+def load_matrix(organ: Organ, filling: FeMesh, shut: Mask | None = None) -> csr_array:
     """Return the nodal loads per surface force, (n, n_surface).
 
     The force F_i at a surface node is the traction F_i phi_i(x) / A_i, where phi_i is 1 at the node and falls to 0
     across the triangles around it, and A_i its integral. Its work on the shape functions is integrated exactly where
-    edges have their nodes in the middle.
+    edges have their nodes in the middle. Where `shut` (f, 3) is set for a facet and a corner of its triangle, phi_i is
+    0 on that facet: it lies beyond a cut.
     """
     skfem, _ = libraries()
     triangles = organ.surface_triangles
-    total = node_area(organ.surface_positions, triangles)
     points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTri, FACET_QUADRATURE)
     found = [skfem.ElementTriP2().lbasis(points, node) for node in range(6)]
     values = np.stack([value for value, _ in found], axis=1)  # (q, 6)
@@ -196,8 +196,12 @@ def load_matrix(organ: Organ, filling: FeMesh) -> csr_array:
     weight = np.linalg.norm(np.cross(along[0], along[1]), axis=2) * weights
     parents = np.repeat(organ.surface_positions[triangles[filling.triangle]], len(weights), axis=0)
     hats = coordinates(where.reshape(-1, 3), parents).reshape(*where.shape)
-    parts = np.einsum("fq,qa,fqc->fac", weight, values, hats, optimize=True)  # (f, 6, 3)
     nodes = triangles[filling.triangle]
+    total = node_area(organ.surface_positions, triangles)
+    if shut is not None:
+        hats = np.where(shut[:, None, :], 0.0, hats)
+        total = np.bincount(nodes.ravel(), np.einsum("fq,fqc->fc", weight, hats).ravel(), organ.n_surface)
+    parts = np.einsum("fq,qa,fqc->fac", weight, values, hats, optimize=True)  # (f, 6, 3)
     rows = np.broadcast_to(filling.facets[:, :, None], parts.shape)
     columns = np.broadcast_to(nodes[:, None, :], parts.shape)
     shape = len(filling.nodes), organ.n_surface

@@ -1,0 +1,54 @@
+"""Benchmark `tissue_sim bench cut`: time of a cut and of the ticks around it, or its error against finite elements."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from tissue_sim.bench.arguments import check_shared
+from tissue_sim.bench.cutting import accuracy, times
+from tissue_sim.bench.cutting.organs import kidney, makers
+from tissue_sim.bench.cutting.reference import STORED, remake
+from tissue_sim.bench.printing import emit, exit_code
+from tissue_sim.bench.timing import in_one_thread
+from tissue_sim.errors import UserError
+from tissue_sim.organ.shipped import shipped_organ
+
+ORGANS = ("kidney", "slab", "liver")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
+    )
+    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is not met")
+    parser.add_argument(
+        "--accuracy", action="store_true", help="compare cuts with finite elements that hold the same cut, not times"
+    )
+    parser.add_argument("--organs", nargs="+", choices=ORGANS, default=ORGANS, help="which organs to compare")
+    parser.add_argument(
+        "--data", metavar="FOLDER", help="folder of the organ data, for the liver (default: it is left out)"
+    )
+    parser.add_argument(
+        "--remake",
+        action="store_true",
+        help="first compute the finite elements of the kidney's cuts and write them where they are read: an hour",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; return 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    if not args.accuracy:
+        for name, given in (("--data", args.data), ("--remake", args.remake), ("--organs", args.organs != ORGANS)):
+            if given:
+                raise UserError(f"{name} needs --accuracy")
+        found = times.as_json(*in_one_thread(times.measure))
+        emit(found, times.text(found), args.json)
+        return exit_code(found, check=args.check)
+    if args.remake:
+        remake(kidney(), shipped_organ().parents[2] / STORED)
+    found = accuracy.as_json(*accuracy.measure(makers(Path(args.data) if args.data else None), args.organs))
+    emit(found, accuracy.text(found), args.json)
+    return exit_code(found, check=args.check)
