@@ -19,9 +19,9 @@ from tissue_sim.npz import read_npz
 # Raised when an older replay could not read a newer bag. Format 1 held settings and state by position; 2 moved tools
 # without regard to stamps; 3 lacked what a state had applied, 4 where the breath had moved the organ, 5 what links
 # require of the step, 6 whether an organ has had a fault since its last reset, 7 how far a tool may go with a contact
-# set; 8 called external_cf measured_cf.
-FORMAT = 9
-READ = (8, FORMAT)
+# set; 8 called external_cf measured_cf, and 9 had contact points between three nodes, and no cuts.
+FORMAT = 10
+READ = (8, 9, FORMAT)
 
 OCTETS = "std_msgs/msg/UInt8MultiArray"
 # Topics of an organ, with their types: under its name, or the node's where it is the only one.
