@@ -15,7 +15,6 @@ from tissue_sim.bench.cutting.cuts import CUTS, OPENING, Cut, Place, loads_of, p
 from tissue_sim.bench.cutting.organs import kidney
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, figure, noise_lines
 from tissue_sim.bench.timing import Ticks, describe, noise_burst
-from tissue_sim.model.cutting.carry import carried_over
 from tissue_sim.model.cutting.crossing import Crossing, crossing_of
 from tissue_sim.model.cutting.cut import CutOrgan, cut_again, not_cut
 from tissue_sim.model.cutting.cut_surface import cut_surface
@@ -124,23 +123,19 @@ def during(simulation: Simulation, place: Place, force: Floats) -> During:
     """
     nodes = np.flatnonzero(force.any(axis=1))
     ticks, parts, made = Ticks(simulation, nodes, force[nodes]), [], []
-    uncut = simulation.organ
-    # A copy is cut, since ticks change the state; that is carried over at the end.
-    copy = Simulation(uncut)
 
     def work() -> None:
-        opened = opened_by(copy, place)
-        assert opened.cut_organ is not None
-        made.append((opened, opened.cut_organ.origin(not_cut(uncut))))
+        sheet = place.sheet
+        made.append(simulation.prepared_cut(sheet.polyline, sheet.direction, sheet.depth))
 
     thread = threading.Thread(target=work)
     thread.start()
     while thread.is_alive():
         parts.append(ticks(20))
     thread.join()
-    opened, origin = made[0]
+    (opened,) = made
     start = time.thread_time()
-    opened.restore(carried_over(simulation.state, opened.state, origin, uncut.n_nodes))
+    opened.continue_from(simulation)
     return During(np.concatenate(parts), opened, time.thread_time() - start)
 
 
@@ -274,7 +269,7 @@ def text(found: dict[str, Any]) -> str:
     lines = [
         "parts of a cut: the polyline on the surface, divided cells and virtual nodes, shared masses, the new surface;",
         "the rest is the fastest mode of the organ before and after, and the assembly of the model; processor time of",
-        "one thread; a copy is cut beside the ticks, in another thread, and takes their state up between two of them",
+        "one thread; the cut is prepared beside the ticks, in another thread, and taken up between two of them",
         f"a fixed loop takes {figure(found['fixed_loop_us'])} us",
         "",
         *aligned(cuts),
