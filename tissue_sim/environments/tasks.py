@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.array_types import Floats, Mask
+from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.contact.attachments import Breathing
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
@@ -187,7 +187,7 @@ def task_of(name: str) -> Task:
     return TASKS[name]()
 
 
-def accessible(organ: Organ) -> Floats:
+def accessible(organ: Organ) -> Longs:
     """Return surface nodes (k,) that tools may be sent to: the half farthest from what is fixed.
 
     Parameters
