@@ -61,6 +61,7 @@ setup(
         "calibration": ["scikit-fem", "netgen-mesher", "matplotlib", "joblib", "threadpoolctl"],
         "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],
         "cluster": ["distributed"],
+        "learn": ["gymnasium>=1.1", "cma", "matplotlib"],
         # `colcon test` runs pytest because this extra names it.
         "test": ["hypothesis", "mcap", "pytest", "pytest-timeout", "pytest-xdist", "ruff", "mypy", "pip-audit"],
         "docs": ["sphinx", "myst-parser", "furo", "sphinx-autoapi"],
@@ -71,5 +72,7 @@ setup(
             "tissue_node = tissue_sim.ros.node.program:run",
             "tissue_sim = tissue_sim.cli:main",
         ],
+        # Gymnasium calls this when it is imported, so that its `make` knows the environments.
+        "gymnasium.envs": ["__root__ = tissue_sim.environments.registration:register_all"],
     },
 )

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from helpers.paths import ROOT
@@ -68,6 +69,23 @@ def test_force_is_proportional_to_stiffness(tmp_path):
     assert moduli == (2.5, 5.0, 10.0, 20.0, 40.0)
     ratio = [force / modulus for modulus, force in zip(moduli, forces, strict=True)]
     assert max(ratio) < 1.4 * min(ratio)  # the damping of the tissue doesn't grow with its stiffness
+
+
+@pytest.mark.extended
+def test_the_tumour_is_where_the_force_is_highest(tmp_path):
+    found = re.search(r"up to ([\d.]+) times the force, at (-?\d+), (-?\d+), (-?\d+) mm", run("many_presses", tmp_path))
+    ratio, x, _, z = map(float, found.groups())
+    assert ratio > 1.04
+    assert np.hypot(x - 72.0, z + 6.0) < 12.0, "its centre lies at 72, 27, -6 mm"
+
+
+@pytest.mark.slow
+def test_an_agent_learns_to_press(tmp_path):
+    pytest.importorskip("cma")
+    rewards = [float(one) for one in re.findall(r"(-[\d.]+) at best", run("learn_press", tmp_path))]
+    assert len(rewards) == 12
+    assert rewards[-1] > rewards[0] + 0.3
+    assert np.load(tmp_path / "learn_press.npy").shape == (5,)
 
 
 @pytest.mark.extended

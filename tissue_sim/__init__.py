@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from tissue_sim.calibration.api import calibrate
     from tissue_sim.contact.attachments import Attachment, Breathing
     from tissue_sim.contact.scene import Scene
+    from tissue_sim.contact.scene_batch import SceneBatch
     from tissue_sim.contact.scene_file import load_scene
     from tissue_sim.contact.tools import Tool
     from tissue_sim.errors import UserError
@@ -25,6 +26,7 @@ __all__ = [
     "Breathing",
     "Organ",
     "Scene",
+    "SceneBatch",
     "Simulation",
     "Tool",
     "UserError",
@@ -43,6 +45,7 @@ _MODULES = {
     "Breathing": "tissue_sim.contact.attachments",
     "Organ": "tissue_sim.organ.organ",
     "Scene": "tissue_sim.contact.scene",
+    "SceneBatch": "tissue_sim.contact.scene_batch",
     "Simulation": "tissue_sim.model.simulation",
     "Tool": "tissue_sim.contact.tools",
     "UserError": "tissue_sim.errors",

@@ -72,6 +72,7 @@ BENCHMARKS = {
         "tissue_sim.bench.measured.command",
         "silicone bodies that others have measured, against finite elements and the real-time model",
     ),
+    "batch": ("tissue_sim.bench.batch", "many copies at once: environment steps a second, beside MuJoCo's flex"),
     "stability": ("tissue_sim.bench.stability", "where each integrator and local region is stable"),
 }
 

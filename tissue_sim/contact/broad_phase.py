@@ -267,6 +267,38 @@ def _unit(x: float, y: float, z: float, target: Any) -> None:
 
 
 @kernel
+def set_compliance(found: Any, corners: Any, weight: Any, give: Any, compliance: Any, between: Any) -> None:
+    """Compute the compliance of a contact set's points from that of their triangles' corners.
+
+    Parameters
+    ----------
+    found : Any
+        The contact set, with bodies and weights of its points; updated.
+    corners : Any, shape (c, 3)
+        Points that are the triangles' corners.
+    weight : Any, shape (c, 3)
+        Barycentric weights of these.
+    give : Any, shape (c, 2)
+        See Fineness, of each point.
+    compliance : Any, shape (B, p, 2), m/N
+        Compliance of the tissue around each corner, along a body's normal and across it.
+    between : Any, shape (B,)
+        By what fraction a point in the middle of three nodes yields more, times 3/2.
+    """
+    for point in range(found.header.points):
+        body, square = found.body[point], 0.0
+        for c in range(found.weight.shape[1]):
+            square += found.weight[point, c] * found.weight[point, c]
+        more = (1.0 + between[body] * (1.0 - square)) * give[point, 0]
+        for axis in range(2):
+            total = 0.0
+            for c in range(3):
+                total += more * weight[point, c] * compliance[body, corners[point, c], axis]
+            found.compliance[point, axis] = total
+        found.most_give[point] = give[point, 1]
+
+
+@kernel
 def nearest_node(position: Any, n_surface: int, x: float, y: float, z: float) -> tuple[int, float]:
     """Return the surface node nearest to a point.
 

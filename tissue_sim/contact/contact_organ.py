@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 
 from tissue_sim.array_types import Floats
@@ -29,7 +31,20 @@ class ContactOrgan:
         self.finder = self._uncut_finder = ContactFinder.of(simulation, tools)
         self.contacts: ContactSet | None = None
         self._ticks_a_set = ticks_a_set
-        self._set_goal: Floats | None = None  # the bodies' poses at the last contact set
+        self.set_goal: Floats | None = None  # the bodies' poses at the last contact set
+
+    def with_simulation(self, simulation: Simulation) -> ContactOrgan:
+        """Return an organ that shares the finder with this one, which has no cuts, and has another simulation.
+
+        Parameters
+        ----------
+        simulation : Simulation
+            The simulation.
+        """
+        made = copy.copy(self)
+        made.simulation = made._uncut = simulation
+        made.contacts = None
+        return made
 
     def exchange(self, simulation: Simulation) -> None:
         """Go on with a simulation of the same organ, after a cut, and with its surface.
@@ -55,7 +70,7 @@ class ContactOrgan:
     def reset(self) -> None:
         """Return to rest, untouched; the settings stay."""
         self.simulation.reset()
-        self.contacts = self._set_goal = None
+        self.contacts = self.set_goal = None
 
     def find(self, sequence: int) -> None:
         """Find what the bodies may touch at present, and apply it.
@@ -71,9 +86,9 @@ class ContactOrgan:
         goal, places = state.body_goal.copy(), state.body_pose.copy()
         # A set before every tick holds everything on a tool's path; otherwise also what it may reach until the next
         # one.
-        share, last = (0.0, goal) if self._ticks_a_set == 1 or self._set_goal is None else (2.0, self._set_goal)
+        share, last = (0.0, goal) if self._ticks_a_set == 1 or self.set_goal is None else (2.0, self.set_goal)
         margins = reach_margins(places, goal, last, share, self.finder.tools.shapes.extent)
-        self._set_goal = goal
+        self.set_goal = goal
         releases = state.bodies.releases.copy()
         found = self.finder.find(self.simulation.positions, Sought(places, margins, fresh, pushing, releases))
         self.simulation.take_contacts(found, sequence)

@@ -22,6 +22,7 @@ from tissue_sim.contact.broad_phase import (
     holds_node,
     nearest_node,
     points_near,
+    set_compliance,
     surface_box,
     triangles_in_box,
 )
@@ -110,24 +111,24 @@ class ContactFinder:
         body, triangle = np.zeros((2, most), dtype=np.int64)
         corners, weight, normal = np.zeros((most, 3), dtype=np.int64), np.zeros((most, 3)), np.zeros((most, 3))
         self._points = Found(body, triangle, corners, weight, normal, np.zeros((most, 2)))
-        self._rest = surface.rest
-        self._model = fcl.CollisionObject(_fcl_model(self._rest, self.triangles))
+        self.rest = surface.rest
+        self._model = fcl.CollisionObject(_fcl_model(self.rest, self.triangles))
         # Made once: python-fcl keeps 32 bytes of every one that goes.
         self._grown = [fcl.CollisionObject(shape, fcl.Transform()) for shape in tools.grown]
-        corner = self._rest[self.triangles]
+        corner = self.rest[self.triangles]
         edges = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)  # the longest of each triangle
         longest = float(edges.max())
         usual = float(edges[surface.is_old].max())
-        self._is_fine = [longest > MOST_DIVISIONS * COARSEST * size for size in tools.smallest]
+        self.is_fine = [longest > MOST_DIVISIONS * COARSEST * size for size in tools.smallest]
         gives = [OF_BALLS if kind == SPHERE else OF_OTHERS for kind in tools.shapes.kind.tolist()]
-        self._lattices = lattices()
+        self.lattices = lattices()
         order = np.argsort(self.triangles.ravel(), kind="stable")
         self._node_triangle = order // 3
         self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(self.n_points + 1))
-        self._finenesses: list[Fineness] = []
+        self.finenesses: list[Fineness] = []
         compliance = []
         for give, size, kind, is_fine in zip(
-            gives, tools.smallest, tools.shapes.kind.tolist(), self._is_fine, strict=True
+            gives, tools.smallest, tools.shapes.kind.tolist(), self.is_fine, strict=True
         ):
             # The face of a jaw lies on many triangles at once: as many points on each as the longest needs would
             # take most of a tick.
@@ -141,10 +142,10 @@ class ContactFinder:
             # A point has one part in the square of its parts of a node's area.
             whole = parts[0] ** 2
             share = np.square(parts.astype(np.float64)) / whole
-            self._finenesses.append(fineness_of(surface, parts, np.stack([share, room], axis=1)))
+            self.finenesses.append(fineness_of(surface, parts, np.stack([share, room], axis=1)))
             compliance.append(whole * surface.compliance(size))
-        self._compliance = np.reshape(compliance, (len(compliance), self.n_points, 2))
-        self._between = np.array(
+        self.compliance = np.reshape(compliance, (len(compliance), self.n_points, 2))
+        self.between = np.array(
             [
                 extra_compliance_between_nodes(give, organ, size)
                 for give, size in zip(gives, tools.smallest, strict=True)
@@ -206,12 +207,7 @@ class ContactFinder:
         corners, weight = points.node[chosen], points.weight[chosen]
         found.body[:], found.normal[:] = points.body[chosen], points.normal[chosen]
         found.node[:], found.weight[:] = self.surface.between(points.triangle[chosen], corners, weight)
-        shares = found.weight if self.surface.is_cut else weight
-        more = 1.0 + self._between[found.body] * (1.0 - np.einsum("kc,kc->k", shares, shares))
-        compliance = self._compliance[found.body[:, None], corners]
-        more *= points.give[chosen, 0]
-        found.compliance[:] = np.einsum("k,kc,kcx->kx", more, weight, compliance)
-        found.most_give[:] = points.give[chosen, 1]
+        set_compliance(found, corners, weight, points.give[chosen], self.compliance, self.between)
         found.engaged[:], found.place[:], found.reach[:] = engaged, poses, reach
         found.n_points[:], found.releases[:] = counts, sought.releases
         found.tip_node[:] = -1
@@ -229,7 +225,7 @@ class ContactFinder:
         low, high, some, moved = self._box_low, self._box_high, 0, 0.0
         if boxes_meet(low, high, self._low, self._high):
             room = Near(self._found, self._number)
-            some, moved = triangles_in_box(position, self._rest, self.triangles, low, high, room)
+            some, moved = triangles_in_box(position, self.rest, self.triangles, low, high, room)
         # FCL has the surface at rest, as building its model takes longer than everything else here. Where the
         # triangles near the body have moved by SLACK, it isn't used.
         is_asked = margin == 0.0 and moved < SLACK / math.sqrt(3.0)
@@ -237,12 +233,12 @@ class ContactFinder:
             self.counters.far_skips += 1
             return count, reach + boxes_apart(low, high, self._low, self._high) - TISSUE_WAY
         near = self._found[:some]
-        fineness = self._finenesses[body]
+        fineness = self.finenesses[body]
         search = Search(
-            position, self.tools.shapes, body, self._lattices, fineness, origin, self._matrix, reach, self._normal
+            position, self.tools.shapes, body, self.lattices, fineness, origin, self._matrix, reach, self._normal
         )
         count = points_near(near, self._number[:some], search, self._seen, self._points, count)
-        return self._add_nearest(body, position, some, origin, count) if self._is_fine[body] else count, 0.0
+        return self._add_nearest(body, position, some, origin, count) if self.is_fine[body] else count, 0.0
 
     def warm_up(self, position: Floats) -> None:
         """Compile what a contact needs, so that the first one doesn't wait for it.

@@ -100,17 +100,18 @@ class Scene:
             if factor != 1.0:
                 one.settings.stiffness_scale = factor
                 one.set_substeps()
-        self._sequence, self._ticks_a_set, self._ticks = 0, ticks_a_set, 0
-        self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
+        self.sequence, self.ticks_a_set, self.ticks = 0, ticks_a_set, 0
+        self.origins = np.zeros((len(tools), 3))  # m, where each tool was moved to
         # Each has one body, about whose origin it is moved: that of an instrument's part lies beside it.
         self._has_own_origins = all(one.n_bodies == 1 and one.shape != "urdf" for one in tools)
         if len(organs) > 1 or attachments or breathing is not None or self_contact:
             self.joined = join(self.simulations, attachments, breathing, breathes, organ_friction)
         else:
             self.joined = Joined(self.simulations)
-        self._pairs = None if self.joined.alone else OrganContactFinder(organs)
+        may_meet = len(organs) > 1 or self_contact
+        self.pairs_finder = OrganContactFinder(organs) if may_meet else None
         self._own = [self_contact] * len(organs)
-        self._found_at = self.offsets  # when pairs were last looked for
+        self.found_at = self.offsets  # when pairs were last looked for
 
     def __repr__(self) -> str:
         tools = ", ".join(f"{tool.name} ({tool.shape})" for tool in self.tools.tools) or "no tools"
@@ -154,10 +155,10 @@ class Scene:
                 self._take_up(number)
             one.reset()
         self.joined.reset()
-        if self._pairs is not None:
-            self._pairs.forget()
-        self._ticks = 0
-        self._origin[:] = 0.0
+        if self.pairs_finder is not None:
+            self.pairs_finder.forget()
+        self.ticks = 0
+        self.origins[:] = 0.0
 
     def cut(self, organ: int | str, polyline: ArrayLike, direction: ArrayLike, depth: float) -> CutReport:
         """Cut an organ, in which tools then touch both lips and walls; `reset` heals it.
@@ -198,8 +199,8 @@ class Scene:
         plan = self.joined.plan_exchange(number, one.simulation)
         self.joined.exchange(number, one.simulation, plan)
         self.joined.set_substeps()
-        if self._pairs is not None:
-            self._pairs.exchange(number, one.finder.surface)
+        if self.pairs_finder is not None:
+            self.pairs_finder.exchange(number, one.finder.surface)
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """Set the gravity of all organs, under which they have their shapes.
@@ -226,7 +227,7 @@ class Scene:
         felt, poses = self.joined.wrench, self.simulation.state.body_pose[:, :3]
         if self._has_own_origins:
             return felt
-        origins = self._origin - self.offsets[0]
+        origins = self.origins - self.offsets[0]
         return np.array([about(at, felt[own], poses[own]) for at, own in zip(origins, self.tools.bodies, strict=True)])
 
     def wrench(self, tool: int | str) -> Floats:
@@ -315,13 +316,13 @@ class Scene:
             raise UserError(f"the quaternion {name}, {turn.tolist()}, is not of length 1")
         pose = np.concatenate([finite(position, 3, f"the position {name}"), turn])
         finite([angle], 1, f"the angle {name}")
-        self._origin[number] = pose[:3]
-        self._sequence += 1
+        self.origins[number] = pose[:3]
+        self.sequence += 1
         for body, at in zip(self.tools.bodies[number], self.tools.poses(number, pose, angle), strict=True):
             for simulation, offset in zip(self.simulations, self.offsets, strict=True):
                 carried = at.copy()
                 carried[:3] -= offset
-                simulation.take_pose(body, carried, self._sequence, stamp)
+                simulation.take_pose(body, carried, self.sequence, stamp)
 
     def push(self, tool: int | str, force: ArrayLike) -> None:
         """Give the external force (3,) N on the tissue at a tool's tip.
@@ -333,38 +334,38 @@ class Scene:
         """
         number = self.tools.index(tool)
         given = finite(force, 3, f"the force of tool '{self.tools.tools[number].name}'")
-        self._sequence += 1
+        self.sequence += 1
         body = self.tools.bodies[number][0]
         for simulation in self.simulations:
-            simulation.take_force(body, given, self._sequence)
+            simulation.take_force(body, given, self.sequence)
 
     def step(self, ticks: int = 1) -> None:
         """Advance by some ticks of 1/rate seconds; contacts are found when it is time."""
         for _ in range(ticks):
-            if self._ticks % self._ticks_a_set == 0:
+            if self.ticks % self.ticks_a_set == 0:
                 self.find()
-            self._ticks += 1
+            self.ticks += 1
             self.joined.step()
 
     def find(self) -> None:
         """Find what tools and organs may touch at present, and apply it."""
-        self._sequence += 1
+        self.sequence += 1
         for one in self.organs:
-            one.find(self._sequence)
+            one.find(self.sequence)
         self._find_pairs()
 
     def _find_pairs(self) -> None:
         """Find where organs touch each other, unless all of them sleep and the breath has not moved them since."""
-        if self._pairs is None:
+        if self.pairs_finder is None:
             return
         offsets = self.offsets
-        is_still = np.array_equal(offsets, self._found_at) and all(one.asleep for one in self.simulations)
+        is_still = np.array_equal(offsets, self.found_at) and all(one.asleep for one in self.simulations)
         if is_still:
             return
-        self._found_at = offsets
+        self.found_at = offsets
         there = [one.positions + offset for one, offset in zip(self.simulations, offsets, strict=True)]
         own = [one and not simulation.asleep for one, simulation in zip(self._own, self.simulations, strict=True)]
-        self.joined.take_pairs(self._pairs.find(there, own))
+        self.joined.take_pairs(self.pairs_finder.find(there, own))
 
 
 def _factors(stiffness: Sequence[float], count: int) -> list[float]:

@@ -331,7 +331,7 @@ def test_snapshot_in_the_middle_of_a_modal_contact_continues_bit_identically():
     assert simulation.state.status.region == Region.MODAL
     assert simulation.state.status.touching > 0
     other.simulation.restore(snapshot(simulation))
-    other._sequence = scene._sequence
+    other.sequence = scene.sequence
     runs = [led(one, heights[120:], lambda one: None)[0] for one in (scene, other)]
     assert runs[0][-1, 2] > runs[0][0, 2] > 0.0
     np.testing.assert_array_equal(runs[0], runs[1])

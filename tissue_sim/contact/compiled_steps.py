@@ -1,0 +1,393 @@
+"""Steps of many copies of an organ and its tools without Python: contact search, contact set, tick."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.contact.broad_phase import (
+    Fineness,
+    Found,
+    Near,
+    Search,
+    body_box,
+    boxes_apart,
+    boxes_meet,
+    points_near,
+    set_compliance,
+    surface_box,
+    triangles_in_box,
+)
+from tissue_sim.contact.finder import MOST_MARGIN, TISSUE_WAY, ContactFinder
+from tissue_sim.contact.tools import MARGIN
+from tissue_sim.handles import handle
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.shapes import rotation_matrix
+from tissue_sim.model.contact.tool_motion import distance_along_path
+from tissue_sim.model.data.contact_set import MOST_POINTS, POINT_NODES, Engaged, contact_set
+from tissue_sim.model.stepping.inputs import take_contacts, take_pose
+from tissue_sim.model.stepping.tick import tick
+
+NOBODY = -1  # in place of a copy that waits for Python
+
+
+class Tables(NamedTuple):
+    """What a contact search needs of an organ and B bodies; all copies share it."""
+
+    triangles: Any  # (t, 3)
+    n_surface: int
+    rest: Any  # (n, 3) m
+    lattices: Any
+    parts: Any  # (B, t), with
+    give: Any  # (B, t, 2) and
+    corner_give: Any  # (B, n, 2) see Fineness
+    corners: Any  # (k, 3) m, see ToolSet, of all bodies one after the other
+    corner_start: Any  # (B + 1,)
+    padding: Any  # (B,) m
+    middle: Any  # (m, 3) m, see ToolSet
+    middle_start: Any  # (B + 1,)
+    is_fine: Any  # (B,) 1 for bodies that need the nearest point of each triangle
+    compliance: Any  # (B, n, 2) m/N
+    between: Any  # (B,)
+
+
+class Room(NamedTuple):
+    """Working memory of a contact search; each thread has its own."""
+
+    near: Any
+    low: Any  # (3,) m, box of the surface
+    high: Any
+    box_low: Any  # (3,) m, box of a body
+    box_high: Any
+    matrix: Any  # (9,)
+    normal: Any  # (n, 3)
+    seen: Any  # (n,)
+    points: Any
+    found: Any  # the contact set
+
+
+class Course(NamedTuple):
+    """How far each of n copies has come, and what is left to do."""
+
+    ticks_a_set: int
+    left: Any  # (n,) ticks to do
+    ticks: Any  # (n,) ticks since its reset
+    sequence: Any  # (n,) number of its newest pose or contact set
+    is_found: Any  # (n,) 1 where the contact set of the coming tick was found by Python
+    goal: Any  # (n, B, 7) poses that the bodies were moving to when contacts were last searched
+    has_goal: Any  # (n,) 1 where they were searched since its reset
+
+
+def tables_of(finder: ContactFinder) -> Any:
+    """Return a handle of what a finder knows about its organ and tools.
+
+    Parameters
+    ----------
+    finder : ContactFinder
+        The finder.
+    """
+    tools, finenesses = finder.tools, finder.finenesses
+    bodies, n = len(tools.grown), finder.n_points
+    triangles = len(finder.triangles)
+    return handle(
+        Tables(
+            triangles=finder.triangles,
+            n_surface=n,
+            rest=finder.rest,
+            lattices=finder.lattices,
+            parts=np.array([one.parts for one in finenesses], dtype=np.int64).reshape(bodies, triangles),
+            give=np.array([one.give for one in finenesses]).reshape(bodies, triangles, 2),
+            corner_give=np.array([one.corner_give for one in finenesses]).reshape(bodies, n, 2),
+            corners=np.concatenate([np.zeros((0, 3)), *tools.corners]),
+            corner_start=_starts(tools.corners),
+            padding=np.array(tools.padding, dtype=np.float64),
+            middle=np.concatenate([np.zeros((0, 3)), *tools.middle]),
+            middle_start=_starts(tools.middle),
+            is_fine=np.array(finder.is_fine, dtype=np.int64),
+            compliance=finder.compliance,
+            between=finder.between,
+        )
+    )
+
+
+def _starts(parts: list[Any]) -> Any:
+    return np.cumsum([0, *map(len, parts)]).astype(np.int64)
+
+
+def room_for(finder: ContactFinder) -> Any:
+    """Return a handle of working memory for one thread.
+
+    Parameters
+    ----------
+    finder : ContactFinder
+        The finder.
+    """
+    bodies, n, triangles = len(finder.tools.grown), finder.n_points, len(finder.triangles)
+
+    def longs(*shape: int) -> Any:
+        return np.zeros(shape, dtype=np.int64)
+
+    # Where more points are found than a contact set has room for, Python selects from them.
+    points = Found(
+        *longs(2, MOST_POINTS), longs(MOST_POINTS, 3), *(np.zeros((MOST_POINTS, columns)) for columns in (3, 3, 2))
+    )
+    return handle(
+        Room(
+            near=Near(longs(triangles, 3), longs(triangles)),
+            low=np.zeros(3),
+            high=np.zeros(3),
+            box_low=np.zeros(3),
+            box_high=np.zeros(3),
+            matrix=np.zeros(9),
+            normal=np.zeros((n, 3)),
+            seen=longs(n),
+            points=points,
+            found=contact_set(bodies),
+        )
+    )
+
+
+@kernel
+def take_poses(worlds: Any, copies: Any, poses: Any, course: Any) -> None:
+    """Give the bodies of some copies new poses.
+
+    Parameters
+    ----------
+    worlds : Any
+        Row of the copies' worlds; updated.
+    copies : Any, shape (k,)
+        Which copies.
+    poses : Any, shape (k, B, 7), m and unit quaternions xyzw
+        The poses.
+    course : Any
+        Course of the copies; updated.
+    """
+    for index in range(len(copies)):
+        copy = copies[index]
+        world, tools = worlds[copy], 0
+        for body in range(poses.shape[1]):
+            tools = world.shapes.tool[body] + 1
+            take_pose(world, body, poses[index, body], 0, course.sequence[copy] + tools)
+        course.sequence[copy] += tools
+
+
+@kernel
+def advance_copies(worlds: Any, course: Any, tables: Any, room: Any, copies: Any) -> int:
+    """Advance copies one after the other by the ticks that are left of each.
+
+    Parameters
+    ----------
+    worlds : Any
+        Row of the copies' worlds; updated.
+    course : Any
+        Course of the copies; updated.
+    tables : Any
+        Tables of the organ and the bodies.
+    room : Any
+        Working memory of this thread.
+    copies : Any, shape (k,)
+        Which copies.
+
+    Returns
+    -------
+    int
+        The copy whose contacts Python has to find before it goes on; NOBODY when all is done.
+    """
+    for index in range(len(copies)):
+        copy = copies[index]
+        world = worlds[copy]
+        while course.left[copy] > 0:
+            if course.ticks[copy] % course.ticks_a_set == 0 and course.is_found[copy] == 0:
+                course.sequence[copy] += 1
+                if not _search(world, course, copy, tables, room):
+                    return copy
+                take_contacts(world.state, world.shapes, room.found, course.sequence[copy])
+            course.is_found[copy] = 0
+            course.ticks[copy] += 1
+            course.left[copy] -= 1
+            tick(world)
+    return NOBODY
+
+
+@kernel
+def _search(world: Any, course: Any, copy: int, tables: Any, room: Any) -> bool:
+    """Write the contact set of a copy to room.found; return False where a body needs what only the finder can do.
+
+    That is the way out for a body that has slipped in, the nearest points of triangles too coarse for a body, the
+    surface under a tip that pushes, and a selection among too many points. FCL isn't asked: it only saves time.
+    """
+    state, shapes, found = world.state, world.shapes, room.found
+    surface_box(state.position, tables.n_surface, room.low, room.high)
+    count = 0
+    for body in range(len(state.bodies)):
+        status, pose = state.bodies[body], state.body_pose[body]
+        if status.force_age >= 0:
+            return False
+        margin = _margin(state, shapes, course, copy, body)
+        reach, before = MARGIN + margin, count
+        found.reach[body] = reach - TISSUE_WAY
+        is_fresh = status.age >= 0 and not status.released
+        if is_fresh:
+            rotation_matrix(pose[3:], room.matrix)
+            if _is_swallowed(state.position, pose, body, tables, room):
+                return False
+            corners = tables.corners[tables.corner_start[body] : tables.corner_start[body + 1]]
+            body_box(corners, tables.padding[body] + reach, room.matrix, pose[:3], room.box_low, room.box_high)
+            some = 0
+            if boxes_meet(room.box_low, room.box_high, room.low, room.high):
+                some, _ = triangles_in_box(
+                    state.position, tables.rest, tables.triangles, room.box_low, room.box_high, room.near
+                )
+            if some == 0:
+                apart = boxes_apart(room.box_low, room.box_high, room.low, room.high)
+                found.reach[body] = max(found.reach[body], reach + apart - TISSUE_WAY)
+            elif tables.is_fine[body] == 1:
+                return False
+            else:
+                fineness = Fineness(tables.parts[body], tables.give[body], tables.corner_give[body])
+                search = Search(
+                    state.position, shapes, body, tables.lattices, fineness, pose[:3], room.matrix, reach, room.normal
+                )
+                near = room.near.node[:some]
+                count = points_near(near, room.near.number[:some], search, room.seen, room.points, count)
+        found.engaged[body] = Engaged.YES.value if is_fresh else Engaged.NO.value
+        found.n_points[body] = count - before
+        found.releases[body] = status.releases
+        for c in range(7):
+            found.place[body, c] = pose[c]
+        for c in range(POINT_NODES):
+            found.tip_node[body, c], found.tip_weight[body, c] = -1, 0.0
+    if count > MOST_POINTS:
+        return False
+    for body in range(len(state.bodies)):
+        for c in range(7):
+            course.goal[copy, body, c] = state.body_goal[body, c]
+    course.has_goal[copy] = 1
+    _fill(found, room.points, count, tables)
+    return True
+
+
+@kernel
+def _margin(state: Any, shapes: Any, course: Any, copy: int, body: int) -> float:
+    """Return what `finder.reach_margins` does for a body, m."""
+    goal = state.body_goal[body]
+    covered = distance_along_path(state.body_pose[body], goal, shapes.extent[body])
+    if course.ticks_a_set > 1 and course.has_goal[copy] == 1:
+        covered += 2.0 * distance_along_path(course.goal[copy, body], goal, shapes.extent[body])
+    return 1e-3 * math.ceil(1e3 * min(max(covered - 0.5 * MARGIN, 0.0), MOST_MARGIN))
+
+
+@kernel
+def _fill(found: Any, points: Any, count: int, tables: Any) -> None:
+    """Write the first points that were found to a contact set."""
+    found.header.points, found.header.dropped = count, 0
+    for point in range(count):
+        found.body[point] = points.body[point]
+        for c in range(3):
+            found.node[point, c] = points.node[point, c]
+            found.weight[point, c] = points.weight[point, c]
+            found.normal[point, c] = points.normal[point, c]
+        found.node[point, 3], found.weight[point, 3] = points.node[point, 0], 0.0  # of a surface without cuts
+    set_compliance(found, points.node, points.weight, points.give, tables.compliance, tables.between)
+
+
+@kernel
+def _is_swallowed(position: Any, pose: Any, body: int, tables: Any, room: Any) -> bool:
+    """Return whether one of a body's centre points lies inside the surface; the body's matrix is in room.
+
+    The triangles that the ray along z from the point crosses are counted, downwards against upwards.
+    """
+    m = room.matrix
+    for index in range(tables.middle_start[body], tables.middle_start[body + 1]):
+        x, y, z = tables.middle[index, 0], tables.middle[index, 1], tables.middle[index, 2]
+        px = m[0] * x + m[1] * y + m[2] * z + pose[0]
+        py = m[3] * x + m[4] * y + m[5] * z + pose[1]
+        pz = m[6] * x + m[7] * y + m[8] * z + pose[2]
+        if px < room.low[0] or py < room.low[1] or pz < room.low[2]:
+            continue
+        if px > room.high[0] or py > room.high[1] or pz > room.high[2]:
+            continue
+        if _crossings(position, tables.triangles, px, py, pz) > 0:
+            return True
+    return False
+
+
+@kernel
+def _crossings(position: Any, triangles: Any, x: float, y: float, z: float) -> int:
+    """Return how many triangles a ray along z leaves through, less those that it enters through: 1 from inside.
+
+    Where the ray meets an edge, it counts for one of its two triangles: `_side` is the same number for both, with the
+    other sign.
+    """
+    total = 0
+    for t in range(len(triangles)):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        a, b, c = position[i], position[j], position[k]
+        if max(a[2], b[2], c[2]) < z or max(a[0], b[0], c[0]) < x or min(a[0], b[0], c[0]) > x:
+            continue
+        if max(a[1], b[1], c[1]) < y or min(a[1], b[1], c[1]) > y:
+            continue
+        first, second, third = _side(position, i, j, x, y), _side(position, j, k, x, y), _side(position, k, i, x, y)
+        is_up = first >= 0.0 and second >= 0.0 and third >= 0.0
+        if not is_up and not (first < 0.0 and second < 0.0 and third < 0.0):
+            continue
+        area = first + second + third
+        if area == 0.0:
+            continue
+        height = (second * a[2] + third * b[2] + first * c[2]) / area
+        if height > z:
+            total += 1 if is_up else -1
+    return total
+
+
+@kernel
+def _side(position: Any, i: int, j: int, x: float, y: float) -> float:
+    """Return on which side of the edge from node i to node j a point lies, seen along z; not 0 in one direction."""
+    low, high = min(i, j), max(i, j)
+    a, b = position[low], position[high]
+    side = (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
+    if side == 0.0:
+        side = 1e-300
+    return side if low == i else -side
+
+
+@kernel
+def read_surfaces(worlds: Any, found: Any) -> None:
+    """Read where the surfaces of all copies are, carried by the breath.
+
+    Parameters
+    ----------
+    worlds : Any
+        Row of the copies' worlds.
+    found : Any, shape (n, n_surface, 3), m
+        The positions; updated.
+    """
+    for copy in range(len(worlds)):
+        state = worlds[copy].state
+        for node in range(found.shape[1]):
+            for axis in range(3):
+                found[copy, node, axis] = state.position[node, axis] + state.carried[axis]
+
+
+@kernel
+def read_tools(worlds: Any, poses: Any, wrenches: Any) -> None:
+    """Read where the bodies of all copies are, and what they feel.
+
+    Parameters
+    ----------
+    worlds : Any
+        Row of the copies' worlds.
+    poses : Any, shape (n, B, 7), m and quaternion xyzw
+        Their poses, carried by the breath; updated.
+    wrenches : Any, shape (n, B, 6), N and N m
+        Their wrenches; updated.
+    """
+    for copy in range(len(worlds)):
+        state = worlds[copy].state
+        for body in range(poses.shape[1]):
+            for c in range(7):
+                poses[copy, body, c] = state.body_pose[body, c] + (state.carried[c] if c < 3 else 0.0)
+            for c in range(6):
+                wrenches[copy, body, c] = state.wrench[body, c]

@@ -1,0 +1,7 @@
+"""Gymnasium's environments of this package; importing it registers them, and so does Gymnasium's entry point group."""
+
+from __future__ import annotations
+
+from tissue_sim.environments.registration import register_all as register_all
+
+register_all()

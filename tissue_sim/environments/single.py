@@ -1,0 +1,51 @@
+"""Environment of Gymnasium for one copy of a task."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.environments.copies import TaskCopies
+from tissue_sim.environments.vector import spaces_of
+from tissue_sim.organ.organ import Organ
+
+
+class TissueEnv(gymnasium.Env):
+    """One copy of a task; the first copy of a vector environment with the same seed does the same.
+
+    Parameters
+    ----------
+    task : str
+        Press, Palpate, Retract or Hold.
+    organ : Organ | str | None, optional
+        Another organ, or the name of one that ships; None for the task's.
+    surface : bool, optional
+        Whether observations include where the surface is.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012
+
+    def __init__(self, task: str, organ: Organ | str | None = None, surface: bool = False) -> None:
+        self.copies = TaskCopies(task, 1, organ, threads=1)
+        self.observation_space, self.action_space = spaces_of(self.copies, surface)
+        self._surface = surface
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Floats], dict[str, Any]]:
+        """Begin an episode."""
+        super().reset(seed=seed)
+        self.copies.begin(np.zeros(1, dtype=np.int64), [self.np_random])
+        return self._observe(), {}
+
+    def step(self, action: Floats) -> tuple[dict[str, Floats], float, bool, bool, dict[str, Any]]:
+        """Do a step of 20 ms."""
+        stepped = self.copies.step(np.asarray(action)[None])
+        info = {"success": bool(stepped.succeeded[0])}
+        return self._observe(), float(stepped.reward[0]), bool(stepped.terminated[0]), False, info
+
+    def _observe(self) -> dict[str, Floats]:
+        return {name: values[0] for name, values in self.copies.observe(self._surface).items()}

@@ -1,0 +1,215 @@
+"""Tasks: what is drawn for an episode, what is rewarded, and when it is done. All are computed for many copies."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs, Mask
+from tissue_sim.contact.attachments import Breathing
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.errors import UserError
+from tissue_sim.organ.inclusions import inclusions_of
+from tissue_sim.organ.organ import Organ
+
+RATE, STEP = 1000.0, 0.02  # Hz of ticks; s of an environment step
+RADIUS = 0.008  # m of the finger
+OPEN = 0.6  # rad between the jaws at the beginning
+NEAR, HELD = 0.003, 10  # m beside the place; steps in a row after which it is reached
+PRECISION = 0.05  # of the force
+FOUND, TOUCH = 0.008, 0.05  # m from the tumour's nearest surface point; N that counts as touching
+LIFT = 0.004  # m by which tissue is to be lifted
+DECLARED = 10.0  # reward for the right place, and penalty for a wrong one
+
+
+class Draw(NamedTuple):
+    """What is drawn for one episode; lengths in m, in the organ's frame."""
+
+    place: Floats  # (3,) on the surface
+    outward: Floats  # (3,)
+    force: float  # N to be reached
+    start: Floats  # (3,) of the tool
+    stiffness: float  # factor
+
+
+class Now(NamedTuple):
+    """What is judged after a step, of n copies, in the organs' frames."""
+
+    place: Floats  # (n, 3) m
+    outward: Floats  # (n, 3)
+    force: Floats  # (n,) N to be reached
+    tip: Floats  # (n, 3) m, where the tool is
+    pushed: Floats  # (n,) N that pushes the hand out
+    felt: Floats  # (n,) N, size of the force
+    lifted: Floats  # (n,) m by which the tissue at the place has moved outwards
+    declared: Mask  # (n,) whether the last action says: here it is
+
+
+class Judged(NamedTuple):
+    """Result of a step."""
+
+    reward: Floats  # (n,)
+    is_good: Mask  # (n,) whether the goal is met at present
+    is_over: Mask  # (n,) whether the episode ends here whatever follows
+
+
+class Task:
+    """Press: reach a force at a place. Others change what differs."""
+
+    organ, actions = "kidney", 3  # the shipped organ; velocity, and what else a step is told
+    ends = True  # whether an episode ends where the goal is met for HELD steps
+    shift = 0.005  # m by which the organ is moved at most, along each axis
+    shows_goal = True
+
+    def scene(self, organ: Organ) -> Scene:
+        """Return the scene of the task.
+
+        Parameters
+        ----------
+        organ : Organ
+            The organ.
+        """
+        return Scene(organ, [self.tool()], rate=RATE, ticks_a_set=round(STEP * RATE))
+
+    def tool(self) -> Tool:
+        """Return its tool."""
+        return Tool("finger", radius=RADIUS)
+
+    def draw(self, random: np.random.Generator, organ: Organ) -> Draw:
+        """Return an episode.
+
+        Parameters
+        ----------
+        random : np.random.Generator
+            Source of what is drawn.
+        organ : Organ
+            The organ.
+        """
+        node = random.choice(accessible(organ))
+        place, outward = organ.surface_positions[node], organ.surface_normals[node]
+        beside = 0.004 * random.uniform(-1.0, 1.0, 3)
+        start = place + (RADIUS + random.uniform(0.004, 0.008)) * outward + beside - (beside @ outward) * outward
+        return Draw(place, outward, random.uniform(0.15, 0.5), start, np.exp(random.uniform(-0.4, 0.4)))
+
+    def judge(self, now: Now) -> Judged:
+        """Return reward and success.
+
+        Parameters
+        ----------
+        now : Now
+            What there is after a step.
+        """
+        off = np.abs(now.pushed - now.force) / now.force
+        beside = distance_beside(now)
+        reward = -np.minimum(off, 1.0) - np.minimum(beside / 0.01, 1.0)
+        return Judged(reward, (off < PRECISION) & (beside < NEAR), np.zeros(len(off), dtype=np.bool_))
+
+
+class Hold(Task):
+    """Hold a force against breathing, for the whole episode."""
+
+    ends = False
+
+    def scene(self, organ: Organ) -> Scene:
+        """Return a scene whose organ breathes: 8 mm along its z axis, 15 breaths a minute."""
+        return Scene(
+            organ,
+            [self.tool()],
+            rate=RATE,
+            ticks_a_set=round(STEP * RATE),
+            breathing=Breathing(rate=15.0, way=(0.0, 0.0, 0.008)),
+            breathes=[1.0],
+        )
+
+
+class Palpate(Task):
+    """Find the tumour by touch: press, move on, and say where it is."""
+
+    organ, actions = "kidney_tumour", 4
+    ends = False
+    shift = 0.015
+    shows_goal = False
+
+    def draw(self, random: np.random.Generator, organ: Organ) -> Draw:
+        """Return an episode: the place is the surface point nearest to the tumour."""
+        inclusions = inclusions_of(organ)
+        if not inclusions:
+            raise UserError(f"organ '{organ.name}' has no tumour to palpate; take one with an inclusion")
+        drawn = super().draw(random, organ)
+        apart = np.linalg.norm(organ.surface_positions - np.mean(inclusions[0].positions, axis=0), axis=1)
+        node = int(np.argmin(apart))
+        return drawn._replace(place=organ.surface_positions[node], outward=organ.surface_normals[node])
+
+    def judge(self, now: Now) -> Judged:
+        """Return reward and success: the nearer the better, and the right or wrong place at the end."""
+        beside = np.linalg.norm(now.tip - now.place - RADIUS * now.outward, axis=1)
+        is_here = (beside < FOUND) & (now.felt > TOUCH)
+        final = np.where(now.declared, np.where(is_here, DECLARED, -DECLARED), 0.0)
+        return Judged(-np.minimum(beside / 0.05, 1.0) + final, is_here & now.declared, now.declared)
+
+
+class Retract(Task):
+    """Grasp the tissue at a place and lift it, to expose what lies beside it."""
+
+    actions = 4
+
+    def tool(self) -> Tool:
+        """Return a gripper with round jaws."""
+        return Tool("jaws", "gripper", radius=0.003, length=0.02)
+
+    def judge(self, now: Now) -> Judged:
+        """Return reward and success: the place's distance from LIFT, and the tool's from the place."""
+        short = np.clip((LIFT - now.lifted) / LIFT, 0.0, 2.0)
+        away = np.minimum(np.linalg.norm(now.tip - now.place, axis=1) / 0.02, 1.0)
+        return Judged(-short - 0.2 * away, short == 0.0, np.zeros(len(short), dtype=np.bool_))
+
+
+TASKS: dict[str, type[Task]] = {"Press": Task, "Palpate": Palpate, "Retract": Retract, "Hold": Hold}
+
+
+def task_of(name: str) -> Task:
+    """Return a task by its name.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+
+    Raises
+    ------
+    UserError
+        For one that isn't there.
+    """
+    if name not in TASKS:
+        raise UserError(f"no task '{name}'; choose one of {', '.join(TASKS)}")
+    return TASKS[name]()
+
+
+def accessible(organ: Organ) -> Longs:
+    """Return surface nodes (k,) that tools may be sent to: the half farthest from what is fixed.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    """
+    surface = organ.surface_positions
+    fixed = organ.fixed[organ.fixed < organ.n_surface]
+    held = surface[fixed] if len(fixed) else surface.mean(axis=0)[None]
+    apart = np.linalg.norm(surface[:, None] - held[None], axis=2).min(axis=1)
+    return np.argsort(-apart, kind="stable")[: organ.n_surface // 2]
+
+
+def distance_beside(now: Now) -> Floats:
+    """Return how far tools lie beside the line that leads outwards from their places, (n,) m.
+
+    Parameters
+    ----------
+    now : Now
+        What there is after a step.
+    """
+    way = now.tip - now.place
+    along = np.einsum("nx,nx->n", way, now.outward)
+    return np.asarray(np.linalg.norm(way - along[:, None] * now.outward, axis=1))
