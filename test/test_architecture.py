@@ -47,7 +47,14 @@ FOLDERS = {
     "model": ("data", "elasticity", "cutting", "contact", "regions", "stepping", "runtime"),
     "ros/node": ("shared", "input", "settings", "tools", "contact", "output", "services"),
 }
-LIBRARIES = {"rendering", "organ", "model", "contact", "calibration", "environments"}  # what they find, others ask for and show
+LIBRARIES = {
+    "rendering",
+    "organ",
+    "model",
+    "contact",
+    "calibration",
+    "environments",
+}  # what they find, others ask for and show
 ROS_PACKAGE = re.compile(r"rclpy|rpyutils|rosidl\w*|ament_index_\w+|launch(_\w+)?|tf2\w*|\w+_(msgs|srvs|interfaces)")
 TOP_LEVEL = {
     *(".ci", ".gitignore", ".python-version", "CHANGELOG.rst", "CONTRIBUTING.md", "LICENSE", "Makefile"),
