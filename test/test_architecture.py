@@ -26,9 +26,10 @@ MAY_IMPORT = {
     "model": {"organ"},
     "contact": {"organ", "model"},
     "calibration": {"organ", "model"},
+    "identification": {"organ", "model", "contact", "calibration"},
     "ros": {"organ", "model", "contact", "calibration"},
-    "bench": {"organ", "model", "contact", "calibration", "ros"},
-    "commands": {"organ", "model", "contact", "calibration", "ros", "bench"},
+    "bench": {"organ", "model", "contact", "calibration", "identification", "ros"},
+    "commands": {"organ", "model", "contact", "calibration", "identification", "ros", "bench"},
     "cli": {"commands"},
     "__main__": {"cli"},
     "__init__": {
@@ -44,7 +45,7 @@ FOLDERS = {
     "model": ("data", "elasticity", "cutting", "contact", "regions", "stepping", "runtime"),
     "ros/node": ("shared", "input", "settings", "tools", "contact", "output", "services"),
 }
-LIBRARIES = {"organ", "model", "contact", "calibration"}  # what they find, others ask for and show
+LIBRARIES = {"organ", "model", "contact", "calibration", "identification"}  # what they find, others ask for and show
 ROS_PACKAGE = re.compile(r"rclpy|rpyutils|rosidl\w*|ament_index_\w+|launch(_\w+)?|tf2\w*|\w+_(msgs|srvs|interfaces)")
 TOP_LEVEL = {
     *(".ci", ".gitignore", ".python-version", "CHANGELOG.rst", "CONTRIBUTING.md", "LICENSE", "Makefile"),
@@ -142,6 +143,8 @@ def test_imports_run_one_way(layer):
         ("organ/a.py", "from argparse import ArgumentParser"),
         ("calibration/a.py", "def late():\n    from tqdm import tqdm"),
         ("bench/a.py", "import tqdm"),
+        ("ros/a.py", "from tissue_sim.identification.identify import identify"),
+        ("identification/a.py", "from tissue_sim.ros.bags.reading import read_bag"),
         ("model/a.py", "print(1)"),
         ("organ/a.py", "making = Progress(print)"),
         ("contact/a.py", "import sys\nsys.stderr.write('x')"),
