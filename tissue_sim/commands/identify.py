@@ -7,13 +7,16 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
+
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.errors import UserError
 from tissue_sim.identification.identify import Settings, identify, lines_of, provenance_of
 from tissue_sim.identification.measured import Measurement
 from tissue_sim.identification.mixed_effects import Priors
 from tissue_sim.identification.slab import PREFIX, cached_slab, slab_size
-from tissue_sim.identification.table import is_stream, presses_of, read_columns
+from tissue_sim.identification.stream import Stream, found_in
+from tissue_sim.identification.table import STREAM, is_stream, presses_of, read_columns
 from tissue_sim.organ.organ import Organ
 from tissue_sim.version import __version__
 
@@ -28,7 +31,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="organ file (.npz), or a slab that is built and calibrated once, in four minutes, by its size in mm:"
         f" {PREFIX}60x60x25",
     )
-    parser.add_argument("--csv", metavar="FILE", help="CSV file of presses or of a stream, in SI units")
+    recorded = parser.add_mutually_exclusive_group()
+    recorded.add_argument("--bag", metavar="BAG", help="folder of a bag: of this package, or with the topics named")
+    recorded.add_argument("--csv", metavar="FILE", help="CSV file of presses or of a stream, in SI units")
+    parser.add_argument("--tool", metavar="NAME", help="tool of a bag of this package (default: its only round one)")
+    parser.add_argument("--pose-topic", metavar="TOPIC", help="topic of PoseStamped of the tool's middle in a bag")
+    parser.add_argument("--wrench-topic", metavar="TOPIC", help="topic of WrenchStamped of the force on the tool")
+    parser.add_argument(
+        "--wrench-axes",
+        choices=("poses", "tool"),
+        default="poses",
+        help="axes of the forces: those of the poses, or of the tool, which the poses turn",
+    )
+    parser.add_argument("--negate", action="store_true", help="forces are the tool's on the tissue")
+    parser.add_argument(
+        "--organ-pose",
+        type=float,
+        nargs=7,
+        metavar="N",
+        help="pose of the organ in the axes of the poses: x y z in m and a quaternion x y z w (default: none)",
+    )
     parser.add_argument("--out", required=True, metavar="FITTED", help="organ file (.npz) to write")
     parser.add_argument("--radius", type=float, metavar="METRES", help="radius of the round tool")
     parser.add_argument(
@@ -104,16 +126,47 @@ def _check(args: argparse.Namespace) -> None:
 
 def _measurement(args: argparse.Namespace, organ: Organ) -> Measurement:
     """Return what the options name."""
+    if args.bag is not None:
+        return _from_bag(args, organ)
     if args.csv is None:
-        raise UserError("name what was measured with --csv FILE")
+        raise UserError("name what was measured with --bag BAG or --csv FILE")
     if args.radius is None:
         raise UserError("--csv needs --radius METRES, the tool's")
     columns = read_columns(Path(args.csv))
     if is_stream(columns):
-        raise UserError(f"{args.csv} is a stream; expected: presses")
+        if args.unplaced:
+            raise UserError(f"{args.csv} is a stream, in which presses are found by their places: leave out --unplaced")
+        places, forces = (np.stack([columns[name] for name in names], axis=1) for names in (STREAM[1:4], STREAM[4:]))
+        sign = -1.0 if args.negate else 1.0
+        return found_in(Stream(str(args.csv), columns["time"], places, sign * forces), organ, args.radius)
     presses = presses_of(columns, args.radius, args.csv)
     placed = not args.unplaced and all(press.is_placed for press in presses)
     return Measurement(str(args.csv), args.radius, presses, [], [], placed)
+
+
+def _from_bag(args: argparse.Namespace, organ: Organ) -> Measurement:
+    """Return what is found in a bag."""
+    from tissue_sim.ros.bags.tool_streams import in_organ_axes, in_pose_axes, recorded_tool, topics_of
+
+    if args.unplaced:
+        raise UserError("--unplaced is for --csv: presses of a bag are found by their places")
+    path = Path(args.bag)
+    if (args.pose_topic is None) != (args.wrench_topic is None):
+        raise UserError("--pose-topic and --wrench-topic go together")
+    stream = (
+        recorded_tool(path, args.tool)
+        if args.pose_topic is None
+        else topics_of(path, args.pose_topic, args.wrench_topic)
+    )
+    radius = args.radius or stream.radius
+    if radius is None:
+        raise UserError("a bag with topics of your own needs --radius METRES, the tool's")
+    if args.wrench_axes == "tool":
+        stream = in_pose_axes(stream)
+    if args.organ_pose is not None:
+        stream = in_organ_axes(stream, args.organ_pose)
+    sign = -1.0 if args.negate else 1.0
+    return found_in(Stream(str(path), stream.time, stream.positions, sign * stream.forces), organ, radius)
 
 
 def _write_json(path: Path, told: dict[str, object]) -> None:
