@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.identification.identify import Settings, identify, lines_of, provenance_of
 from tissue_sim.identification.measured import Measurement
 from tissue_sim.identification.mixed_effects import Priors
+from tissue_sim.identification.report import write_report
 from tissue_sim.identification.slab import PREFIX, cached_slab, slab_size
 from tissue_sim.identification.stream import Stream, found_in
 from tissue_sim.identification.table import STREAM, is_stream, presses_of, read_columns
@@ -77,6 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--friction", type=float, default=Settings().friction, help="coefficient of friction of tool and tissue"
     )
     parser.add_argument("--one-modulus", action="store_true", help="fit no map of stiffness")
+    parser.add_argument("--report", metavar="FILE", help="HTML file for a report with curves, residuals and the map")
     parser.add_argument("--json", metavar="FILE", help="write the result to a file as JSON")
 
 
@@ -97,6 +100,8 @@ def run(args: argparse.Namespace) -> int:
         sys.stderr.write(f"stopped; the same command continues from {folder}\n")
         raise
     found.organ.save(out)
+    if args.report:
+        write_report(found, Path(args.report))
     checkpoint.remove()
     print("\n".join([*lines_of(found), f"written: {out}"]))
     if args.json:
@@ -115,6 +120,8 @@ def _check(args: argparse.Namespace) -> None:
         raise UserError(f"--out {out} must end in .npz")
     if not out.parent.is_dir():
         raise UserError(f"folder {out.parent} for the organ file does not exist; make it first")
+    if args.report and not (importlib.util.find_spec("matplotlib") and importlib.util.find_spec("jinja2")):
+        raise UserError("--report needs matplotlib and jinja2: pip install 'tissue_sim[image]'")
     if args.radius is not None and not 0.0 < args.radius <= LARGEST:
         raise UserError(f"--radius {args.radius:g} is outside 0..{LARGEST:g} m")
     for name, most in (("offset_deviation", 0.01), ("bias_deviation", 10.0)):
