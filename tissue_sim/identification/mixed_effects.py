@@ -19,6 +19,7 @@ from tissue_sim.identification.force_curves import ForceCurves
 from tissue_sim.identification.measured import Samples
 
 FREEDOM = 3.0  # of Student's t
+VAGUE = 3.0  # spread of the log factor about the first guess
 COMMON_OFFSET = 1e-3  # m, spread of what all contacts may be off by together
 NOISE, SHARE = 0.002, 0.02  # N and of the force: shape of the noise, whose size is fitted
 SPREAD, PRIOR = 0.1, 2.0  # of log moduli between places before anything is known, and its weight in presses
@@ -112,7 +113,8 @@ def fitted(
         The fit.
     """
     count = np.ones(len(samples.depths)) if times is None else times
-    common = np.array([_first_guess(curves, samples), 0.0, 0.0]) if start is None else start.common.copy()
+    middle = np.array([_first_guess(curves, samples), 0.0, 0.0])
+    common = middle if start is None else start.common.copy()
     own = np.zeros((len(count), 2)) if start is None else start.own.copy()
     spread, noise = (SPREAD, 1.0) if start is None else (start.spread, start.noise)
     typical = np.ones(len(count))  # weight of each press in Student's t
@@ -126,9 +128,9 @@ def fitted(
         carried = now.mixed @ own_inverse
         schur = np.einsum("n,nkl->kl", count, now.common - carried @ np.swapaxes(now.mixed, 1, 2))
         right = np.einsum("n,nk->k", count, now.right - np.einsum("nkl,nl->nk", carried, left_own))
-        prior = np.array([0.0, COMMON_OFFSET**-2, priors.bias**-2])
+        prior = np.array([VAGUE, COMMON_OFFSET, priors.bias]) ** -2
         schur = schur + np.diag(prior)
-        step = np.clip(np.linalg.solve(schur, right - prior * common), -FARTHEST, FARTHEST)
+        step = np.clip(np.linalg.solve(schur, right - prior * (common - middle)), -FARTHEST, FARTHEST)
         behind = left_own - np.einsum("nkl,k->nl", now.mixed, step)
         own_step = np.einsum("nkl,nl->nk", own_inverse, behind)
         common = common + step
