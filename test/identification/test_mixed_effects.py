@@ -80,7 +80,7 @@ def test_samples_that_do_not_count_change_nothing():
 def test_the_exponent_of_power_laws_is_found():
     for power in (1.2, 2.0, 3.0):
         forces = 50.0 * (np.maximum(DEPTHS + 3e-4, 0.0) / 1e-3) ** power
-        assert exponent_of(Samples(DEPTHS, forces, np.ones_like(forces)), 0.0) == pytest.approx(power, abs=0.11)
+        assert exponent_of(Samples(DEPTHS, forces, np.ones_like(forces))) == pytest.approx(power, abs=0.11)
 
 
 def test_tissue_that_stiffens_is_told():

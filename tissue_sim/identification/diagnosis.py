@@ -15,7 +15,8 @@ BINS = 6
 STIFFER = 0.3  # of the exponent above the model's, from which support or law are wrong
 WELL = 0.10  # median error at a depth up to which the fit holds
 EXPONENTS = np.linspace(0.6, 5.0, 45)
-OFFSETS = np.linspace(-1.2e-3, 1.2e-3, 49)  # m about the fitted offset
+OFFSETS = np.linspace(-1.5e-3, 1.5e-3, 61)  # m
+FREE = -4e-4  # m, before which a tool doesn't touch
 
 
 class Diagnosis(NamedTuple):
@@ -68,8 +69,10 @@ def diagnosed(curves: ForceCurves, samples: Samples, priors: Priors, fit: Fit) -
     ends = np.linspace(0.0, deepest, BINS + 1)[1:]
     predicted = fit.predicted(curves, samples, fit.own)
     residuals = np.array([_residual(samples, predicted, end, end - ends[0]) for end in ends])
-    measured = exponent_of(samples._replace(forces=samples.forces - fit.common[2]), fit.common[1])
-    modelled = exponent_of(samples._replace(forces=predicted - fit.common[2]), fit.common[1])
+    free = (samples.counts > 0.0) & (samples.depths < FREE)
+    bias = float(np.median(samples.forces[free])) if free.any() else 0.0  # the fitted one hides what the law lacks
+    measured = exponent_of(samples._replace(forces=samples.forces - bias))
+    modelled = exponent_of(samples._replace(forces=predicted - fit.common[2]))
     holds = 0.0
     for end in ends[::-1]:
         some = samples.up_to(float(end))
@@ -87,7 +90,7 @@ def _residual(samples: Samples, predicted: Floats, end: float, begin: float, abs
     return float(np.median(np.abs(off) if absolute else off)) if own.any() else np.nan
 
 
-def exponent_of(samples: Samples, offset: float) -> float:
+def exponent_of(samples: Samples) -> float:
     """Return the exponent of depth to which forces are proportional, the median of presses.
 
     Each press has an amplitude, an exponent and an offset of its own, which are found on a grid.
@@ -96,8 +99,6 @@ def exponent_of(samples: Samples, offset: float) -> float:
     ----------
     samples : Samples
         Forces without bias.
-    offset : float, m
-        Middle of the offsets that are tried.
 
     Returns
     -------
@@ -107,7 +108,7 @@ def exponent_of(samples: Samples, offset: float) -> float:
     weight = samples.counts / (NOISE + SHARE * np.abs(samples.forces)) ** 2
     whole = (weight * samples.forces**2).sum(axis=1)
     best, found = np.full(len(whole), np.inf), np.ones(len(whole))
-    for shift in offset + OFFSETS:
+    for shift in OFFSETS:
         deep = np.log(np.maximum(samples.depths + shift, 1e-7) / 1e-3)
         for exponent in EXPONENTS:
             shape = np.where(samples.depths + shift > 0.0, np.exp(exponent * deep), 0.0)

@@ -43,8 +43,9 @@ def measure(organ: Organ, runs: int, data: str | None) -> dict[str, Any]:
     """Return all figures and bounds."""
     known = synthetic.as_rows(synthetic.measure(organ, runs)) if runs > 0 else []
     sets = [] if data is None or rows.stopped() else palpation_sets.as_rows(palpation_sets.measure(Path(data)))
+    repeat = [100.0 * error for error in palpation_sets.repeat_errors(Path(data))] if data is not None else []
     bounds = [one.as_json() for one in [*_known_bounds(known), *_set_bounds(sets)]]
-    return {"known": known, "sets": sets, "bounds": bounds}
+    return {"known": known, "sets": sets, "repeat_percent": repeat, "bounds": bounds}
 
 
 def _known_bounds(known: list[dict[str, Any]]) -> list[Bound]:
@@ -115,6 +116,9 @@ def text(found: dict[str, Any]) -> str:
             "held-out error of the force, median, with one modulus and with a map: the real-time model, Hertz, and a",
             "linearly elastic layer (github.com/vu-arma-dev/robot-palpation-data)",
             *aligned(table),
+            "",
+            f"{' and '.join(palpation_sets.TWICE)} are the same places: one as a prediction of the other has an error"
+            f" of {found['repeat_percent'][1]:.1f} and {found['repeat_percent'][0]:.1f} %",
             "",
         ]
     return "\n".join([*lines, *bound_lines(found["bounds"])])

@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from tissue_sim.bench import rows
 from tissue_sim.errors import UserError
 from tissue_sim.identification.diagnosis import Diagnosis, diagnosed
 from tissue_sim.identification.force_curves import ForceCurves, bonded_layer, hertz, tabulated
-from tissue_sim.identification.measured import MeasuredPress, Measurement, samples_of
+from tissue_sim.identification.measured import MeasuredPress, Measurement, relative_errors, samples_of
 from tissue_sim.identification.mixed_effects import Priors, fitted
 from tissue_sim.identification.press_curves import REACH, curves_of
 from tissue_sim.identification.slab import cached_slab
@@ -43,6 +44,8 @@ SETS = {
     "pig_liver_20150826_v2_region4": "liver",
 }
 LAWS = ("model", "hertz", "linear")
+TWICE = "probingRAL2018_T1", "probingRAL2018_T2"  # the same places, pressed twice
+SAME = 5e-4  # m between them
 
 
 class SetErrors(NamedTuple):
@@ -83,6 +86,24 @@ def measure(folder: Path, slab: Organ | None = None) -> list[SetErrors]:
             found.append(errors_of(name, presses, curves, organ.youngs_modulus))
             one = found[-1].errors["model"]
             rows.tell(name, f"{100 * one.one:.1f} % with one modulus", f"{100 * one.mapped:.1f} % with a map")
+    return found
+
+
+def repeat_errors(folder: Path) -> list[float]:
+    """Return the errors of taking one measurement of a place for the other, both ways: what no prediction can beat far.
+
+    Raises UserError for tables that are damaged.
+    """
+    radius = BALLS["phantom"]
+    both = [presses_of(read_columns(folder / f"{name}.csv"), radius, name) for name in TWICE]
+    found = []
+    for known, wanted in (both, both[::-1]):
+        apart, index = cKDTree([press.place for press in known]).query([press.place for press in wanted])
+        same = np.flatnonzero(apart < SAME)
+        samples = samples_of([wanted[row] for row in same])
+        pairs = zip(samples.depths, (known[row] for row in index[same]), strict=True)
+        predicted = np.array([np.interp(depths, press.depths, press.forces) for depths, press in pairs])
+        found.append(float(np.nanmedian(relative_errors(samples, predicted))))
     return found
 
 
