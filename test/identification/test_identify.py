@@ -103,6 +103,37 @@ def test_the_command_fits_a_table_and_info_tells_of_it(organ, presses, tmp_path,
     assert "identified" in capsys.readouterr().out
 
 
+def test_the_next_press_is_clear_of_those_there_are(organ, presses):
+    found = identify(organ, pressed(presses), Settings(with_map=False))
+    following = found.next_press
+    assert 0.0 < following.depth <= presses[0].radius
+    apart = np.linalg.norm(following.places[:, None] - found.measurement.points, axis=2)
+    assert apart.min() > 0.01
+    assert (following.places[:, 2] > organ.surface_positions[organ.fixed][:, 2].max()).all()
+    assert following.width < 0.5 * np.log(found.interval.high / found.interval.low)
+
+
+@pytest.mark.extended
+def test_a_stream_in_a_table_is_fitted_like_a_bag(organ, presses, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    organ.save("ball.npz")
+    measurement, curves = presses
+    rows, time = ["time,x,y,z,fx,fy,fz"], 0.0
+    for row, press in enumerate(measurement.presses[:2]):
+        depths = np.concatenate([np.linspace(-4e-3, 2e-3, 200), np.linspace(2e-3, -4e-3, 50)])
+        forces = FACTOR * curves.some([row]).at(depths[None])[0][0]
+        for depth, force in zip(depths, forces, strict=True):
+            sample = [time, *(press.place + depth * press.way), *(force * press.way + [0.0, 0.1, 0.0])]
+            rows.append(",".join(f"{value:.8g}" for value in sample))
+            time += 0.005
+    (tmp_path / "stream.csv").write_text("\n".join(rows))
+    given = ["identify", "ball.npz", "--csv", "stream.csv", "--radius", "0.007", "--out", "fitted.npz"]
+    assert main(given) == 2
+    assert "--negate" in capsys.readouterr().err
+    assert main([*given, "--negate"]) == 0
+    assert Organ.load("fitted.npz").youngs_modulus == pytest.approx(FACTOR * organ.youngs_modulus, rel=0.08)
+
+
 @pytest.mark.parametrize(
     ("given", "what"),
     [
@@ -112,6 +143,10 @@ def test_the_command_fits_a_table_and_info_tells_of_it(organ, presses, tmp_path,
         (["--radius", "2"], "outside"),
         (["--offset-deviation", "0"], "outside"),
         (["--friction", "-1"], "outside"),
+        (["--bag", "none"], "bag none does not exist"),
+        (["--bag", "none", "--pose-topic", "/tip"], "go together"),
+        (["--bag", "none", "--unplaced"], "--unplaced is for --csv"),
+        (["--bag", "a", "--csv", "b"], "not allowed with"),
         (["--out", "folder/fitted.npz"], "does not exist"),
         (["--out", "fitted.txt"], "must end in .npz"),
     ],
@@ -119,5 +154,9 @@ def test_the_command_fits_a_table_and_info_tells_of_it(organ, presses, tmp_path,
 def test_wrong_use_is_told(organ, tmp_path, monkeypatch, capsys, given, what):
     monkeypatch.chdir(tmp_path)
     organ.save("ball.npz")
-    assert main(["identify", "ball.npz", "--out", "fitted.npz", *given]) == 2
+    try:
+        code = main(["identify", "ball.npz", "--out", "fitted.npz", *given])
+    except SystemExit as refused:  # of the parser
+        code = refused.code
+    assert code == 2
     assert what in capsys.readouterr().err
