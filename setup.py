@@ -38,7 +38,7 @@ setup(
     python_requires=">=3.12",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     # py.typed: type checkers read the annotations (PEP 561).
-    package_data={NAME: ["py.typed", "organ/reporting/*.jinja"]},
+    package_data={NAME: ["py.typed", "organ/reporting/*.jinja", "identification/*.jinja"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

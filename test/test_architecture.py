@@ -29,8 +29,9 @@ MAY_IMPORT = {
     "calibration": {"organ", "model"},
     "environments": {"organ", "model", "contact"},
     "ros": {"organ", "model", "contact", "calibration", "rendering"},
-    "bench": {"organ", "model", "contact", "calibration", "rendering", "ros"},
-    "commands": {"organ", "model", "contact", "calibration", "rendering", "ros", "bench"},
+    "identification": {"organ", "model", "contact", "calibration"},
+    "bench": {"organ", "model", "contact", "calibration", "rendering", "identification", "ros"},
+    "commands": {"organ", "model", "contact", "calibration", "rendering", "identification", "ros", "bench"},
     "cli": {"commands"},
     "__main__": {"cli"},
     "__init__": {
@@ -47,6 +48,7 @@ FOLDERS = {
     "model": ("data", "elasticity", "cutting", "contact", "regions", "stepping", "runtime"),
     "ros/node": ("shared", "input", "settings", "tools", "contact", "output", "services"),
 }
+# What they find, others ask for and show.
 LIBRARIES = {
     "rendering",
     "organ",
@@ -54,7 +56,8 @@ LIBRARIES = {
     "contact",
     "calibration",
     "environments",
-}  # what they find, others ask for and show
+    "identification",
+}
 ROS_PACKAGE = re.compile(r"rclpy|rpyutils|rosidl\w*|ament_index_\w+|launch(_\w+)?|tf2\w*|\w+_(msgs|srvs|interfaces)")
 TOP_LEVEL = {
     *(".ci", ".gitignore", ".python-version", "CHANGELOG.rst", "CONTRIBUTING.md", "LICENSE", "Makefile"),
@@ -153,6 +156,8 @@ def test_imports_run_one_way(layer):
         ("organ/a.py", "from argparse import ArgumentParser"),
         ("calibration/a.py", "def late():\n    from tqdm import tqdm"),
         ("bench/a.py", "import tqdm"),
+        ("ros/a.py", "from tissue_sim.identification.identify import identify"),
+        ("identification/a.py", "from tissue_sim.ros.bags.reading import read_bag"),
         ("model/a.py", "print(1)"),
         ("organ/a.py", "making = Progress(print)"),
         ("contact/a.py", "import sys\nsys.stderr.write('x')"),

@@ -62,6 +62,10 @@ BENCHMARKS = {
         "tissue_sim.bench.palpation.command",
         "palpation of a tumour, against nonlinear finite elements",
     ),
+    "identify": (
+        "tissue_sim.bench.identify.command",
+        "identified stiffness: presses by finite elements of a known modulus, and measured presses",
+    ),
     "breathing": ("tissue_sim.bench.breathing", "an organ whose clamp breathes, against implicit finite elements"),
     "fall": ("tissue_sim.bench.fall", "suddenly applied loads against slowly raised ones: remaining deformation"),
     "scene": (

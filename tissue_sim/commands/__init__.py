@@ -13,6 +13,7 @@ COMMANDS = {
     ),
     "solve": ("tissue_sim.commands.solve", "compute the equilibrium displacements under given loads"),
     "calibrate": ("tissue_sim.commands.calibrate", "fit an organ to finite elements of its shape, and evaluate it"),
+    "identify": ("tissue_sim.commands.identify", "fit an organ's stiffness to measured presses"),
     "bench": ("tissue_sim.bench.command", "measure speed, accuracy and stability"),
     "replay": ("tissue_sim.ros.bags.replay", "compute recorded bags again and compare"),
     "view": ("tissue_sim.ros.viewer.view", "show a running node in the browser"),

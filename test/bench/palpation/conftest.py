@@ -3,7 +3,7 @@
 import pytest
 
 from helpers.scenes import ball_of_cells
-from tissue_sim.bench.palpation.places import flat_locations
+from tissue_sim.identification.places import flat_locations
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import pytest
 
 from tissue_sim.bench.palpation import presses
 from tissue_sim.bench.palpation.balls import as_json, parse_radii, text
-from tissue_sim.bench.palpation.places import KINDS
 from tissue_sim.bench.palpation.presses import Pressed
 from tissue_sim.bench.palpation.slides import SlidingPress
 from tissue_sim.cli import main
+from tissue_sim.identification.places import KINDS
 
 
 def pressed_of(radius, kind, *off):

@@ -10,9 +10,9 @@ from helpers.scenes import RADIUS, ball_of_cells
 from tissue_sim.bench.palpation import finger as bench
 from tissue_sim.bench.palpation.finger import DEPTHS, Map, PressForces, as_json, finger, mapped, over, press_at, text
 from tissue_sim.bench.palpation.plot import write_plots
-from tissue_sim.bench.palpation.pressing import forces
 from tissue_sim.calibration.cases import surface_of
 from tissue_sim.cli import main
+from tissue_sim.identification.pressing import forces
 from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.inclusions import Inclusion, with_inclusions
 from tissue_sim.organ.topology import assemble_like

@@ -6,9 +6,9 @@ import pytest
 from helpers.scenes import RADIUS
 from tissue_sim.bench.palpation import presses
 from tissue_sim.bench.palpation.balls import as_json
-from tissue_sim.bench.palpation.places import KINDS
 from tissue_sim.contact import finder
 from tissue_sim.contact.local_compliance import OF_OTHERS
+from tissue_sim.identification.places import KINDS
 from tissue_sim.organ.tool_resolution import mean_edge
 
 SMALL = 0.8  # edges

@@ -13,12 +13,12 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
-from tissue_sim.bench.palpation.places import KINDS, flat_locations
 from tissue_sim.bench.palpation.presses import DEPTHS, Pressed, presses
 from tissue_sim.bench.palpation.slab import slab
 from tissue_sim.bench.palpation.slides import SLID_DEPTH, WAY, SlidingPress, slides
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.errors import UserError
+from tissue_sim.identification.places import KINDS, flat_locations
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, mean_edge

@@ -11,12 +11,12 @@ from scipy.spatial import cKDTree
 from tissue_sim import progress
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench import rows
-from tissue_sim.bench.palpation.pressing import FRICTION, Press, ball, forces
 from tissue_sim.bench.printing import Bound, aligned, bound_lines
 from tissue_sim.calibration.cases import CLEARANCE, Surface, surface_of
 from tissue_sim.calibration.sphere_compression import squeezed, touchable
 from tissue_sim.contact.scene import Scene
 from tissue_sim.errors import UserError
+from tissue_sim.identification.pressing import FRICTION, Press, ball, forces
 from tissue_sim.organ.inclusions import Inclusion, inclusions_of, with_inclusions
 from tissue_sim.organ.organ import Organ
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.bench.palpation.places import PressPoint, thickness
-from tissue_sim.bench.palpation.pressing import FRICTION, Press, ball, forces
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.sphere_compression import own_nodes, squeezed
+from tissue_sim.identification.places import PressPoint, thickness
+from tissue_sim.identification.pressing import FRICTION, Press, ball, forces
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.tool_resolution import mean_edge
 

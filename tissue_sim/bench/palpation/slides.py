@@ -14,10 +14,10 @@ import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
-from tissue_sim.bench.palpation.places import AROUND, PressPoint
-from tissue_sim.bench.palpation.pressing import ball
 from tissue_sim.calibration.cases import surface_of
 from tissue_sim.contact.scene import Scene
+from tissue_sim.identification.places import AROUND, PressPoint
+from tissue_sim.identification.pressing import ball
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 from tissue_sim.organ.tool_resolution import mean_edge

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,6 +16,17 @@ SPEED = 0.002  # m/s: so slow that an organ that bends at 1 Hz is not swung, and
 HOLDING, LONGEST = 0.2, 5.0  # s between two readings of the force at a depth, and at most
 STILL = 1e-3  # of the force, by which it has changed since the last look
 FRICTION = 10.0  # at which nothing slips
+
+
+class Path(Protocol):
+    """Path of a ball's middle into tissue; way: direction in which its force is measured."""
+
+    @property
+    def way(self) -> Floats:
+        """Direction inwards, (3,)."""
+
+    def at(self, deep: float) -> Floats:
+        """Return the ball's middle at a depth, m."""
 
 
 class Press(NamedTuple):
@@ -37,21 +48,37 @@ def ball(organ: Organ, radius: float, friction: float) -> Scene:
     return scene
 
 
-def forces(scene: Scene, press: Press, depths: Floats) -> Floats:
+def forces(scene: Scene, press: Path, depths: Floats) -> Floats:
     """Return the force (d,) N on a ball, against its way, that is held at each of several depths (d,) m."""
     scene.reset()
-    tick, deep, found = scene.simulation.settings.tick_time, -CLEAR, []
+    deep, found = min(-CLEAR, float(depths[0])), []
     for depth in depths:
-        ticks = max(1, round((depth - deep) / (SPEED * tick)))
-        for place in np.linspace(deep, depth, ticks + 1)[1:]:
-            scene.move(0, press.at(float(place)))
-            scene.step()
+        _lead(scene, press, (deep, float(depth)), SPEED)
         deep = float(depth)
         found.append(held(scene, press, deep))
     return np.array(found)
 
 
-def held(scene: Scene, press: Press, deep: float) -> float:
+def moving_forces(scene: Scene, press: Path, depths: Floats, speed: float) -> Floats:
+    """Return the force (d,) N on a ball, against its way, as it passes several depths (d,) m with a speed, m/s."""
+    scene.reset()
+    deep, found = min(-CLEAR, float(depths[0])), []
+    for depth in depths:
+        _lead(scene, press, (deep, float(depth)), speed)
+        deep = float(depth)
+        found.append(-float(scene.wrenches[0, :3] @ press.way))
+    return np.array(found)
+
+
+def _lead(scene: Scene, press: Path, span: tuple[float, float], speed: float) -> None:
+    """Move a ball from one depth to another, m."""
+    ticks = max(1, round((span[1] - span[0]) / (speed * scene.simulation.settings.tick_time)))
+    for place in np.linspace(*span, ticks + 1)[1:]:
+        scene.move(0, press.at(float(place)))
+        scene.step()
+
+
+def held(scene: Scene, press: Path, deep: float) -> float:
     """Return the force, N, on a ball at a depth, m, once it changes no more: an organ may take seconds to bend."""
     tick, force = scene.simulation.settings.tick_time, np.inf
     for _ in range(round(LONGEST / HOLDING)):

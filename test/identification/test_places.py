@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from helpers.scenes import RADIUS
-from tissue_sim.bench.palpation.places import KINDS, flat_locations, thickness
+from tissue_sim.identification.places import KINDS, flat_locations, thickness
 from tissue_sim.organ.tool_resolution import mean_edge
 
 

@@ -1,0 +1,115 @@
+"""The benchmark of the identification: its figures move with the faults that they are to find."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tissue_sim.bench.identify import palpation_sets, synthetic
+from tissue_sim.bench.identify.command import _known_bounds, _set_bounds, text
+from tissue_sim.bench.identify.palpation_sets import as_rows, errors_of, repeat_errors
+from tissue_sim.bench.identify.synthetic import CASES, MODULUS, Truth, recovered
+from tissue_sim.cli import main
+from tissue_sim.identification.force_curves import bonded_layer, hertz, tabulated
+from tissue_sim.identification.table import presses_of, read_columns
+
+BALL, THICK = 3.16e-3, 0.025
+DEEP = np.linspace(0.0, 2e-3, 10)
+SET = "probingRAL2018_T1"
+
+
+def truth(own=1.0, count=8):
+    """Finite elements that follow Hertz, and a model whose forces are some times as large, place by place."""
+    which = np.arange(count)
+    depth, force = hertz(0.007, MODULUS, 0.45, 5e-3)
+    factors = np.broadcast_to(own, count)
+    elements = tabulated([depth] * count, [force] * count, which)
+    model = tabulated([depth] * count, [one * force * 10e3 / MODULUS for one in factors], which)
+    return Truth(elements, model, 10e3, 0.03)
+
+
+def test_a_model_without_error_finds_the_modulus_and_holds_it():
+    name = "noise, bias and unknown offsets"
+    found = recovered(name, truth(), np.random.default_rng(0), 12)
+    assert np.abs(found.off).max() < 8.0
+    assert found.held >= 11
+
+
+def test_a_model_that_is_too_stiff_is_seen():
+    found = recovered("noise", truth(1.25), np.random.default_rng(0), 6)
+    assert np.median(found.off) == pytest.approx(-20.0, abs=2.0)
+    assert found.held == 0
+
+
+def written(folder, soft=0.3, noise=0.01, seed=0):
+    """A set like those of the measured presses: a phantom by Hertz, softer towards one side."""
+    random, lines = np.random.default_rng(seed), []
+    names = [f"d{i}" for i in range(10)] + [f"fn{i}" for i in range(10)]
+    lines.append(",".join(["x", "y", "z", "nx", "ny", "nz", *names]))
+    for number in range(64):
+        x, y = 4e-3 * (number % 8), 4e-3 * (number // 8)
+        depth, force = hertz(BALL, 60e3 * np.exp(soft * (x - 0.014) / 0.014), 0.45, 4e-3)
+        felt = np.interp(DEEP + 3e-4, depth, force) * (1.0 + noise * random.normal(size=10))
+        lines.append(",".join(f"{value:.6g}" for value in [x, y, 0.0, 0.0, 0.0, 1.0, *DEEP, *felt]))
+    folder.mkdir(exist_ok=True)
+    for name in palpation_sets.SETS:
+        (folder / f"{name}.csv").write_text("\n".join(lines))
+    return folder
+
+
+def errors(folder, **laws):
+    presses = presses_of(read_columns(folder / f"{SET}.csv"), BALL, SET)
+    curves = {law: tabulated([one[0]], [one[1]], np.zeros(len(presses), dtype=np.int64)) for law, one in laws.items()}
+    return errors_of(SET, presses, curves, 10e3)
+
+
+def test_a_wrong_law_and_an_uneven_phantom_cost_accuracy(tmp_path):
+    right, layer = hertz(BALL, 10e3, 0.45, 4e-3), bonded_layer(BALL, 10e3, 0.45, 4e-3, THICK)
+    straight = right[0], right[0] * 100.0
+    even = errors(written(tmp_path / "even", soft=0.0), model=right, hertz=straight, linear=layer)
+    assert even.errors["model"].one < 0.02 < even.errors["hertz"].one
+    assert even.modulus == pytest.approx(60e3, rel=0.05)
+    assert not even.diagnosis.stiffens
+    uneven = errors(written(tmp_path / "uneven"), model=right).errors["model"]
+    assert uneven.one > 0.08
+    assert uneven.mapped < 0.5 * uneven.one
+    assert uneven.map_pays
+
+
+def test_a_phantom_on_a_hard_support_is_told(tmp_path):
+    folder = written(tmp_path / "data", soft=0.0)
+    path = folder / f"{SET}.csv"
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    for row in rows[1:]:
+        row[16:] = [f"{1.2 * ((deep + 2e-4) / 2.2e-3) ** 3:.6g}" for deep in DEEP]
+    path.write_text("\n".join(map(",".join, rows)))
+    found = errors(folder, model=hertz(BALL, 10e3, 0.45, 4e-3))
+    assert found.diagnosis.stiffens
+    assert as_rows([found])[0]["exponent"] == pytest.approx(3.0, abs=0.2)
+
+
+def test_repeats_differ_by_their_noise(tmp_path):
+    folder = written(tmp_path / "data", noise=0.05)
+    assert repeat_errors(folder) == pytest.approx([0.0, 0.0])
+    other = written(tmp_path / "other", noise=0.05, seed=1)
+    (folder / f"{SET}.csv").write_text((other / f"{SET}.csv").read_text())
+    assert repeat_errors(folder) == pytest.approx([0.048, 0.048], abs=0.015), "0.67 sqrt(2) of 5 %"
+
+
+def test_figures_become_tables_and_bounds(tmp_path):
+    law = hertz(BALL, 10e3, 0.45, 4e-3)
+    found = errors(written(tmp_path / "data"), model=law, hertz=law, linear=law)
+    sets = as_rows([found])
+    known = synthetic.as_rows([recovered(name, truth(), np.random.default_rng(0), 2) for name in list(CASES)[:3]])
+    bounds = [one.as_json() for one in [*_known_bounds(known), *_set_bounds(sets)]]
+    told = {"known": known, "sets": sets, "repeat_percent": [5.0, 6.0], "bounds": bounds}
+    assert len(bounds) == 8
+    assert [bound["met"] for bound in bounds if "with one modulus" in bound["name"]] == [False]
+    assert json.loads(json.dumps(told)) == told
+    assert SET in text(told)
+    assert "2 of 2" in text(told)
+
+
+def test_data_that_are_missing_are_named(tmp_path, capsys):
+    assert main(["bench", "identify", "--data", str(tmp_path)]) == 2
+    assert "whole_region_model_v2.csv does not exist" in capsys.readouterr().err

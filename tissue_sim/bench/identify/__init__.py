@@ -1,0 +1,1 @@
+"""Benchmark of the identification: measured presses, and presses made by finite elements."""

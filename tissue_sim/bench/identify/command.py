@@ -1,0 +1,124 @@
+"""Benchmark `tissue_sim bench identify`: what the identification finds in measured presses, and in known ones."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from tissue_sim.bench import rows
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.identify import palpation_sets, synthetic
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.timing import in_one_thread
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+
+PHANTOM, PHANTOM_MAPPED, MEAT_MAPPED = 6.0, 4.5, 12.0  # %
+OFF, OFF_OFFSETS = 5.0, 8.0  # %
+HELD = 90.0  # % of the intervals
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_shared(parser, check=True)
+    parser.add_argument(
+        "--data", metavar="FOLDER", help="folder of measured presses; without it, only presses by finite elements"
+    )
+    parser.add_argument("--runs", type=int, default=synthetic.RUNS, metavar="N", help="runs of each synthetic case")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Identify, compare and print; return 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    if args.data:
+        palpation_sets.check_data(Path(args.data))
+    organ = Organ.load(args.organ or shipped_organ("kidney"))
+    found = in_one_thread(measure, organ, args.runs, args.data)
+    emit(found, text(found), args.json)
+    return exit_code(found, check=args.check)
+
+
+def measure(organ: Organ, runs: int, data: str | None) -> dict[str, Any]:
+    """Return all figures and bounds."""
+    known = synthetic.as_rows(synthetic.measure(organ, runs)) if runs > 0 else []
+    sets = [] if data is None or rows.stopped() else palpation_sets.as_rows(palpation_sets.measure(Path(data)))
+    repeat = [100.0 * error for error in palpation_sets.repeat_errors(Path(data))] if data is not None else []
+    bounds = [one.as_json() for one in [*_known_bounds(known), *_set_bounds(sets)]]
+    return {"known": known, "sets": sets, "repeat_percent": repeat, "bounds": bounds}
+
+
+def _known_bounds(known: list[dict[str, Any]]) -> list[Bound]:
+    found = []
+    for row in known[:3]:
+        limit = OFF_OFFSETS if "offsets" in row["case"] else OFF
+        found += [
+            Bound(f"{row['case']}: error of the modulus, 9 of 10 runs", row["p90_error_percent"], limit, "%"),
+            Bound(
+                f"{row['case']}: intervals that hold the truth",
+                100.0 * row["intervals_that_hold"] / row["runs"],
+                HELD,
+                "%",
+                True,
+            ),
+        ]
+    return found
+
+
+def _set_bounds(sets: list[dict[str, Any]]) -> list[Bound]:
+    found = []
+    for kind, what, limit in (
+        ("phantom", "one_modulus", PHANTOM),
+        ("phantom", "map", PHANTOM_MAPPED),
+        ("meat", "map", MEAT_MAPPED),
+    ):
+        with_what = "one modulus" if what == "one_modulus" else "a map"
+        for row in sets:
+            if row["kind"] == kind:
+                error = row["errors_percent"]["model"][what]
+                found.append(Bound(f"{row['set']}: held-out error with {with_what}", error, limit, "%"))
+    return found
+
+
+def text(found: dict[str, Any]) -> str:
+    """Return the figures as tables."""
+    lines: list[str] = []
+    if found["known"]:
+        table = [["presses by finite elements", "E Pa", "deviation", "median error", "9 of 10", "interval", "hold"]]
+        for row in found["known"]:
+            errors = [f"{row[f'{what}_error_percent']:.1f} %" for what in ("median", "p90")]
+            held = f"{row['intervals_that_hold']} of {row['runs']}"
+            table.append(
+                [
+                    row["case"],
+                    f"{row['mean_pa']:.0f}",
+                    f"{row['deviation_pa']:.0f}",
+                    *errors,
+                    f"+- {row['half_width_percent']:.0f} %",
+                    held,
+                ]
+            )
+        lines += [f"Young's modulus of {synthetic.MODULUS:.0f} Pa, {synthetic.USED} presses a run", *aligned(table), ""]
+    if found["sets"]:
+        table = [
+            ["set", "presses", "E kPa", *(f"{law} {what}" for law in palpation_sets.LAWS for what in ("%", "map"))]
+        ]
+        table[0] += ["exponent", "model's", "holds to mm"]
+        for row in found["sets"]:
+            errors = [
+                f"{row['errors_percent'][law][what]:.1f}"
+                for law in palpation_sets.LAWS
+                for what in ("one_modulus", "map")
+            ]
+            numbers = [f"{row['exponent']:.2f}", f"{row['model_exponent']:.2f}", f"{row['holds_to_mm']:.1f}"]
+            table.append([row["set"], str(row["presses"]), f"{1e-3 * row['modulus_pa']:.1f}", *errors, *numbers])
+        lines += [
+            "held-out error of the force, median, with one modulus and with a map: the real-time model, Hertz, and a",
+            "linearly elastic layer (github.com/vu-arma-dev/robot-palpation-data)",
+            *aligned(table),
+            "",
+            f"{' and '.join(palpation_sets.TWICE)} are the same places: one as a prediction of the other has an error"
+            f" of {found['repeat_percent'][1]:.1f} and {found['repeat_percent'][0]:.1f} %",
+            "",
+        ]
+    return "\n".join([*lines, *bound_lines(found["bounds"])])

@@ -1,0 +1,132 @@
+"""Presses made by this package's finite elements, with a modulus that is known: what the identification finds of it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim import progress
+from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
+from tissue_sim.bench.palpation.presses import by_elements
+from tissue_sim.identification.force_curves import ForceCurves, tabulated
+from tissue_sim.identification.measured import MeasuredPress, Measurement, Samples
+from tissue_sim.identification.mixed_effects import Priors, fitted
+from tissue_sim.identification.places import flat_locations
+from tissue_sim.identification.press_curves import curves_of
+from tissue_sim.identification.pressing import FRICTION
+from tissue_sim.identification.uncertainty import drawn_factors, interval_of, model_error
+from tissue_sim.organ.organ import Organ
+from tissue_sim.result_cache import remembered
+
+MODULUS = 6300.0  # Pa
+FINGER = 0.007  # m, radius
+DEEP = np.array([0.0005, 0.001, 0.0015, 0.002, 0.003, 0.004])  # m, at which finite elements are solved
+DEPTHS = np.concatenate([np.linspace(-8e-4, -1e-4, 5), np.linspace(1e-4, 0.0038, 20)])  # m, of samples
+PLACES, USED = 8, 6  # pressed by finite elements; drawn for each run
+RUNS = 100
+NOISE, SHARE = 0.005, 0.02  # N and of the force
+BIAS, OFFSET = 0.01, 2e-4  # N and m
+CASES = {
+    "noise": (0.0, 0.0, Priors(offset=2e-5)),
+    "noise and bias": (BIAS, 0.0, Priors(offset=2e-5)),
+    "noise, bias and unknown offsets": (BIAS, OFFSET, Priors(offset=OFFSET)),
+    "the same, offsets ignored": (BIAS, OFFSET, Priors(offset=1e-6)),
+}
+
+
+class Truth(NamedTuple):
+    """Curves of finite elements with the known modulus, and of the model, at the same places."""
+
+    elements: ForceCurves
+    model: ForceCurves
+    modulus: float
+    own_error: float
+
+
+class Recovered(NamedTuple):
+    """Result of a case: found moduli (r,) Pa, and how many intervals hold the truth."""
+
+    name: str
+    moduli: Floats
+    held: int
+    width: float
+
+    @property
+    def off(self) -> Floats:
+        """Error of each run, %."""
+        return np.asarray(100.0 * (self.moduli / MODULUS - 1.0))
+
+
+def truth_of(organ: Organ) -> Truth:
+    """Return both sets of curves; those of finite elements, which take minutes, are kept in the user's cache."""
+    spots = [one[number % len(one)] for number, one in enumerate(flat_locations(organ, PLACES))]
+
+    def make() -> dict[str, Floats]:
+        solved = [by_elements(organ, [spot], FINGER, DEEP)[0] for spot in progress.steps(spots, "finite elements")]
+        return {"force": np.array(solved)}
+
+    solved = remembered("identify-presses", organ.digest(), make)["force"]
+    settled = np.isfinite(solved).all(axis=1)
+    scale = MODULUS / organ.youngs_modulus
+    elements = tabulated(
+        [np.concatenate([[0.0], DEEP])] * int(settled.sum()),
+        [np.concatenate([[0.0], scale * one]) for one in solved[settled]],
+        np.arange(int(settled.sum())),
+    )
+    presses = [
+        MeasuredPress("", DEPTHS, DEPTHS, spot.point - FINGER * spot.way, spot.way, np.zeros((0, 3)))
+        for spot, known in zip(spots, settled, strict=True)
+        if known
+    ]
+    model = curves_of(organ, Measurement("", FINGER, presses, [], [], True), FRICTION)
+    return Truth(elements, model, organ.youngs_modulus, model_error(organ, FINGER))
+
+
+def measure(organ: Organ, runs: int = RUNS) -> list[Recovered]:
+    """Return what is found in runs of each case."""
+    truth = truth_of(organ)
+    found: list[Recovered] = []
+    with rows.until_stopped():
+        for number, name in enumerate(CASES):
+            found.append(recovered(name, truth, np.random.default_rng(number), runs))
+            rows.tell(name, f"error {np.abs(found[-1].off).max():.1f} %", f"{found[-1].held} of {runs} intervals hold")
+    return found
+
+
+def recovered(name: str, truth: Truth, random: np.random.Generator, runs: int = RUNS) -> Recovered:
+    """Return what is found in runs of one case: each has other places, noise and offsets."""
+    bias, offset, priors = CASES[name]
+    count = len(truth.elements.which)
+    moduli, held, widths = np.empty(runs), 0, []
+    for run in progress.steps(range(runs), name):
+        chosen = np.sort(random.permutation(count)[: min(USED, count)])
+        depths = np.tile(DEPTHS, (len(chosen), 1))
+        force = truth.elements.some(chosen).at(depths + offset * random.normal(size=(len(chosen), 1)))[0] + bias
+        force = force * (1.0 + SHARE * random.normal(size=force.shape)) + NOISE * random.normal(size=force.shape)
+        samples, curves = Samples(depths, force, np.ones_like(force)), truth.model.some(chosen)
+        fit = fitted(curves, samples, priors)
+        drawn = drawn_factors(curves, samples, priors, fit, np.arange(len(chosen)), run)
+        interval = interval_of(fit, drawn, len(chosen), truth.own_error)
+        moduli[run] = fit.factor * truth.modulus
+        held += bool(interval.low * truth.modulus < MODULUS < interval.high * truth.modulus)
+        widths.append(0.5 * np.log(interval.high / interval.low))
+    return Recovered(name, moduli, held, float(np.median(widths)))
+
+
+def as_rows(found: list[Recovered]) -> list[dict[str, Any]]:
+    """Return all figures, as JSON can hold them."""
+    return [
+        {
+            "case": one.name,
+            "runs": len(one.moduli),
+            "mean_pa": float(one.moduli.mean()),
+            "deviation_pa": float(one.moduli.std()),
+            "median_error_percent": float(np.median(np.abs(one.off))),
+            "p90_error_percent": float(np.quantile(np.abs(one.off), 0.9)),
+            "intervals_that_hold": one.held,
+            "half_width_percent": 100.0 * one.width,
+        }
+        for one in found
+    ]

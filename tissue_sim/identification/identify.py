@@ -1,0 +1,239 @@
+"""Identification of an organ's stiffness from measured presses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.identification.diagnosis import Diagnosis, diagnosed
+from tissue_sim.identification.fitted_organ import with_stiffness
+from tissue_sim.identification.force_curves import ForceCurves
+from tissue_sim.identification.measured import Measurement, Samples, samples_of
+from tissue_sim.identification.mixed_effects import Fit, Priors, fitted
+from tissue_sim.identification.press_curves import FAST, Arrays, Remember, check_tool, curves_of, forget
+from tissue_sim.identification.rates import friction_of, relaxation_of
+from tissue_sim.identification.stiffness_map import decaying
+from tissue_sim.identification.uncertainty import (
+    Interval,
+    NextPress,
+    drawn_factors,
+    interval_of,
+    model_error,
+    next_press,
+)
+from tissue_sim.identification.validation import HeldOut, held_out, places_of
+from tissue_sim.organ.organ import Organ
+
+CORRECTIONS = 2  # of a map, since a press feels more than the tissue right under it
+
+
+class Settings(NamedTuple):
+    """Settings of an identification: priors of contact and bias, friction of the tool, whether to try a map."""
+
+    priors: Priors = Priors()
+    friction: float = 0.6
+    with_map: bool = True
+
+
+class Identified(NamedTuple):
+    """Result of an identification; `of_cells` are factors on the cells' moduli, None without a map on the organ."""
+
+    organ: Organ
+    source: Organ
+    measurement: Measurement
+    samples: Samples
+    curves: ForceCurves
+    fit: Fit
+    interval: Interval
+    held_out: HeldOut | None
+    diagnosis: Diagnosis
+    next_press: NextPress
+    of_cells: Floats | None
+    remarks: list[str]
+
+    @property
+    def modulus(self) -> float:
+        """Young's modulus, Pa."""
+        return self.fit.factor * self.source.youngs_modulus
+
+    @property
+    def modulus_interval(self) -> tuple[float, float]:
+        """The 95 % interval of Young's modulus, Pa."""
+        return self.interval.low * self.source.youngs_modulus, self.interval.high * self.source.youngs_modulus
+
+
+def identify(
+    organ: Organ, measurement: Measurement, settings: Settings | None = None, remember: Remember = forget
+) -> Identified:
+    """Fit an organ's stiffness to measured presses.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ, of any stiffness.
+    measurement : Measurement
+        The presses.
+    settings : Settings | None, optional
+        Settings; None for the usual ones.
+    remember : Remember, optional
+        Keeps runs of the model by name, so that an identification can be continued.
+
+    Returns
+    -------
+    Identified
+        The fitted organ and all that is known about it.
+
+    Raises
+    ------
+    UserError
+        Without presses, for a tool too small for the organ, and for presses that miss it.
+    """
+    settings = settings or Settings()
+    check_tool(organ, measurement.radius)
+    samples = samples_of(measurement.presses)
+    curves = curves_of(organ, measurement, settings.friction, 1.0, remember)
+    fit = fitted(curves, samples, settings.priors)
+    if measurement.is_registered and any(press.speed > FAST for press in measurement.presses):
+        curves = curves_of(organ, measurement, settings.friction, float(f"{fit.factor:.2g}"), remember)
+        fit = fitted(curves, samples, settings.priors)
+    points = measurement.points
+    place = places_of(points, measurement.radius)
+    drawn = drawn_factors(curves, samples, settings.priors, fit, place)
+    interval = interval_of(fit, drawn, int(place.max()) + 1, model_error(organ, measurement.radius))
+    validated = held_out(curves, samples, points, measurement.radius, settings.priors)
+    following = next_press(
+        organ,
+        curves,
+        measurement.radius,
+        settings.priors,
+        (fit, interval, points if measurement.is_registered else None),
+    )
+    wanted = settings.with_map and validated is not None and validated.map_pays
+    of_cells = None
+    if wanted and measurement.is_registered and len(organ.cell_nodes):
+        of_cells = _map_of_cells(organ, measurement, (curves, samples, fit), settings.friction, remember)
+    found = Identified(
+        organ,
+        organ,
+        measurement,
+        samples,
+        curves,
+        fit,
+        interval,
+        validated,
+        diagnosed(curves, samples, settings.priors, fit),
+        following,
+        of_cells,
+        _remarks(measurement, wanted, of_cells is not None),
+    )
+    return found._replace(organ=with_stiffness(organ, fit.factor, provenance_of(found), of_cells))
+
+
+def _map_of_cells(
+    organ: Organ,
+    measurement: Measurement,
+    found: tuple[ForceCurves, Samples, Fit],
+    friction: float,
+    remember: Remember,
+) -> Floats:
+    """Return factors on the cells' moduli with which the model's presses deviate as the measured ones do."""
+    curves, samples, fit = found
+    points, wanted = measurement.points, fit.own[:, 0]
+    middle = organ.rest_positions[organ.cell_nodes].mean(axis=1)
+    deep = samples.depths.max(axis=1, keepdims=True) + fit.common[1] + fit.own[:, 1:]
+    plain, given = curves.at(deep)[0][:, 0], wanted.copy()
+    for _ in range(CORRECTIONS):
+        of_cells = np.exp(decaying(points, given, middle, measurement.radius))
+        trial = with_stiffness(organ, 1.0, {}, of_cells)
+
+        def kept(name: str, make: Callable[[], Arrays], tissue: str = trial.digest()) -> Arrays:
+            return remember(f"{tissue[:16]} {name}", make)
+
+        felt = curves_of(trial, measurement, friction, 1.0, kept).at(deep)[0][:, 0]
+        given = given + wanted - np.log(np.maximum(felt, 1e-9) / np.maximum(plain, 1e-9))
+    return np.asarray(np.exp(decaying(points, given, middle, measurement.radius)))
+
+
+def _remarks(measurement: Measurement, map_pays: bool, is_mapped: bool) -> list[str]:
+    """Return lines on what was, and what can't be, identified besides the modulus."""
+    has_times = any(press.speed > 0.0 for press in measurement.presses)
+    lines = [friction_of(measurement.strokes)[1], relaxation_of(measurement.holds, has_times)[1]]
+    if map_pays and not is_mapped:
+        lines.append(
+            "a map of stiffness lowers the held-out error, but the organ file has one modulus: places are not in its"
+            " axes, or it has no cells"
+        )
+    return lines
+
+
+def provenance_of(found: Identified) -> dict[str, Any]:
+    """Return what an organ's file tells about its identification, as JSON can hold it."""
+    low, high = found.modulus_interval
+    told: dict[str, Any] = {
+        "from": found.measurement.source,
+        "presses": len(found.measurement.presses),
+        "tool_radius_mm": 1e3 * found.measurement.radius,
+        "youngs_modulus_pa": found.modulus,
+        "interval_95_percent_pa": [low, high],
+        "contact_offset_mm": 1e3 * float(found.fit.common[1]),
+        "bias_n": float(found.fit.common[2]),
+        "spread_between_places_percent": 100.0 * found.fit.spread,
+        "with_map": found.of_cells is not None,
+        "holds_to_depth_mm": 1e3 * found.diagnosis.holds_to,
+        "digest_before": found.source.digest(),
+    }
+    if found.held_out is not None:
+        told["held_out_error_percent"] = 100.0 * found.held_out.one
+        if np.isfinite(found.held_out.mapped):
+            told["held_out_error_with_map_percent"] = 100.0 * found.held_out.mapped
+    return told
+
+
+def lines_of(found: Identified) -> list[str]:
+    """Return the result as lines of text."""
+    low, high = found.modulus_interval
+    interval, fit, seen = found.interval, found.fit, found.diagnosis
+    lines = [
+        f"presses: {len(found.measurement.presses)} of a tool with a radius of {1e3 * found.measurement.radius:g} mm",
+        f"Young's modulus: {found.modulus:.0f} Pa, 95 % interval {low:.0f} to {high:.0f} Pa (standard deviation"
+        f" {100 * interval.from_presses:.1f} % from the presses, {100 * interval.from_model:.1f} % of the model)",
+        f"contact offset {1e3 * fit.common[1]:+.3f} mm, bias {1e3 * fit.common[2]:+.1f} mN, between places the modulus"
+        f" varies by {100 * fit.spread:.0f} %",
+    ]
+    if found.held_out is None:
+        lines.append("held-out error: not known, with presses at a single place")
+    else:
+        mapped = found.held_out.mapped
+        lines.append(
+            f"held-out error of the force, median: {100 * found.held_out.one:.1f} % with one modulus"
+            + (f", {100 * mapped:.1f} % with a map" if np.isfinite(mapped) else "")
+            + f" ({found.held_out.places} places)"
+        )
+    lines.append(f"force goes as depth to the power {seen.exponent:.2f}, the model's {seen.model_exponent:.2f}")
+    if seen.stiffens:
+        lines.append(
+            "warning: the tissue stiffens more with depth than the model can: its support or its law are wrong (a thin"
+            f" layer on something hard, or tissue that isn't neo-Hookean); {_holding(seen)}"
+        )
+    elif seen.holds_to < seen.depths[-1]:
+        lines.append(f"warning: {_holding(seen)}")
+    return [*lines, *found.remarks, _proposal(found)]
+
+
+def _holding(seen: Diagnosis) -> str:
+    if not seen.holds_to:
+        return "the fit holds at no depth (median error over 10 %)"
+    return f"the fit holds to a depth of {1e3 * seen.holds_to:.1f} mm (median error within 10 % there)"
+
+
+def _proposal(found: Identified) -> str:
+    """Return where to press next, and how deep."""
+    after, interval = found.next_press, found.interval
+    if interval.from_presses < 0.5 * interval.from_model:
+        return "next press: none narrows the interval much, since most of it is the model's own error"
+    where = "; ".join("{:.1f}, {:.1f}, {:.1f}".format(*(1e3 * point)) for point in after.places)
+    at = f", best at ({where}) mm" if where else ", at another place"
+    return f"next press: {1e3 * after.depth:.1f} mm deep{at}; the interval is then +- {100 * after.width:.0f} %"

@@ -1,0 +1,178 @@
+"""Fit of a modulus to presses whose contact and tissue differ a little from place to place.
+
+A nonlinear model with mixed effects (Lindstrom and Bates, Biometrics 46, 1990). The force of press i at depth d is
+`s exp(v_i) C_i(d + o + w_i) + b`: C_i is the model's force for its own modulus, s the factor on that modulus, o the
+contact offset that all presses share, b the sensor's bias; v_i and w_i are what a press deviates by. w_i is normal with
+a given spread. v_i has Student's t distribution with an unknown spread, so that places that are far off, such as those
+over a tumour, hardly move s (Lange, Little and Taylor, JASA 84, 1989). Gauss-Newton steps in which each press's own
+unknowns are eliminated alternate with steps of expectation and maximisation for the spread and the noise.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.identification.force_curves import ForceCurves
+from tissue_sim.identification.measured import Samples
+
+FREEDOM = 3.0  # of Student's t
+VAGUE = 3.0  # spread of the log factor about the first guess
+COMMON_OFFSET = 1e-3  # m, spread of what all contacts may be off by together
+NOISE, SHARE = 0.002, 0.02  # N and of the force: shape of the noise, whose size is fitted
+SPREAD, PRIOR = 0.1, 2.0  # of log moduli between places before anything is known, and its weight in presses
+LEAST_SPREAD = 0.005
+ROUNDS, AGAIN = 60, 25  # of the fit, and of one that starts from a fit
+FARTHEST = np.array([0.5, 2e-4, 0.02])  # of a step: log modulus, offset m, bias N
+
+
+class Priors(NamedTuple):
+    """Spread of the contact offset between presses, m, and of the sensor's bias, N."""
+
+    offset: float = 2e-4
+    bias: float = 0.02
+
+
+class Fit(NamedTuple):
+    """Result of a fit.
+
+    Attributes
+    ----------
+    common : Floats, shape (3,)
+        Log of the factor on the modulus, contact offset m, bias N.
+    own : Floats, shape (n, 2)
+        Deviation of each press: log of the factor, offset m.
+    spread : float
+        Spread of the log moduli between places.
+    noise : float
+        Factor on the noise's shape.
+    covariance : Floats, shape (3, 3)
+        Of the common unknowns.
+    own_variance : Floats, shape (n,)
+        Of each press's log of the factor.
+    """
+
+    common: Floats
+    own: Floats
+    spread: float
+    noise: float
+    covariance: Floats
+    own_variance: Floats
+
+    @property
+    def factor(self) -> float:
+        """Factor on the modulus of the curves."""
+        return float(np.exp(self.common[0]))
+
+    def predicted(self, curves: ForceCurves, samples: Samples, own: Floats | None = None) -> Floats:
+        """Return the forces (n, d) N at the samples' depths; own: deviations (n, 2), none if left out."""
+        deviation = np.zeros((len(samples.depths), 2)) if own is None else own
+        force, _ = curves.at(samples.depths + self.common[1] + deviation[:, 1:])
+        return np.asarray(np.exp(self.common[0] + deviation[:, :1]) * force + self.common[2])
+
+
+class _Linear(NamedTuple):
+    """Normal equations about a state, press by press."""
+
+    residual: Floats  # (n, d) N
+    weight: Floats  # (n, d) 1/N^2
+    common: Floats  # (n, 3, 3)
+    mixed: Floats  # (n, 3, 2)
+    own: Floats  # (n, 2, 2)
+    right: Floats  # (n, 3)
+    right_own: Floats  # (n, 2)
+
+
+def fitted(
+    curves: ForceCurves,
+    samples: Samples,
+    priors: Priors,
+    start: Fit | None = None,
+    times: Floats | None = None,
+) -> Fit:
+    """Return the fit of a factor on the modulus to presses.
+
+    Parameters
+    ----------
+    curves : ForceCurves
+        The model's curve for each press.
+    samples : Samples
+        The measured forces.
+    priors : Priors
+        Spread of contact and bias.
+    start : Fit | None, optional
+        Fit of the same presses to start from.
+    times : Floats | None, optional
+        How often each press counts, (n,), for a bootstrap.
+
+    Returns
+    -------
+    Fit
+        The fit.
+    """
+    count = np.ones(len(samples.depths)) if times is None else times
+    middle = np.array([_first_guess(curves, samples), 0.0, 0.0])
+    common = middle if start is None else start.common.copy()
+    own = np.zeros((len(count), 2)) if start is None else start.own.copy()
+    spread, noise = (SPREAD, 1.0) if start is None else (start.spread, start.noise)
+    typical = np.ones(len(count))  # weight of each press in Student's t
+    own_inverse = np.zeros((len(count), 2, 2))
+    schur = np.eye(3)
+    for round_ in range(ROUNDS if start is None else AGAIN):
+        now = _linear(curves, samples, common, own, noise)
+        precision = np.stack([typical / spread**2, np.full(len(count), priors.offset**-2)], axis=1)
+        own_inverse = np.linalg.inv(now.own + precision[:, :, None] * np.eye(2))
+        left_own = now.right_own - own * precision
+        carried = now.mixed @ own_inverse
+        schur = np.einsum("n,nkl->kl", count, now.common - carried @ np.swapaxes(now.mixed, 1, 2))
+        right = np.einsum("n,nk->k", count, now.right - np.einsum("nkl,nl->nk", carried, left_own))
+        prior = np.array([VAGUE, COMMON_OFFSET, priors.bias]) ** -2
+        schur = schur + np.diag(prior)
+        step = np.clip(np.linalg.solve(schur, right - prior * (common - middle)), -FARTHEST, FARTHEST)
+        behind = left_own - np.einsum("nkl,k->nl", now.mixed, step)
+        own_step = np.einsum("nkl,nl->nk", own_inverse, behind)
+        common = common + step
+        own = own + np.clip(own_step, -FARTHEST[:2], FARTHEST[:2])
+        if round_ < 3:
+            continue
+        spread, typical = _spread_of(own[:, 0] ** 2 + own_inverse[:, 0, 0], spread, count)
+        used = np.einsum("nkl,nlk->n", now.own, own_inverse)
+        free = np.maximum(samples.counts.sum(axis=1) - used, 0.1)
+        noise *= float(np.sqrt(count @ (now.weight * now.residual**2).sum(axis=1) / (count @ free)))
+        noise = max(noise, 1e-3)
+        if start is not None and abs(step[0]) < 1e-5 and round_ > 6:
+            break
+    return Fit(common, own, spread, noise, np.linalg.inv(schur), own_inverse[:, 0, 0])
+
+
+def _spread_of(square: Floats, spread: float, count: Floats) -> tuple[float, Floats]:
+    """Return the spread of log moduli, and each press's weight, for expected squares (n,) and counts (n,)."""
+    typical = (FREEDOM + 1.0) / (FREEDOM + square / spread**2)
+    found = (count @ (typical * square) + PRIOR * SPREAD**2) / (count.sum() + PRIOR)
+    return max(float(np.sqrt(found)), LEAST_SPREAD), typical
+
+
+def _first_guess(curves: ForceCurves, samples: Samples) -> float:
+    """Return the log of the factor by which the deepest forces exceed the model's, in the median."""
+    deepest = np.where(samples.counts > 0.0, samples.depths, -np.inf).argmax(axis=1)[:, None]
+    force, _ = curves.at(np.take_along_axis(samples.depths, deepest, axis=1))
+    measured = np.take_along_axis(samples.forces, deepest, axis=1)
+    both = (force > 0.0) & (measured > 0.0)
+    return float(np.log(np.median(measured[both] / force[both]))) if both.any() else 0.0
+
+
+def _linear(curves: ForceCurves, samples: Samples, common: Floats, own: Floats, noise: float) -> _Linear:
+    """Return the normal equations about a state."""
+    force, slope = curves.at(samples.depths + common[1] + own[:, 1:])
+    factor = np.exp(common[0] + own[:, :1])
+    model, slope = factor * force, factor * slope
+    scale = NOISE + SHARE * model
+    weight = samples.counts / (noise * scale) ** 2
+    residual = samples.forces - model - common[2]
+    moved = np.stack([model, slope, np.ones_like(model)], axis=2)
+    weighted = moved * weight[:, :, None]
+    whole = np.swapaxes(weighted, 1, 2) @ moved
+    right = np.einsum("ndk,nd->nk", weighted, residual)
+    return _Linear(residual, weight, whole, whole[:, :, :2], whole[:, :2, :2], right, right[:, :2])

@@ -1,0 +1,150 @@
+"""How sure a fitted modulus is, and which further press would tell most."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.stats import norm, t
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.calibration.cases import surface_of
+from tissue_sim.identification.force_curves import ForceCurves
+from tissue_sim.identification.measured import Samples
+from tissue_sim.identification.mixed_effects import NOISE, SHARE, Fit, Priors, fitted
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.tool_resolution import FINE, mean_edge
+
+LEVEL = 0.95
+DRAWS = 200
+# Standard deviation of the model's own error, common to presses of one tool: the medians of `tissue_sim bench palpation
+# --places`, -5 to +7 % for radii of half an edge and -4 to +6 % from one edge on.
+FINE_ERROR, FAIR_ERROR = 0.03, 0.06
+DEPTHS = (0.25, 0.5, 0.75, 1.0)  # radii, of presses that are considered
+ENOUGH = 1.1  # times the least variance, at which a press is deep enough
+SAMPLES = 20  # of a press that is considered
+CLEAR = 3.0  # mean edges from the clamp
+TOLD = 3  # places that are proposed
+
+
+class Interval(NamedTuple):
+    """Interval of a factor: its ends, and standard deviations of its logarithm from the presses and from the model."""
+
+    low: float
+    high: float
+    from_presses: float
+    from_model: float
+
+
+class NextPress(NamedTuple):
+    """Press that would narrow the interval most: depth m, the interval's half-width after it, relative; places m."""
+
+    depth: float
+    width: float
+    places: Floats
+
+
+def model_error(organ: Organ, radius: float) -> float:
+    """Return the standard deviation of the model's own error for a tool of a radius, m."""
+    return FINE_ERROR if radius >= FINE * mean_edge(organ) else FAIR_ERROR
+
+
+def drawn_factors(
+    curves: ForceCurves, samples: Samples, priors: Priors, fit: Fit, place: Longs, seed: int = 0
+) -> Floats:
+    """Return the factors, (k,), of fits to presses drawn with replacement, place by place (n,)."""
+    random = np.random.default_rng(seed)
+    count = int(place.max()) + 1
+    found = np.empty(DRAWS)
+    for number in range(DRAWS):
+        times = np.bincount(random.integers(0, count, count), minlength=count)[place].astype(np.float64)
+        found[number] = fitted(curves, samples, priors, fit, times).factor
+    return found
+
+
+def interval_of(fit: Fit, drawn: Floats, places: int, own_error: float) -> Interval:
+    """Return the 95 % interval of a fit's factor.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    drawn : Floats, shape (k,)
+        Factors of the bootstrap.
+    places : int
+        Number of places.
+    own_error : float
+        Standard deviation of the model's own error.
+
+    Returns
+    -------
+    Interval
+        The bootstrap's spread, or the fit's own where that is larger, widened by Student's t for few places, with the
+        model's error added in squares.
+    """
+    by_presses = float(np.std(np.log(drawn))) * np.sqrt(places / max(places - 1, 1))
+    by_presses = max(by_presses, float(np.sqrt(fit.covariance[0, 0])))
+    share = 0.5 + 0.5 * LEVEL
+    few = float(t.ppf(share, max(places - 1, 1)) / norm.ppf(share))
+    half = float(norm.ppf(share)) * np.hypot(few * by_presses, own_error)
+    return Interval(fit.factor * np.exp(-half), fit.factor * np.exp(half), by_presses, own_error)
+
+
+def next_press(
+    organ: Organ, curves: ForceCurves, radius: float, priors: Priors, found: tuple[Fit, Interval, Floats | None]
+) -> NextPress:
+    """Return the press that would narrow the interval most.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    curves : ForceCurves
+        Curves of the presses that there are; the first one stands for further ones.
+    radius : float, m
+        Radius of the tool.
+    priors : Priors
+        As for `fitted`.
+    found : tuple[Fit, Interval, Floats | None]
+        The fit, its interval, and the pressed points (n, 3) m; None where these are not in the organ's axes.
+
+    Returns
+    -------
+    NextPress
+        The least depth that tells about as much as any, and the places farthest from those that were pressed.
+    """
+    fit, interval, points = found
+    variances = [_variance(curves, fit, priors, share * radius) for share in DEPTHS]
+    chosen = next(index for index, one in enumerate(variances) if one <= ENOUGH * min(variances))
+    after = 1.0 / (1.0 / interval.from_presses**2 + 1.0 / variances[chosen])
+    width = float(norm.ppf(0.5 + 0.5 * LEVEL)) * float(np.sqrt(after + interval.from_model**2))
+    places = np.zeros((0, 3)) if points is None else _farthest(organ, points)
+    return NextPress(DEPTHS[chosen] * radius, width, places)
+
+
+def _variance(curves: ForceCurves, fit: Fit, priors: Priors, depth: float) -> float:
+    """Return the variance of the log modulus that one press to a depth, m, would give, its offset unknown."""
+    one = curves.some(np.array([0]))
+    begin = float(one.start[one.which[0]]) - fit.common[1]
+    depths = (begin + np.linspace(0.0, depth, SAMPLES))[None]
+    force, slope = one.at(depths + fit.common[1])
+    model, slope = fit.factor * force[0], fit.factor * slope[0]
+    moved = np.stack([model, slope, np.ones_like(model)], axis=1)
+    weight = 1.0 / (fit.noise * (NOISE + SHARE * model)) ** 2
+    information = (moved.T * weight) @ moved + np.diag([0.0, priors.offset**-2, priors.bias**-2])
+    return float(np.linalg.inv(information)[0, 0]) + fit.spread**2
+
+
+def _farthest(organ: Organ, points: Floats) -> Floats:
+    """Return the surface nodes (k, 3) m that are farthest from pressed points and clear of the clamp."""
+    surface = surface_of(organ)
+    free = np.ones(len(surface.positions), dtype=bool)
+    if len(organ.fixed):
+        free = cKDTree(surface.positions[organ.fixed]).query(surface.positions)[0] > CLEAR * mean_edge(organ)
+    candidates, taken = surface.positions[free], points
+    chosen = []
+    for _ in range(min(TOLD, len(candidates))):
+        chosen.append(candidates[int(cKDTree(taken).query(candidates)[0].argmax())])
+        taken = np.vstack([taken, chosen[-1]])
+    return np.array(chosen).reshape(-1, 3)
