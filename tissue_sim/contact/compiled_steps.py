@@ -130,9 +130,9 @@ def room_for(finder: ContactFinder) -> Any:
         return np.zeros(shape, dtype=np.int64)
 
     # Where more points are found than a contact set has room for, Python selects from them.
-    points = Found(
-        *longs(2, MOST_POINTS), longs(MOST_POINTS, 3), *(np.zeros((MOST_POINTS, columns)) for columns in (3, 3, 2))
-    )
+    body, triangle, corners = longs(MOST_POINTS), longs(MOST_POINTS), longs(MOST_POINTS, 3)
+    weight, normal, give = (np.zeros((MOST_POINTS, columns)) for columns in (3, 3, 2))
+    points = Found(body, triangle, corners, weight, normal, give)
     return handle(
         Room(
             near=Near(longs(triangles, 3), longs(triangles)),

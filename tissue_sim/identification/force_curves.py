@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Floats, Longs, Mask
 
 POINTS = 600  # of a table
 HERTZ = 1.5  # exponent of the force of a ball on a half-space: to 1 over it, forces are nearly straight lines
@@ -47,7 +47,7 @@ class ForceCurves(NamedTuple):
         force = np.where(inside, low + (share - left) * slope, 0.0)
         return force, np.where(inside, slope / self.step[which], 0.0)
 
-    def some(self, chosen: Floats) -> ForceCurves:
+    def some(self, chosen: Longs | Mask) -> ForceCurves:
         """Return the curves of some presses, by index or by a mask."""
         return self._replace(which=self.which[chosen])
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.errors import UserError
 
 DEEP_PART = 0.3  # of a press's depth, from where its force counts for errors
@@ -115,7 +115,7 @@ class Samples(NamedTuple):
         deepest = np.where(self.counts > 0.0, self.depths, -np.inf).max(axis=1)
         return np.asarray((self.counts > 0.0) & (self.depths >= DEEP_PART * deepest[:, None]))
 
-    def some(self, chosen: Floats) -> Samples:
+    def some(self, chosen: Longs | Mask) -> Samples:
         """Return the samples of some presses, by index or by a mask."""
         return Samples(self.depths[chosen], self.forces[chosen], self.counts[chosen])
 

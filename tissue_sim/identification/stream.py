@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.identification.measured import Hold, MeasuredPress, MeasuredStroke, Measurement
 from tissue_sim.organ.organ import Organ
@@ -118,7 +118,7 @@ def depths_in(organ: Organ, positions: Floats, radius: float) -> Floats:
     return np.asarray(radius - np.where(within, -away, away))
 
 
-def _runs(chosen: Floats) -> Iterator[slice]:
+def _runs(chosen: Mask) -> Iterator[slice]:
     """Yield the runs of samples that are chosen."""
     edges = np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]]))
     for begin, end in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True):
