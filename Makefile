@@ -5,7 +5,7 @@
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
 DEMO_EXTRAS := ros,viewer
-EXTRAS := $(DEMO_EXTRAS),camera,instruments,image,calibration,cluster,bench,test
+EXTRAS := $(DEMO_EXTRAS),camera,instruments,learn,image,calibration,cluster,bench,test
 
 # What the pins' own targets wait for.
 AUDITED = $(if $(wildcard .venv/bin/pip-audit),,.venv/.installed)
