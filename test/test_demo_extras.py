@@ -35,7 +35,16 @@ def extras(name):
 
 def test_demo_installs_what_it_needs_and_no_more():
     assert extras("DEMO_EXTRAS") == ["ros", "viewer"]
-    assert set(extras("EXTRAS")) == {"camera", "instruments", "image", "calibration", "cluster", "bench", "test"}
+    assert set(extras("EXTRAS")) == {
+        "camera",
+        "instruments",
+        "learn",
+        "image",
+        "calibration",
+        "cluster",
+        "bench",
+        "test",
+    }
 
 
 @pytest.mark.extended
