@@ -72,7 +72,5 @@ setup(
             "tissue_node = tissue_sim.ros.node.program:run",
             "tissue_sim = tissue_sim.cli:main",
         ],
-        # Gymnasium calls this when it is imported, so that its `make` knows the environments.
-        "gymnasium.envs": ["__root__ = tissue_sim.environments.registration:register_all"],
     },
 )

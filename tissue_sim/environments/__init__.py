@@ -1,4 +1,4 @@
-"""Gymnasium's environments of this package; importing it registers them, and so does Gymnasium's entry point group."""
+"""Gymnasium's environments of this package; importing it registers them."""
 
 from __future__ import annotations
 
