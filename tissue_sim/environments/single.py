@@ -26,7 +26,7 @@ class TissueEnv(gymnasium.Env):
         Whether observations include where the surface is.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
     def __init__(self, task: str, organ: Organ | str | None = None, surface: bool = False) -> None:
         self.copies = TaskCopies(task, 1, organ, threads=1)
