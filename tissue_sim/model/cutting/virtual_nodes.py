@@ -37,9 +37,9 @@ class Copies(NamedTuple):
 def copies_of(cells: Ints | Longs, crossing: Crossing, fixed: Ints, first: int) -> Copies:
     """Return the copies of divided cells, of which each keeps its nodes on its own side.
 
-    A node on the other side is a virtual one, which all copies share that meet at an edge between the two sides. Where
-    an undivided cell meets them there, at the front, it is the node itself. A fixed node is its own virtual node, as
-    both stay where they are.
+    A node on the other side is a virtual one [1]_, which all copies share [2]_ that meet at an edge between the two
+    sides. Where an undivided cell meets them there, at the front, it is the node itself. A fixed node is its own
+    virtual node, as both stay where they are.
 
     Parameters
     ----------

@@ -64,11 +64,10 @@ def coarse_masses(model: Model, settings: Settings, added: float) -> tuple[Float
 
     Returns
     -------
-    Floats, shape (n,)
-        Factors on the nodes' masses.
-    float, rad/s
-        Largest frequency with these masses; 0 where there are no coarse steps: for springs, other integrators than the
-        symplectic one, links that are too stiff, and where half of the substeps is no smaller number.
+    tuple[Floats, float]
+        Factors (n,) on the nodes' masses, and the largest frequency with these, rad/s; 0 where there are no coarse
+        steps: for springs, other integrators than the symplectic one, links that are too stiff, and where half of the
+        substeps is no smaller number.
     """
     factor = np.ones(len(model.rest))
     tick_time, substeps = float(settings.tick_time), int(settings.substeps)
@@ -96,10 +95,8 @@ def masses_for(model: Model, step: float) -> tuple[Floats, float]:
 
     Returns
     -------
-    Floats, shape (n,)
-        Factors on the nodes' masses.
-    float, rad/s
-        Largest frequency with these masses.
+    tuple[Floats, float]
+        Factors (n,) on the nodes' masses, and the largest frequency with these, rad/s.
     """
     free = free_axes(model)
     circles = np.asarray(abs(stiffness_matrix(model)[free][:, free]).sum(axis=1)).reshape(-1, 3).max(axis=1)
