@@ -19,6 +19,7 @@ from tissue_sim.model.data.state import results_in
 from tissue_sim.model.data.world import make_world
 from tissue_sim.model.runtime import loop as rt
 from tissue_sim.model.runtime import mailboxes as mb
+from tissue_sim.model.runtime.exchange import make_exchange
 from tissue_sim.model.runtime.joined_box import make_joined_box
 from tissue_sim.model.simulation import Simulation, sphere_tools
 
@@ -49,8 +50,10 @@ class Loop:
     def _run(self):
         one = self.simulation
         world = make_world(one.model, one.state, one.shapes, copy_of(one.settings), one.scratch)
-        world, box = row([handle(world)]), row([handle(self.box)])
-        rt.run_loop(world, box, handle(self.words), None, handle(make_joined_box(1)))
+        own, boxes = handle(world), handle(self.box)
+        world, box = row([own]), row([boxes])
+        exchange = handle(make_exchange(world, box, own, boxes, 0))
+        rt.run_loop(world, box, handle(self.words), None, handle(make_joined_box(1)), exchange)
 
     def __enter__(self):
         self.thread.start()
