@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -28,6 +29,7 @@ from tissue_sim.ros.shared.qos import LATCHED, RELIABLE
 from tissue_sim.ros.shared.report import Report
 
 PARALLEL = 1e-3  # by which the directions of a path's poses may differ
+NICE = 10  # of the thread that makes a cut
 HEALED = "the organ was reset while its cut was computed, and is uncut; call the service again"
 
 
@@ -155,6 +157,8 @@ class OrganCutting:
         depth = self._depth()
 
         def work() -> None:
+            # The thread ends with its answer; until then ticks and poses go first.
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
             try:
                 response.message = self._cut(*path, depth)
                 response.success = True
