@@ -146,7 +146,7 @@ def test_organs_that_part_sleep_again_and_those_far_away_are_never_looked_at():
     far.simulations[0].apply_force([0], [[0.0, 0.0, 0.02]])
     for _ in range(20):
         far.step()
-    counters = far._pairs.counters
+    counters = far.pairs_finder.counters
     assert counters.far_skips == counters.searches > 0
     assert far.simulations[1].state.count.asleep_ticks == 20
 

@@ -99,7 +99,8 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
     forces = [name for link in links for name in _topics(namespace, link, "external_cf")]
     wrenches = [name for link in links for name in _topics(namespace, link, "servo_cf")]
     own = f"/{node}"
-    shown = _of_organs(own, values, "cuts", "inclusions", "mesh", "mesh_version", "skeleton", "surface")
+    shown = _of_organs(own, values, "inclusions", "mesh", "skeleton", "surface")
+    cut = _of_organs(own, values, "cuts", "mesh_version")
     if values["organs"]:
         shown += _below(own, "ligaments")
     return {
@@ -107,7 +108,7 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
             own,
             [own],
             # tf and simulation_interfaces where they are installed, and the clock with use_sim_time.
-            [*wrenches, *shown, *_of_organs(own, values, "markers"), *_below(own, "markers", "tools", "ready")]
+            [*wrenches, *shown, *cut, *_of_organs(own, values, "markers"), *_below(own, "markers", "tools", "ready")]
             + _below(own, *(f"{tool}/{topic}" for tool in values["tools"] for topic in ("contacts", "wrench")))
             + ["/diagnostics", "/rosout", "/tf", "/tf_static"],
             [
