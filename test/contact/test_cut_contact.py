@@ -285,3 +285,19 @@ def test_other_organs_touch_no_skin_over_the_opening():
     assert on_skin(whole)
     finder.exchange(0, scene.finder.surface)
     assert not on_skin(finder.find([scene.simulation.positions, there]))
+
+
+def test_a_reset_after_a_cut_leaves_time_and_counters_as_they_are():
+    scene = Scene(slab(), [], ticks_a_set=4)
+    scene.step(5)
+    scene.cut(0, *INCISION)
+    scene.simulation.apply_force([0], [[0.0, 0.0, 0.1]])
+    scene.step(20)
+    before, slept = scene.simulation.time, int(scene.simulation.state.count.asleep_ticks)
+    scene.reset()
+    assert not scene.simulation.cuts
+    assert scene.simulation.time == before == 0.025
+    assert scene.simulation.state.count.asleep_ticks == slept == 5
+    np.testing.assert_array_equal(scene.simulation.positions, slab().rest_positions)
+    scene.step(3)
+    assert scene.simulation.time == pytest.approx(0.028)

@@ -62,7 +62,8 @@ class ContactOrgan:
         """Return to the simulation before the first cut, with the present settings; return whether there was one."""
         if self.simulation is self._uncut:
             return False
-        self._uncut.take_settings(self.simulation.settings)
+        self._uncut.return_from(self.simulation)
+        self._uncut.continue_from(self.simulation)
         self._uncut.set_substeps()
         self.simulation, self.finder, self.contacts = self._uncut, self._uncut_finder, None
         return True

@@ -24,7 +24,7 @@ from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.records import words_of
 from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, LocalRegion, Settings
 from tissue_sim.model.data.shapes import CAPSULE, SPHERE, Shapes, make_shapes
-from tissue_sim.model.data.state import Region, State, make_state, take_fields
+from tissue_sim.model.data.state import Region, State, make_state, state_like, take_fields
 from tissue_sim.model.data.world import make_world
 from tissue_sim.model.elasticity.adjacency import adjacency_of, with_cell_neighbours
 from tissue_sim.model.elasticity.assembly import assemble, model_of
@@ -321,10 +321,21 @@ class Simulation:
         self.model = self.model._replace(lips=lips_of(surface, self.organ.rest_positions))
         self.refer()
 
-    def renew(self) -> None:
+    def return_from(self, cut: Simulation) -> None:
+        """Begin anew, with the settings of a simulation that was cut from this one, and plan how to continue that one.
+
+        Parameters
+        ----------
+        cut : Simulation
+            That simulation, which may be running.
+        """
+        self._renew()
+        self.take_settings(cut.settings)
+        self.plan_from(cut, np.arange(self.organ.n_nodes))
+
+    def _renew(self) -> None:
         """Begin anew, as if just made: with a state and working memory of its own, which nothing has used."""
-        size = len(self.state.position), len(self.state.bodies), len(self.state.mode_position), len(self.model.cells)
-        self.state = make_state(*size)
+        self.state = state_like(self.state)
         self.scratch = make_scratch(self.model, len(self.shapes.kind))
         if self.model.tissue is not None:
             self.model.tissue.stiff[:] = 0
@@ -359,8 +370,12 @@ class Simulation:
             kept = [node for node in listed[: getattr(state.status, kind)] if node < self.organ.n_uncut]
             listed[: len(kept)] = kept
             setattr(state.status, kind, len(kept))
+        self.forget_scratch()
+
+    def forget_scratch(self) -> None:
+        """Note that the working memory is about another state."""
         self.scratch.stale[0] = 1
-        self.scratch.mobility_key[:] = 0.0
+        self.scratch.mobility_key[:] = 0.0  # the state may prescribe other nodes, as often
 
     def apply_force(self, nodes: ArrayLike, forces: ArrayLike) -> None:
         """Add forces to nodes for the coming tick.
@@ -570,8 +585,7 @@ class Simulation:
         except ValueError as error:
             self.state.words[:] = before
             raise UserError(str(error)) from None
-        self.scratch.stale[0] = 1
-        self.scratch.mobility_key[:] = 0.0  # the state may prescribe other nodes, as often
+        self.forget_scratch()
 
     def settle(
         self, forces: Floats, tolerance: float = 1e-3, longest: float = 20.0, ramp: float = 0.0

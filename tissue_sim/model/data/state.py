@@ -238,6 +238,17 @@ def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> Sta
     )
 
 
+def state_like(state: State) -> State:
+    """Return a state of zeros, with room for another one's words.
+
+    Parameters
+    ----------
+    state : State
+        The other one.
+    """
+    return make_state(len(state.position), len(state.bodies), len(state.mode_position), len(state.is_turned))
+
+
 _ONLY_HANDED_OUT = ("words", "results", "shape", "shape_tick")  # a tick doesn't start from these
 
 

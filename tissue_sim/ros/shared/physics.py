@@ -41,8 +41,7 @@ class Physics:
     """
 
     def __init__(self, loop: Loop, organ: int = 0) -> None:
-        self.loop, self.simulation, self.box = loop, loop.simulations[organ], loop.boxes[organ]
-        self._number = organ
+        self.loop, self._number = loop, organ
         self.version = 0  # raised whenever the organ was exchanged for one of other nodes
         self._pose, self._force = handle(self.box.pose), handle(self.box.force)
         self._contacts, self._settings = handle(self.box.contacts), handle(self.box.settings)
@@ -59,6 +58,16 @@ class Physics:
         self._taken_at = np.array(place.bodies.pose_sequence)
         self._settings_lock = threading.Lock()
         self.post_settings(self.simulation.settings)
+
+    @property
+    def simulation(self) -> Simulation:
+        """The simulation that the loop advances now."""
+        return self.loop.simulations[self._number]
+
+    @property
+    def box(self) -> mb.Mailboxes:
+        """Its mailboxes."""
+        return self.loop.boxes[self._number]
 
     @property
     def answers(self) -> bool:
@@ -140,7 +149,6 @@ class Physics:
             How long to wait for that tick; None: as long as a running loop may take.
         """
         tick = self.loop.exchange(self._number, made, plan, patience)
-        self.simulation, self.box = made, self.loop.boxes[self._number]
         self._shape = handle(self.box.shape), len(made.state.shape)
         self.version += 1
         return tick

@@ -48,6 +48,8 @@ class Surgeon(Client):
         self.node.create_subscription(
             PointCloud2, f"{self.target}/surface", self.clouds.append, qos_profile_sensor_data
         )
+        self.contacts = []
+        self.node.create_subscription(PointCloud2, f"{self.target}/left/contacts", self.contacts.append, 1)
         self.path = self.node.create_publisher(Path, f"{self.target}/cut_path", 1)
 
     def send_path(self, edge, quaternion=DOWN, frame="organ"):
@@ -124,7 +126,9 @@ def test_a_cut_opens_what_is_shown_repeats_in_its_bag_and_a_reset_heals_it(clien
     assert values["depth_m"] == pytest.approx(report.depth, rel=1e-4)
     assert (values["x_m"], values["y_m"], values["z_m"]) == pytest.approx(report.centre, abs=1e-6)
 
+    client.contacts.clear()
     press_until_felt(client, client.ask)
+    assert client.spin_until(lambda: any(cloud.width > 0 for cloud in client.contacts)), "of a state with more nodes"
     assert client.reset().success
     assert client.spin_until(lambda: client.versions[-1].data == 2)
     assert client.spin_until(lambda: len(client.surface()) == 3 * len(uncut.surface_triangles))

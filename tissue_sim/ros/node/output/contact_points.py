@@ -17,7 +17,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.contact.gap import gap_and_normal
 from tissue_sim.model.contact.tool_motion import set_frame
 from tissue_sim.model.data.shapes import Shapes
-from tissue_sim.model.data.state import State, make_state
+from tissue_sim.model.data.state import state_like
 from tissue_sim.ros.node.output.organ_publisher import REPEAT_AFTER
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.qos import RELIABLE
@@ -38,7 +38,7 @@ class ContactPoints:
         self._frame_id, self._organs, self._tools, self._clock = frame_id, organs, tools, node.get_clock()
         names = [tool.name for tool in tools.tools]
         self._publishers = [node.create_publisher(PointCloud2, f"~/{name}/contacts", RELIABLE) for name in names]
-        self._states = [_state_like(one.simulation.state, one.n_bodies) for one in organs.each]
+        self._states = [state_like(one.simulation.state) for one in organs.each]
         self._seen: tuple[object, ...] = ()
         self._sent = -math.inf
         self.published = [0] * len(names)
@@ -54,8 +54,10 @@ class ContactPoints:
             return
         try:
             with self._organs.loop.snapshots(PATIENCE):
-                for state, one in zip(self._states, self._organs.each, strict=True):
-                    state.words[:] = one.box.snapshot
+                for number, one in enumerate(self._organs.each):
+                    if len(self._states[number].words) != len(one.box.snapshot):  # a cut has given it more nodes
+                        self._states[number] = state_like(one.simulation.state)
+                    self._states[number].words[:] = one.box.snapshot
         except TimeoutError:  # the next turn tries again; a loop that hangs is reported elsewhere
             return
         self._seen, self._sent, self.gathered = seen, now, self.gathered + 1
@@ -117,11 +119,6 @@ def warm_up(shapes: Shapes) -> None:
         Shapes of the tools.
     """
     write_normals(shapes, np.zeros(0, dtype=np.int64), np.zeros((1, 7)), np.zeros((0, 3)), np.zeros((0, 3)))
-
-
-def _state_like(state: State, n_bodies: int) -> State:
-    """Return a state of zeros, with room for another one's words."""
-    return make_state(len(state.position), n_bodies, len(state.mode_position), len(state.is_turned))
 
 
 @kernel

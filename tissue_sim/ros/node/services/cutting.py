@@ -101,9 +101,7 @@ class OrganCutting:
             uncut, cut = self._uncut, self._served.physics.simulation
             if uncut is None or not cut.cuts:
                 return
-            uncut.renew()
-            uncut.take_settings(cut.settings)
-            uncut.plan_from(cut, np.arange(uncut.organ.n_nodes))
+            uncut.return_from(cut)
             self._parts.exchange(self._number, uncut, patience)
             self._publish()
 
