@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from helpers.bars import bar
+from helpers.touching import Touching
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.organ import Organ
@@ -40,7 +41,7 @@ BARS = {
 }
 
 
-class Grasped:
+class Grasped(Touching):
     """The gripper, closed on a bar near its free end."""
 
     def __init__(self, chosen: Bar) -> None:
@@ -86,15 +87,6 @@ class Grasped:
             self.lead(by=1e-3 * SPEED)
             found.append(self.pull)
         return np.array(found)
-
-    def touched(self):
-        """Nodes and weights of the points that touch the fingers."""
-        state = self.scene.simulation.state
-        pressed = np.flatnonzero(state.contact_pressed[0, : state.contacts.header.points] > 0.0)
-        return state.contacts.node[pressed].copy(), state.contacts.weight[pressed].copy()
-
-    def points(self, touched):
-        return np.einsum("ij,ijk->ik", touched[1], self.scene.simulation.positions[touched[0]])
 
 
 EXTENDED = [pytest.param(name, marks=[] if name == "soft" else pytest.mark.extended) for name in BARS]

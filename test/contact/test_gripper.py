@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from helpers.touching import Touching
 from tissue_sim.contact.grasp import CLEARANCE, DEPTH, SQUEEZED, at_lower_pole
 from tissue_sim.contact.gripper import WIDEST, Jaws, about, jaw_poses
 from tissue_sim.contact.scene import Scene
@@ -100,7 +101,7 @@ def pads():
     return Tool("left", "gripper", length=HINGE, mesh=FLAT)
 
 
-class Nip:
+class Nip(Touching):
     """A gripper at the kidney's lower pole, its jaws on either side.
 
     A contact set for every four ticks, as beside the node's loop at 1 kHz.
@@ -123,16 +124,6 @@ class Nip:
             self.at, self.angle = (1.0 - share) * start + share * place, (1.0 - share) * began + share * angle
             self.scene.move(0, self.at, self.grasp.turn, self.angle)
             self.scene.step()
-
-    def touched(self):
-        """Nodes and weights of the points that touch the jaws."""
-        state = self.scene.simulation.state
-        pressed = np.flatnonzero(state.contact_pressed[0, : state.contacts.header.points] > 0.0)
-        return state.contacts.node[pressed].copy(), state.contacts.weight[pressed].copy()
-
-    def points(self, touched):
-        """Where those points are now, (k, 3) m."""
-        return np.einsum("ij,ijk->ik", touched[1], self.scene.simulation.positions[touched[0]])
 
     def lift(self, way=0.010):
         """Lift what the jaws hold; how far the median point that they held fell behind, m."""

@@ -40,7 +40,7 @@ PEERS = (("MuJoCo flex, steps of 1 ms", 0.001), ("MuJoCo flex, one step of 20 ms
 
 
 class Measured(NamedTuple):
-    """What a number of threads does."""
+    """Measured rates of a number of threads."""
 
     name: str
     threads: int
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class Presses(NamedTuple):
-    """Where the ball of each copy presses."""
+    """Places that the ball of each copy presses."""
 
     organ: Organ
     place: Floats  # (n, 3) m, on the surface
@@ -143,7 +143,7 @@ def of_flex(name: str, step: float, presses: Presses, seconds: float) -> Measure
 
 
 class Timed(NamedTuple):
-    """What is timed: steps of all copies, by their number, and the forces after one."""
+    """Timed work: steps of all copies, by their number, and the forces after one."""
 
     name: str
     threads: int

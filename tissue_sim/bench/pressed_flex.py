@@ -13,7 +13,7 @@ from tissue_sim.organ.organ import Organ
 
 
 class PressedFlex:
-    """Copies of an organ in MuJoCo, each with a ball that goes where it is told.
+    """Copies of an organ in MuJoCo, each with a ball that follows given positions.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.batch_copies import CompiledCopies, JoinedCopies
 from tissue_sim.contact.compiled_steps import read_surfaces, read_tools
 from tissue_sim.contact.scene import Scene
-from tissue_sim.contact.scene_copy import copied_scene, forget_scratch, memory_of
+from tissue_sim.contact.scene_copy import copied_scene, memory_of
 from tissue_sim.errors import UserError
 from tissue_sim.handles import row
 
@@ -272,7 +272,7 @@ class SceneBatch:
                 target[:] = part
             self._copies.set_counters(copy, parts[-1])
             for simulation in self._scenes[copy].simulations:
-                forget_scratch(simulation)
+                simulation.forget_scratch()
 
     def _memory(self, copy: int) -> list[Longs]:
         """Return the words of a copy's state: views, and last a copy of what counts beside them."""

@@ -14,7 +14,7 @@ from tissue_sim.handles import handle, row
 from tissue_sim.model.data.blocks import aligned
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.records import copy_of, words_of
-from tissue_sim.model.data.state import make_state
+from tissue_sim.model.data.state import state_like
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.coupled_step import CoupledOrgans
@@ -57,26 +57,13 @@ def copied_simulation(simulation: Simulation) -> Simulation:
     made = copy.copy(simulation)
     made.settings = copy_of(simulation.settings)
     made.model = _with_own_memory(simulation.model)
-    organ, bodies = simulation.organ, len(simulation.shapes.kind)
-    made.state = make_state(organ.n_nodes, bodies, len(made.model.reduction.frequency), len(made.model.cells))
+    made.state = state_like(simulation.state)
     made.state.words[:] = simulation.state.words
-    made.scratch = make_scratch(made.model, bodies)
+    made.scratch = make_scratch(made.model, len(simulation.shapes.kind))
     made.scratch.coarse[:] = simulation.scratch.coarse
-    forget_scratch(made)
+    made.forget_scratch()
     made.refer()
     return made
-
-
-def forget_scratch(simulation: Simulation) -> None:
-    """Note that the working memory of a simulation is about another state.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        The simulation.
-    """
-    simulation.scratch.stale[0] = 1
-    simulation.scratch.mobility_key[:] = 0.0
 
 
 def _with_own_memory(model: Model) -> Model:

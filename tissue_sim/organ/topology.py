@@ -7,8 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from tissue_sim.array_types import Floats, Ints
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.organ.cell_mesh import tetrahedra
 from tissue_sim.organ.edges import directed_edges
@@ -343,6 +345,22 @@ def check_tissue(youngs_modulus: float, poisson_ratio: float, density: float) ->
         raise UserError(f"Poisson's ratio {poisson_ratio:g} is outside 0..0.5")
     if not 1.0 <= density <= 1e5:
         raise UserError(f"density {density:g} kg/m^3 is outside 1..1e5")
+
+
+def cell_pieces(cells: Ints | Longs, n: int) -> Longs:
+    """Return the piece (n,) that each node is in, where cells that share a node are of one piece.
+
+    Parameters
+    ----------
+    cells : Ints | Longs, shape (c, 4)
+        Node indices of the cells.
+    n : int
+        Number of nodes; one that no cell has is a piece of its own.
+    """
+    ends = cells[:, [0, 0, 0]].ravel(), cells[:, 1:].ravel()
+    links = coo_array((np.ones(len(ends[0])), ends), shape=(n, n))
+    pieces: Longs = connected_components(links, directed=False)[1]
+    return pieces
 
 
 def triangle_area(positions: Floats, triangles: Ints) -> Floats:

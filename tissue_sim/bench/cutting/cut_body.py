@@ -48,7 +48,7 @@ FINE = Sizes(0.55, 0.4, Grading())
 
 
 class Answer(NamedTuple):
-    """What finite elements or the real-time model answer to a load."""
+    """Response of finite elements or of the real-time model to a load."""
 
     displacement: Floats  # (n_surface, 3) m
     opening: Floats  # (SAMPLES, 3) m, of the positive lip relative to the negative one, along the cut

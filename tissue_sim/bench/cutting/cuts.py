@@ -15,6 +15,7 @@ from tissue_sim.calibration.cases import Surface, surface_of, tractions
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.sheet import Sheet, sheet_of
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surfaces.line_hits import line_hits
 from tissue_sim.organ.surfaces.sizing import mean_edge
 
 PATCH = 19  # nodes under a load
@@ -57,7 +58,7 @@ class Cut(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return f"{self.organ}, {self.shape} {1e3 * self.length:.0f} x {1e3 * self.depth:.0f}"
 
 
@@ -76,7 +77,7 @@ CUTS = (
 
 
 class Place(NamedTuple):
-    """Where a cut lies."""
+    """Position and axes of a cut."""
 
     middle: Floats  # (3,) m, on the surface
     along: Floats  # (3,) unit vectors: along it,
@@ -103,7 +104,7 @@ def placed(organ: Organ, cut: Cut) -> Place:
     surface = surface_of(organ)
     middle = organ.surface_positions.mean(axis=0)
     way = np.asarray(cut.from_) / np.linalg.norm(cut.from_)
-    on = _struck(organ, middle[None], way, last=True)[0]
+    on = _struck(organ, middle[None], way)[0]
     near = np.argsort(np.linalg.norm(surface.positions - on, axis=1))[:PATCH]
     into = -surface.normal[near].mean(axis=0)
     into /= np.linalg.norm(into)
@@ -116,7 +117,7 @@ def placed(organ: Organ, cut: Cut) -> Place:
     best: tuple[float, Place] | None = None
     for shift in np.linspace(-SHIFT * edge, SHIFT * edge, SHIFTS):
         flat = _line(cut, SPACING * edge) + [0.0, shift]
-        polyline = _struck(organ, on + flat @ axes, -into, last=True)
+        polyline = _struck(organ, on + flat @ axes, -into)
         sheet = sheet_of(organ, polyline, into, cut.depth)
         clear = _clearance(organ, sheet)
         if best is None or clear > best[0]:
@@ -141,22 +142,12 @@ def _line(cut: Cut, spacing: float) -> Floats:
     raise UserError(f"a cut has no shape '{cut.shape}': flat, curved or L")
 
 
-def _struck(organ: Organ, points: Floats, way: Floats, *, last: bool) -> Floats:
+def _struck(organ: Organ, points: Floats, way: Floats) -> Floats:
     """Return where lines (k,) through points along a way leave the surface last, (k, 3) m."""
-    positions, triangles = organ.surface_positions, organ.surface_triangles
-    a, b, c = (positions[triangles[:, k]] for k in range(3))
-    side = np.cross(way, c - a)
-    det = np.einsum("tx,tx->t", b - a, side)
-    offset = points[:, None] - a
-    with np.errstate(all="ignore"):  # triangles along the way are never struck
-        u = np.einsum("ktx,tx->kt", offset, side) / det
-        turned = np.cross(offset, b - a)
-        v = turned @ way / det
-        where = np.einsum("ktx,tx->kt", turned, c - a) / det
-        hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9) & np.isfinite(where)
-    far = np.where(hit, where, -np.inf).max(axis=1)
-    if not np.all(np.isfinite(far)):
+    where = line_hits(organ, points, way)
+    if np.isnan(where).all(axis=1).any():
         raise UserError(f"a cut leaves organ '{organ.name}'")
+    far = np.nanmax(where, axis=1)
     return np.asarray(points + far[:, None] * way)
 
 

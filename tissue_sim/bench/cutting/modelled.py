@@ -94,7 +94,7 @@ class Modelled:
 
     @property
     def resolved(self) -> bool:
-        """Whether the cut is deep enough for the surface."""
+        """True if the cut is deep enough for the edges of the surface."""
         return all(report.resolved for report in self.simulation.cuts)
 
     def settle(self, force: Floats) -> Settled:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.records import array_of
-from tissue_sim.model.data.state import State, fields_of, make_state
+from tissue_sim.model.data.state import State, fields_of, state_like
 
 _MOVED = ("position", "velocity", "good_position")  # virtual nodes begin where and as fast as the nodes they copy
 # Of nodes, and carried over for those that the uncut organ has: what a user gave them.
@@ -100,7 +100,7 @@ def _as_words(array: NDArray[Any]) -> NDArray[Any]:
 
 def _numbered(state: State, sign: int) -> State:
     """Return a state of the same size whose words are their numbers from 1 on, with a sign."""
-    made = make_state(len(state.position), len(state.bodies), len(state.mode_position), len(state.is_turned))
+    made = state_like(state)
     made.words[:] = sign * np.arange(1, len(made.words) + 1)
     return made
 

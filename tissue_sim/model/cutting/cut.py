@@ -8,8 +8,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
@@ -20,6 +18,7 @@ from tissue_sim.model.cutting.sheet import RESOLVED_DEPTH, Sheet
 from tissue_sim.model.cutting.virtual_nodes import Copies, copies_of
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.sizing import mean_edge
+from tissue_sim.organ.topology import cell_pieces
 
 
 class CutReport(NamedTuple):
@@ -248,10 +247,7 @@ def _pieces(organ: Organ, parts: _Parts) -> tuple[int, int]:
     """Return how many pieces the cells make, and how many of them no fixed node holds; 0 where none is fixed."""
     nodes = np.where(parts.apart < 0, organ.n_nodes + len(parts.virtual_of) - 1 - parts.apart, parts.apart)
     size = int(nodes.max()) + 1
-    links = coo_array(
-        (np.ones(3 * len(nodes)), (nodes[:, [0, 0, 0]].ravel(), nodes[:, 1:].ravel())), shape=(size, size)
-    )
-    label = connected_components(links, directed=False)[1]
+    label = cell_pieces(nodes, size)
     used = np.unique(label[nodes[:, 0]])
     held = np.zeros(size, dtype=bool)
     held[organ.fixed] = True

@@ -11,6 +11,7 @@ from tissue_sim.arguments import finite, floats_of
 from tissue_sim.array_types import Floats, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surfaces.line_hits import line_hits
 from tissue_sim.organ.surfaces.sizing import mean_edge
 from tissue_sim.organ.winding import inside
 
@@ -196,22 +197,11 @@ def _check_apart(flat: Floats, step: Floats, least: float) -> None:
 
 def _heights(organ: Organ, points: Floats, direction: Floats, depth: float) -> tuple[float, float]:
     """Return how deep inside the organ the polyline is at most, and how deep below the surface the cut ends, m."""
-    x, triangles = organ.surface_positions, organ.surface_triangles
-    a, b, c = (x[triangles[:, corner]] for corner in range(3))
-    # Moeller and Trumbore 1997, all lines with all triangles.
-    side = np.cross(direction, c - a)
-    det = np.einsum("tx,tx->t", b - a, side)
-    offset = points[:, None] - a
-    with np.errstate(all="ignore"):  # triangles along the direction are never hit
-        u = np.einsum("ktx,tx->kt", offset, side) / det
-        turned = np.cross(offset, b - a)
-        v = turned @ direction / det
-        where = np.einsum("ktx,tx->kt", turned, c - a) / det
-        hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9) & np.isfinite(where)
-    before = np.where(hit & (where <= 0.0), where, -np.inf).max(axis=1)
-    after = np.where(hit & (where > 0.0), where, np.inf).min(axis=1)
-    last = np.where(hit, where, -np.inf).max(axis=1)
-    within = inside(points, x, triangles)
+    where = line_hits(organ, points, direction)  # comparisons with NaN, for a miss, are false
+    before = np.where(where <= 0.0, where, -np.inf).max(axis=1)
+    after = np.where(where > 0.0, where, np.inf).min(axis=1)
+    last = np.where(np.isnan(where), -np.inf, where).max(axis=1)
+    within = inside(points, organ.surface_positions, organ.surface_triangles)
     top = np.where(within, before, after)
     good = np.isfinite(top)
     if not good.any():

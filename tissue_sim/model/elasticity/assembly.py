@@ -7,7 +7,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
@@ -20,7 +19,7 @@ from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.elasticity.unloaded_shape import Law, unloaded_shape
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind
-from tissue_sim.organ.topology import tetrahedral_edges
+from tissue_sim.organ.topology import cell_pieces, tetrahedral_edges
 
 ModelName = Literal["auto", "surface", "volume", "hybrid", "cells"]
 LEAST_CELL = 0.05  # of the mean cell's volume, below which the sign of a cell's volume means nothing
@@ -53,9 +52,8 @@ def free_nodes(organ: Organ) -> Longs:
     none = np.zeros(0, dtype=np.int64)
     if not organ.n_virtual or not len(organ.fixed):
         return none
-    cells, n = organ.cell_nodes.astype(np.int64), organ.n_nodes
-    ends = cells[:, [0, 0, 0]].ravel(), cells[:, 1:].ravel()
-    label = connected_components(coo_array((np.ones(len(ends[0])), ends), shape=(n, n)), directed=False)[1]
+    cells, n = organ.cell_nodes, organ.n_nodes
+    label = cell_pieces(cells, n)
     used = np.zeros(n, dtype=bool)
     used[cells.ravel()] = True
     free: Longs = (used & ~np.isin(label, label[organ.fixed])).astype(np.int64)

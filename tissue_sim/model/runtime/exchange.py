@@ -58,9 +58,7 @@ def boxes_after(before: Mailboxes, state: State, plan: CarryPlan) -> Mailboxes:
     plan : CarryPlan
         How the new state continues the one in use.
     """
-    return before._replace(
-        shape=mailbox(len(state.shape)), snapshot=state.words.copy(), carry=CarryPlan(plan.source, plan.target)
-    )
+    return before._replace(shape=mailbox(len(state.shape)), snapshot=state.words.copy(), carry=plan)
 
 
 def make_exchange(worlds: HandleRow, boxes: HandleRow, world: Any, box: Any, links: int) -> Exchange:

@@ -98,7 +98,7 @@ class OrganPlayer:
         self._finders = [(0, ContactFinder(organ, tools))]  # with the number of the first set of each
         for cut in recording.cuts:
             if cut.tick < 0:  # the bag began after it, and its organ is the cut one
-                self.cut_surface, self._finders = cut.surface, [(0, self._finder_of(organ, cut))]
+                self.cut_surface, self._finders = cut.surface, [(0, self._finder_of(cut))]
                 if cut.surface is not None:
                     self.simulation.open_lips(cut.surface)
         first = self.tick = int(self.simulation.state.status.tick)
@@ -193,7 +193,7 @@ class OrganPlayer:
         found = self._cuts.get(tick)
         if found is None:
             return None
-        before, organ = self.simulation, found.organ()
+        before, organ = self.simulation, found.organ
         made = self._new_simulation(organ)
         origin, surface = found.origin, found.surface
         inside = surface is None or surface.nodes.max(initial=0) < organ.n_nodes
@@ -205,11 +205,11 @@ class OrganPlayer:
         made.plan_from(before, found.origin)
         made.continue_from(before)
         self.simulation, self.cut_surface = made, found.surface
-        self._finders.append((found.first_set, self._finder_of(organ, found)))
+        self._finders.append((found.first_set, self._finder_of(found)))
         return made
 
-    def _finder_of(self, organ: Organ, cut: RecordedCut) -> ContactFinder:
-        return ContactFinder(TouchedSurface(organ, cut.surface), self.tools)
+    def _finder_of(self, cut: RecordedCut) -> ContactFinder:
+        return ContactFinder(TouchedSurface(cut.organ, cut.surface), self.tools)
 
     def shown(self) -> ShownSurface:
         """Return the surface in its present place, with the walls of cuts."""

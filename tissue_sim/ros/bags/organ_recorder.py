@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.records import array_of
 from tissue_sim.model.data.settings import Settings
-from tissue_sim.model.data.state import fields_of, make_state
+from tissue_sim.model.data.state import fields_of, state_like
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bag_messages import BagMessages
@@ -96,9 +96,7 @@ class OrganRecorder:
 
     def state(self) -> int:
         """Record the state that the loop has posted; return its tick."""
-        before = self.physics.simulation.state
-        n_bodies, n_modes = self.physics.n_bodies, len(before.mode_position)
-        state = make_state(len(before.position), n_bodies, n_modes, len(before.is_turned))
+        state = state_like(self.physics.simulation.state)
         state.words[:] = self.physics.box.snapshot
         self._messages.packed(self.names["state"], fields_of(state))
         self._state_tick = int(state.status.tick)

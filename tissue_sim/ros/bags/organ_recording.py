@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.stepping.state_check import check_settings, contact_set_of
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag
-from tissue_sim.ros.bags.recorded_cut import RecordedCut, recorded_cuts
+from tissue_sim.ros.bags.recorded_cut import RecordedCut, organ_in, recorded_cuts
 from tissue_sim.ros.shared.cdr import parse_cloud, parse_octets
 
 NO_LONGER = ("factor_slot",)  # settings of older bags that this version has no use for
@@ -89,17 +88,14 @@ class OrganRecording:
 
     def organ(self) -> Organ:
         """Return the organ that the bag holds."""
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "organ.npz"
-            path.write_bytes(self.file)
-            return Organ.load(path)
+        return organ_in(self.file)
 
 
 def _without_walls(surfaces: list[np.ndarray], cuts: Sequence[RecordedCut]) -> list[np.ndarray]:
     """Return the points of the outer surface: those that a cut has added come behind them."""
     if not cuts:
         return surfaces
-    count = cuts[0].organ().n_surface
+    count = cuts[0].organ.n_surface
     if any(len(surface) < count for surface in surfaces):
         raise ValueError(f"its surfaces have fewer points than the {count} of its organ")
     return [surface[:count] for surface in surfaces]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,29 +16,31 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
 NO_SET = -1  # no contact set was found on the new surface yet
+NEVER = 2**62  # number of a contact set that no bag has
 
 
-@dataclass(frozen=True)
-class RecordedCut:
-    """An organ after a cut, or after the reset of its cuts.
+class RecordedCut(NamedTuple):
+    """An organ after a cut, or after the reset of its cuts."""
 
-    tick: the first with it, -1 where the bag began later; first_set: number of the first contact set that was found on
-    it; file: the organ file; origin: (n,) node before whose place each node takes; surface: None without cuts.
+    tick: int  # the first with it, -1 where the bag began later
+    first_set: int  # number of the first contact set that was found on it
+    organ: Organ
+    origin: Longs  # (n,) node before whose place each node takes
+    surface: CutSurface | None  # None without cuts
+
+
+def organ_in(file: bytes) -> Organ:
+    """Return the organ of an organ file that a bag holds.
+
+    Parameters
+    ----------
+    file : bytes
+        Content of the file.
     """
-
-    number: int
-    tick: int
-    first_set: int
-    file: bytes
-    origin: Longs
-    surface: CutSurface | None
-
-    def organ(self) -> Organ:
-        """Return the organ."""
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "organ.npz"
-            path.write_bytes(self.file)
-            return Organ.load(path)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "organ.npz"
+        path.write_bytes(file)
+        return Organ.load(path)
 
 
 def fields_of_cut(number: int, tick: int, made: Simulation) -> dict[str, NDArray[Any]]:
@@ -84,17 +85,14 @@ def recorded_cuts(messages: list[Mapping[str, NDArray[Any]]]) -> list[RecordedCu
     for fields in messages:
         number = _whole(fields, "number")
         if "organ" in fields:
-            made[number] = _cut_of(number, fields)
+            made[number] = _cut_of(fields)
         first = _whole(fields, "first_set")
         if first != NO_SET:
             sets[number] = first
-    return [
-        RecordedCut(one.number, one.tick, sets.get(number, 2**62), one.file, one.origin, one.surface)
-        for number, one in sorted(made.items())
-    ]
+    return [cut._replace(first_set=sets.get(number, NEVER)) for number, cut in sorted(made.items())]
 
 
-def _cut_of(number: int, fields: Mapping[str, NDArray[Any]]) -> RecordedCut:
+def _cut_of(fields: Mapping[str, NDArray[Any]]) -> RecordedCut:
     names = CutSurface._fields
     surface = None
     given = [fields[f"surface.{name}"] for name in names if f"surface.{name}" in fields]
@@ -106,7 +104,8 @@ def _cut_of(number: int, fields: Mapping[str, NDArray[Any]]) -> RecordedCut:
     file, origin = fields["organ"], fields.get("origin")
     if file.dtype != np.uint8 or origin is None or origin.dtype.kind != "i" or origin.ndim != 1:
         raise ValueError("its cut is of another type")
-    return RecordedCut(number, _whole(fields, "tick"), NO_SET, file.tobytes(), origin.astype(np.int64), surface)
+    organ = organ_in(file.tobytes())
+    return RecordedCut(_whole(fields, "tick"), NEVER, organ, origin.astype(np.int64), surface)
 
 
 def _check_surface(surface: CutSurface) -> None:

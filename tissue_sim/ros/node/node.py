@@ -57,7 +57,7 @@ from tissue_sim.ros.node.tools.wrench_replies import WrenchReplies
 from tissue_sim.ros.shared.dds import describe_discovery
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
-from tissue_sim.ros.shared.parameters import Parameters, frames_of, organ_frames, placed_frames, tool_of, topics_of
+from tissue_sim.ros.shared.parameters import Parameters, frames_of, frames_of_node, placed_frames, tool_of, topics_of
 from tissue_sim.ros.shared.priority import below, prefer
 from tissue_sim.ros.shared.qos import LATCHED
 from tissue_sim.ros.shared.report import Report, Reports
@@ -268,7 +268,7 @@ class TissueNode(GuardedNode):
         parts = CuttingParts(self.loop, self.scene.joined, searches, recorders, self.live.renew, self.frame_id)
         return [
             OrganCutting(
-                self, one, number, parts, lambda: organ_frames(values, self._lookup), lambda: values["cut_depth"]
+                self, one, number, parts, lambda: frames_of_node(values, self._lookup), lambda: values["cut_depth"]
             )
             for number, one in enumerate(self.served)
         ]

@@ -265,22 +265,6 @@ def _known(
     return {base_id: to_organ, organ_id: Transform()}, led, to_organ
 
 
-def organ_frames(values: Values, lookup: Callable[[str], Transform] | None) -> Frames:
-    """Return the frames that poses without a tool may come in.
-
-    Parameters
-    ----------
-    values : Values
-        The parameters.
-    lookup : Callable[[str], Transform] | None
-        Transforms other frames to the node's `tf_target`; None without tf.
-    """
-    organ_id, base_id = _organ_and_base(values)
-    to_organ = Transform.of_pose(values["organ_pose"]).inverse()
-    led = None if lookup is None else lambda frame_id: to_organ.after(lookup(frame_id))
-    return Frames({base_id: to_organ, organ_id: Transform()}, lookup=led)
-
-
 def _organ_and_base(values: Values) -> tuple[str, str]:
     """Return the names of the organ's frame and of that of poses in parameters: the organ's, if it has no name."""
     return values["frame_id"], values["base_frame"] or values["frame_id"]
