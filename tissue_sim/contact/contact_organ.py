@@ -7,9 +7,10 @@ import copy
 import numpy as np
 
 from tissue_sim.array_types import Floats
+from tissue_sim.contact.blade_cuts import BladeCuts
 from tissue_sim.contact.finder import ContactFinder, Sought, reach_margins
 from tissue_sim.contact.tools import ToolSet
-from tissue_sim.model.data.contact_set import ContactSet
+from tissue_sim.model.data.contact_set import ContactSet, Engaged
 from tissue_sim.model.simulation import Simulation
 
 
@@ -31,6 +32,7 @@ class ContactOrgan:
         self.finder = self._uncut_finder = ContactFinder.of(simulation, tools)
         self.contacts: ContactSet | None = None
         self._ticks_a_set = ticks_a_set
+        self.blade_cuts = BladeCuts(simulation)
         self.set_goal: Floats | None = None  # the bodies' poses at the last contact set
 
     def with_simulation(self, simulation: Simulation) -> ContactOrgan:
@@ -72,6 +74,7 @@ class ContactOrgan:
         """Return to rest, untouched; the settings stay."""
         self.simulation.reset()
         self.contacts = self.set_goal = None
+        self.blade_cuts.forget()
 
     def find(self, sequence: int) -> None:
         """Find what the bodies may touch at present, and apply it.
@@ -83,6 +86,7 @@ class ContactOrgan:
         """
         state = self.simulation.state
         fresh = ((state.bodies.age >= 0) & (state.bodies.released == 0)).astype(np.int64)
+        fresh[(fresh > 0) & state.bodies.cutting] = Engaged.CUTS
         pushing = (state.bodies.force_age >= 0).astype(np.int64)
         goal, places = state.body_goal.copy(), state.body_pose.copy()
         # A set before every tick holds everything on a tool's path; otherwise also what it may reach until the next

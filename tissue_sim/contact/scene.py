@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,6 +23,9 @@ from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
+
+
+TICKS_A_CUT = 10  # after which it is seen whether blades have cut
 
 
 class Scene:
@@ -346,6 +350,25 @@ class Scene:
                 self.find()
             self.ticks += 1
             self.joined.step()
+            if self.ticks % TICKS_A_CUT == 0:
+                self._open_cuts()
+
+    def _open_cuts(self) -> None:
+        """Open what blades have cut since the last time."""
+        for number, one in enumerate(self.organs):
+            if not one.blade_cuts:
+                continue
+            one.blade_cuts.note(one.simulation)
+            for sheet in one.blade_cuts.due():
+                try:
+                    made = one.simulation.prepared_sheet(sheet)
+                except UserError as error:
+                    one.blade_cuts.refuse(str(error))
+                    warnings.warn(f"a blade's cut of organ '{self.names[number]}' was not opened: {error}", stacklevel=3)
+                    continue
+                made.continue_from(one.simulation)
+                one.exchange(made)
+                self._take_up(number)
 
     def find(self) -> None:
         """Find what tools and organs may touch at present, and apply it."""

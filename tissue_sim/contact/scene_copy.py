@@ -59,7 +59,7 @@ def copied_simulation(simulation: Simulation) -> Simulation:
     made.model = _with_own_memory(simulation.model)
     made.state = state_like(simulation.state)
     made.state.words[:] = simulation.state.words
-    made.scratch = make_scratch(made.model, len(simulation.shapes.kind))
+    made.scratch = make_scratch(made.model, len(simulation.shapes.kind), len(simulation.shapes.blades.body))
     made.scratch.coarse[:] = simulation.scratch.coarse
     made.forget_scratch()
     made.refer()

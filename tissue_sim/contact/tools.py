@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.arguments import number_of
 from tissue_sim.array_types import Floats
+from tissue_sim.contact.edges import check_edge, edges_of
 from tissue_sim.contact.gripper import Jaws, jaw_poses
 from tissue_sim.contact.quaternions import multiply, rotate
 from tissue_sim.contact.urdf import Instrument, Part, read_instrument
@@ -23,7 +24,7 @@ from tissue_sim.organ.shipped import shipped_file
 if TYPE_CHECKING:
     import trimesh
 
-SHAPE_NAMES = ("sphere", "capsule", "gripper", "mesh", "urdf")
+SHAPE_NAMES = ("sphere", "capsule", "gripper", "mesh", "urdf", "blade", "scissors")
 MOST_PLANES = 256
 MOST_FACES = 2000  # of a part of an instrument; more are decimated
 MOST_MOVED = 2e-4  # m by which that may move its surface
@@ -40,12 +41,13 @@ class Tool:
     name : str
         Its name.
     shape : str
-        sphere, capsule, gripper (two capsules, or two jaws of a mesh; see contact.gripper), mesh, or urdf.
+        sphere, capsule, gripper (two capsules, or two jaws of a mesh; see contact.gripper), mesh, urdf, blade (an edge
+        along -z that cuts towards x, see contact.edges), or scissors (two of them, as the jaws of a gripper).
     radius : float
-        Radius of a sphere or of capsules, m.
+        Radius of a sphere or of capsules, m; of a blade half the thickness of its edge.
     length : float
         Length, m, of capsules between the centres of their caps, from the origin along -z; or from a gripper's tips to
-        its hinge.
+        its hinge, or of an edge.
     mesh : str
         Mesh file in m, a closed surface where it is not convex; config/jaws/flat.obj comes with the package. Of an
         instrument its URDF.
@@ -58,6 +60,10 @@ class Tool:
         Link of a URDF whose frame is the tool's; empty for its root.
     jaw_joint : str
         Joint of a URDF that moves the jaws; empty for none.
+    height : float
+        Height, m, of a blade behind its edge.
+    cautery_speed : float
+        Speed, m/s, at which a blade parts tissue without force, as a cautery hook does; 0: it cuts by force.
     """
 
     name: str
@@ -69,16 +75,18 @@ class Tool:
     links: Sequence[str] = ()
     tip_link: str = ""
     jaw_joint: str = ""
+    height: float = 0.01
+    cautery_speed: float = 0.0
 
     @property
     def n_bodies(self) -> int:
         """Number of its rigid bodies: the two jaws of a gripper, the parts of an instrument, or one."""
-        return len(self.instrument.parts) if self.shape == "urdf" else 2 if self.shape == "gripper" else 1
+        return len(self.instrument.parts) if self.shape == "urdf" else 2 if self.shape in ("gripper", "scissors") else 1
 
     @property
     def has_jaws(self) -> bool:
         """Whether an angle, or another position of a joint, moves its bodies."""
-        return self.shape == "gripper" or (self.shape == "urdf" and bool(self.jaw_joint))
+        return self.shape in ("gripper", "scissors") or (self.shape == "urdf" and bool(self.jaw_joint))
 
     @property
     def instrument(self) -> Instrument:
@@ -98,7 +106,7 @@ class Tool:
     @property
     def is_round(self) -> bool:
         """Whether `radius` is that of its bodies: of spheres, capsules, and jaws that are capsules."""
-        return self.shape in ("sphere", "capsule") or (self.shape == "gripper" and not self.mesh)
+        return self.shape in ("sphere", "capsule", "blade", "scissors") or (self.shape == "gripper" and not self.mesh)
 
     @property
     def jaws(self) -> Jaws:
@@ -159,6 +167,7 @@ class ToolSet:
             [(body.smallest, float(np.linalg.norm(body.corners, axis=1).max())) for body in bodies],
         )
         members = zip(self.tools, self.bodies, strict=True)
+        self.shapes = self.shapes._replace(blades=edges_of(self.tools, self.bodies))
         self.shapes.smoothing[:] = [tool.smoothing for tool, own in members for _ in own]
 
     def index(self, tool: int | str) -> int:
@@ -227,6 +236,8 @@ def _bodies(tool: Tool) -> list[_Body]:
     if tool.shape == "sphere":
         return [_Body(SPHERE, (tool.radius, 0.0), np.zeros((2, 3)), tool.radius)]
     _check_length(tool)
+    if tool.shape in ("blade", "scissors"):
+        check_edge(tool)
     ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -tool.length]])
     capsule = _Body(CAPSULE, (tool.radius, tool.length), ends, tool.radius)
     return [capsule] * tool.n_bodies

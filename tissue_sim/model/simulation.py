@@ -15,10 +15,12 @@ from tissue_sim.errors import UserError
 from tissue_sim.handles import handle
 from tissue_sim.model.cutting.carry import NO_PLAN, CarryPlan, carry, carry_plan
 from tissue_sim.model.cutting.cut import CutOrgan, CutReport, cut_again, not_cut
+from tissue_sim.model.cutting.cut_cells import cut_cells_of, sides_of
 from tissue_sim.model.cutting.cut_surface import CutSurface
 from tissue_sim.model.cutting.lips import lips_of
 from tissue_sim.model.cutting.masses import fastest_mode
-from tissue_sim.model.cutting.sheet import sheet_of
+from tissue_sim.model.cutting.sheet import Sheet, sheet_of
+from tissue_sim.model.data.blades import no_cut_cells
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.records import words_of
@@ -143,6 +145,8 @@ class Simulation:
         self.settings = Settings.new()
         self.settings.tick_time = 1.0 / rate
         self.settings.friction = 0.6
+        self.settings.toughness = 120.0
+        self.settings.flank_friction = 1e3
         self.settings.force_clamp = 10.0
         self.settings.force_slew = 1e3
         self.settings.stale_time = 0.05
@@ -160,10 +164,14 @@ class Simulation:
         # Nothing that a tool can do moves tissue by more than the organ's own size.
         self.settings.runaway_span = float(np.linalg.norm(np.ptp(self.model.rest, axis=0)))
         n_bodies, n_modes = len(shapes.kind), len(self.model.reduction.frequency)
-        self.state: State = make_state(organ.n_nodes, n_bodies, n_modes, len(self.model.cells))
+        self.state: State = make_state(
+            organ.n_nodes, n_bodies, n_modes, len(self.model.cells), len(shapes.blades.body)
+        )
         self.frequency = largest_frequency(self.model)
         self.set_substeps()
-        self.scratch = make_scratch(self.model, n_bodies)
+        self.scratch = make_scratch(self.model, n_bodies, len(shapes.blades.body))
+        if len(shapes.blades.body) and model == "cells" and local_region == "off":
+            self.model = self.model._replace(cut_cells=cut_cells_of(organ))
         self.refer()
         self.reset()
 
@@ -282,12 +290,37 @@ class Simulation:
         UserError
             As `cut` does.
         """
+        return self.prepared_sheet(sheet_of(self.uncut_organ, polyline, direction, depth))
+
+    @property
+    def uncut_organ(self) -> Organ:
+        """The organ without its cuts."""
+        return self.cut_organ.uncut if self.cut_organ else self.organ
+
+    def prepared_sheet(self, sheet: Sheet) -> Simulation:
+        """Return the simulation at rest of the organ cut along a sheet, as `prepared_cut` does.
+
+        Parameters
+        ----------
+        sheet : Sheet
+            The sheet.
+
+        Returns
+        -------
+        Simulation
+            With the `carry_plan` that lets it continue this one.
+
+        Raises
+        ------
+        UserError
+            As `cut` does.
+        """
         if self.variant != "cells":
             raise UserError(f"model {self.variant} can't be cut; use model cells, which a calibrated organ has")
         if self.local_region != "off" or self.model.shape_gravity.any():
             raise UserError("a cut needs local_region off, and shape_gravity [0, 0, 0] where there is gravity")
         before = self.cut_organ or not_cut(self.organ)
-        after = cut_again(before, sheet_of(before.uncut, polyline, direction, depth))
+        after = cut_again(before, sheet)
         made = Simulation(
             after.organ,
             model="cells",
@@ -296,7 +329,7 @@ class Simulation:
             integrator=self.integrator,
             substeps=self._fixed_substeps,
         )
-        made.open_lips(after.surface)
+        made.open_cuts(after.surface, sides_of(after))
         made.take_settings(self.settings)
         made.frequency = max(made.frequency, fastest_mode(after.organ))
         made.set_substeps()
@@ -310,15 +343,20 @@ class Simulation:
         made.cut_organ = after._replace(reports=(*after.reports[:-1], report))
         return made
 
-    def open_lips(self, surface: CutSurface) -> None:
-        """Let the lips of cuts touch each other.
+    def open_cuts(self, surface: CutSurface, sides: tuple[Longs, Longs] | None = None) -> None:
+        """Let the lips of cuts touch each other, and blades move between them.
 
         Parameters
         ----------
         surface : CutSurface
             Surface of the cut organ.
+        sides : tuple[Longs, Longs] | None, shape (c, 4) each, optional
+            Nodes on both sides, see cut_cells.sides_of; without them no blade moves in these cuts.
         """
         self.model = self.model._replace(lips=lips_of(surface, self.organ.rest_positions))
+        if len(self.shapes.blades.body):
+            cells = no_cut_cells() if sides is None else cut_cells_of(self.organ, sides)
+            self.model = self.model._replace(cut_cells=cells)
         self.refer()
 
     def return_from(self, cut: Simulation) -> None:
@@ -336,7 +374,7 @@ class Simulation:
     def _renew(self) -> None:
         """Begin anew, as if just made: with a state and working memory of its own, which nothing has used."""
         self.state = state_like(self.state)
-        self.scratch = make_scratch(self.model, len(self.shapes.kind))
+        self.scratch = make_scratch(self.model, len(self.shapes.kind), len(self.shapes.blades.body))
         if self.model.tissue is not None:
             self.model.tissue.stiff[:] = 0
         self.refer()

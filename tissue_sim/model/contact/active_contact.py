@@ -83,7 +83,7 @@ def gather_contacts(world: World, step: float, spread: bool) -> int:
             if scratch.watched_gap[index] >= NEAR:
                 continue
         near = False
-        if state.bodies[body].engaged and found < len(scratch.active):
+        if state.bodies[body].engaged and not state.bodies[body].cutting and found < len(scratch.active):
             contact = scratch.active[found]
             contact.entry, contact.body = entry, body
             gap = place_tool(state, shapes, scratch, contact)

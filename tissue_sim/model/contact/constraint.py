@@ -15,6 +15,7 @@ import math
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.active_contact import ActiveContact, gather_contacts, place_again, whole_impulse
+from tissue_sim.model.contact.blade import begin_cuts, end_blades, find_blades, press_blades
 from tissue_sim.model.contact.gap import gap_and_normal, point_in_body
 from tissue_sim.model.contact.lips import find_lips, press_lips
 from tissue_sim.model.contact.volume_limit import (
@@ -107,7 +108,7 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
     Projected Gauss-Seidel on accumulated impulses: a point pushed too far by its neighbours moves back, so that points
     sharing nodes converge to one distribution of force instead of alternating. It starts from the impulses of the last
     substep, and ends when a pass changes them by less than TOLERANCE of their sum. Compressed cells of the model are
-    resolved along with the points, and so are the lips of cuts.
+    resolved along with the points, and so are the lips of cuts and the blades in them.
 
     scratch.origin (T, 3) and scratch.rotation (T, 9) are the tools at the substep's end, last_* at its beginning. The
     impulses on the tissue, N s, and their moments about the tool's origin, N m s, are added to scratch.impulse (T, 6).
@@ -127,7 +128,8 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
     scratch.compressing[0] = compressed
     lips = find_lips(model.lips, state, scratch.mobility, step)
     found = gather_contacts(world, step, spread)
-    if found == 0 and compressed == 0 and lips == 0:
+    cutting = find_blades(world, step)
+    if found == 0 and compressed == 0 and lips == 0 and cutting == 0:
         return 0
     for index in range(found):
         contact = scratch.active[index]
@@ -138,6 +140,8 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
         held = enforce_volume_limit(state, scratch, compressed, step)
         if lips > 0:
             held = press_lips(model.lips, state, scratch.mobility, lips, step) and held
+        if cutting > 0:
+            held = press_blades(world, cutting, step) and held
         change = total = 0.0
         for index in range(found):
             contact = scratch.active[index]
@@ -155,7 +159,10 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
         if contact.pressed > 0.0:
             touching += 1
             count_impulse(state, scratch, contact)
-    return touching
+    if cutting > 0:
+        end_blades(world, cutting, step)
+    begin_cuts(world, found, step)
+    return touching + cutting
 
 
 @kernel

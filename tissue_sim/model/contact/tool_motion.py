@@ -86,7 +86,7 @@ def release_body(status: BodyStatus) -> None:
         Status of the body; updated.
     """
     status.resisted, status.placed = status.engaged or status.resisted, not status.held_off
-    status.engaged = status.held_off = False
+    status.engaged = status.held_off = status.cutting = False
     status.released = True
     status.releases += 1
 
@@ -168,7 +168,8 @@ def find_walls(model: Model, state: State, scratch: Scratch) -> None:
         for c in range(nodes_of(contacts, entry)):
             if model.inverse_mass[contacts.node[entry, c]] > 0.0:
                 moves += contacts.weight[entry, c]
-        if moves < MOVES and state.bodies[contacts.body[entry]].engaged:
+        status = state.bodies[contacts.body[entry]]
+        if moves < MOVES and status.engaged and not status.cutting:
             scratch.wall[count] = entry
             count += 1
     scratch.walls[0] = count

@@ -37,6 +37,7 @@ _KEPT = (
     "felt",
     "contact_pressed",
     "contact_held",
+    "blades",
 )
 # The tick finds out about cells again, and about the region, which is the whole organ.
 _RENEWED = (

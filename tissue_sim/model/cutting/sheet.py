@@ -41,6 +41,8 @@ class Sheet(NamedTuple):
     rise: float  # m by which it goes on against the direction, so that it opens the surface
     frame: Floats  # (2, 3) axes of the plane across the direction
     reached: float  # m, how deep below the surface it ends, where it is deepest
+    depths: Floats  # (m,) m, of each corner of the polyline, and linear between them
+    mark: int = 0  # number of the blade's cut that it is a stage of; 0: it is no blade's
 
     @property
     def flat(self) -> Floats:
@@ -92,13 +94,16 @@ class Sheet(NamedTuple):
         more : float, m, optional
             How much farther than its front it reaches.
         """
-        length = float(np.linalg.norm(np.diff(self.flat, axis=0), axis=1).sum())
-        within = (place.along >= -more) & (place.along <= length + more)
-        covered: Mask = within & (place.below >= -self.rise) & (place.below <= self.depth + more)
+        begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.flat, axis=0), axis=1))])
+        within = (place.along >= -more) & (place.along <= begins[-1] + more)
+        depth = np.interp(place.along, begins, self.depths)
+        covered: Mask = within & (place.below >= -self.rise) & (place.below <= depth + more)
         return covered
 
     def deepens(self, other: Sheet) -> bool:
-        """Return whether the sheet is another one continued to the same or a greater depth."""
+        """Return whether the sheet is another one continued to the same or a greater depth, or by the same blade."""
+        if self.mark or other.mark:
+            return self.mark == other.mark
         return (
             self.polyline.shape == other.polyline.shape
             and bool(np.array_equal(self.polyline, other.polyline))
@@ -146,14 +151,14 @@ def sheet_of(organ: Organ, polyline: ArrayLike, direction: ArrayLike, depth: flo
     if not 1e-9 < size < 1e9:
         raise UserError("the cut's direction has no length")
     way = way / size
-    frame = _across(way)
+    frame = across(way)
     corners = np.array(corners)
     step = np.linalg.norm(np.diff(corners @ frame.T, axis=0), axis=1)
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)
     if np.any(step < 1e-6 * edge):
         raise UserError("two points of the cut's polyline lie on each other, or behind each other in its direction")
     _check_apart(corners @ frame.T, step, CLOSEST * edge)
-    rise, reached = _heights(organ, _samples(corners, step, edge / SAMPLES), way, far)
+    rise, reached = heights(organ, _samples(corners, step, edge / SAMPLES), way, far)
     if reached <= 0.0:
         raise UserError(f"the cut misses organ '{organ.name}', or ends above its surface")
     if reached < LEAST_DEPTH * edge:
@@ -165,11 +170,11 @@ def sheet_of(organ: Organ, polyline: ArrayLike, direction: ArrayLike, depth: flo
         raise UserError(
             f"the cut's polyline begins {1e3 * rise:.3g} mm inside organ '{organ.name}'; begin on its surface"
         )
-    return Sheet(corners, way, far, rise + edge, frame, reached)
+    return Sheet(corners, way, far, rise + edge, frame, reached, np.full(len(corners), far))
 
 
-def _across(direction: Floats) -> Floats:
-    """Return two unit vectors (2, 3) across a direction."""
+def across(direction: Floats) -> Floats:
+    """Return two unit vectors (2, 3) across a direction (3,)."""
     first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(direction, first)])
@@ -195,8 +200,20 @@ def _check_apart(flat: Floats, step: Floats, least: float) -> None:
         raise UserError(f"the cut's polyline comes closer than {1e3 * least:.2g} mm to another part of itself")
 
 
-def _heights(organ: Organ, points: Floats, direction: Floats, depth: float) -> tuple[float, float]:
-    """Return how deep inside the organ the polyline is at most, and how deep below the surface the cut ends, m."""
+def heights(organ: Organ, points: Floats, direction: Floats, depth: float | Floats) -> tuple[float, float]:
+    """Return how deep inside the organ a polyline is at most, and how deep below the surface its cut ends, m.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    points : Floats, shape (k, 3), m
+        Points of the polyline.
+    direction : Floats, shape (3,)
+        Unit direction of the cut.
+    depth : float | Floats, shape (k,), m
+        How far it is moved, at all points or at each.
+    """
     where = line_hits(organ, points, direction)  # comparisons with NaN, for a miss, are false
     before = np.where(where <= 0.0, where, -np.inf).max(axis=1)
     after = np.where(where > 0.0, where, np.inf).min(axis=1)
@@ -206,5 +223,5 @@ def _heights(organ: Organ, points: Floats, direction: Floats, depth: float) -> t
     good = np.isfinite(top)
     if not good.any():
         return 0.0, 0.0
-    reached = np.minimum(depth, last[good]) - top[good]
+    reached = np.minimum(np.broadcast_to(depth, len(points))[good], last[good]) - top[good]
     return float(np.where(within & good, -top, 0.0)[good].max()), float(reached.max())

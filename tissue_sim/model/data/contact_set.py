@@ -20,7 +20,8 @@ POINT_NODES = 4  # that a point lies between, at most
 class Engaged(IntEnum):
     """State of a body in a contact set."""
 
-    NO, YES, HELD_OFF, SLIPPED = range(4)  # not searched; it may touch; it appeared inside; it has slipped inside
+    # Not searched; it may touch; it appeared inside; it has slipped inside; it is in tissue with a blade.
+    NO, YES, HELD_OFF, SLIPPED, CUTS = range(5)
 
 
 class ContactSetHeader(Record):

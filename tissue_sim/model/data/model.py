@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.model.data.blades import CutCells
 from tissue_sim.model.data.blocks import Blocks
 from tissue_sim.model.data.lips import Lips
 
@@ -93,3 +94,4 @@ class Model(NamedTuple):
     tissue: Tissue | None  # of cells; None: springs
     work: Floats  # (9 BLOCK,) room for the force kernels
     lips: Lips  # of cuts
+    cut_cells: CutCells  # in which blades find their places; none where no blade can be

@@ -44,6 +44,12 @@ class Scratch(NamedTuple):
     give: Floats  # (T,) m, yielding of a tool to an impulse of 1 N s
     active: Any  # (N,) ActiveContact: contact points resolved in this substep
     work: Floats  # (9 BLOCK,)
+    blade_rows: Any  # (S,) BladeRow: places of blades resolved in this substep
+    blade_stretch: Floats  # (9,) room: a deformation gradient, and
+    blade_back: Floats  # (9,) its inverse
+    blade_way: Floats  # (3,) room for vectors, and
+    blade_at: Floats  # (3,)
+    blade_weight: Floats  # (8,) room for barycentric weights
     compressed: Any  # (S,) CompressedCell: cells resolved in this substep
     compressing: Longs  # (1,) how many
     watched: Longs  # (C,) contact points that may touch in this tick

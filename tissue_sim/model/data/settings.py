@@ -28,6 +28,8 @@ class Settings(Record):
 
     tick_time: float  # s
     friction: float  # Coulomb coefficient
+    toughness: float  # J/m^2, that a blade needs to cut
+    flank_friction: float  # Pa of a blade's flanks in a cut
     force_clamp: float  # N
     force_slew: float  # N/s, fastest change of the haptic output
     stale_time: float  # s

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.model.data.blades import Blades, make_blades
 
 SPHERE, CAPSULE, CONVEX, GRID = 0, 1, 2, 3
 
@@ -32,6 +33,7 @@ class Shapes(NamedTuple):
     finest: Floats  # (T,) m, smallest radius of each body
     extent: Floats  # (T,) m, from the origin to the farthest point that a turn moves
     smoothing: Floats  # (T,) fraction of the time between two poses in which a body moves to the newer one
+    blades: Blades  # places on the edges and flanks of blades
 
 
 def make_shapes(
@@ -91,6 +93,7 @@ def make_shapes(
         finest=measured[:, 0].copy(),
         extent=measured[:, 1].copy(),
         smoothing=np.ones(n),
+        blades=make_blades(),
     )
 
 

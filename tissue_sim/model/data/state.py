@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.model.data.blades import BladeSample
 from tissue_sim.model.data.contact_set import (
     MOST_POINTS,
     PER_POINT,
@@ -95,6 +96,7 @@ class BodyStatus(Record):
     turning: float  # 1/s, the same for its quaternion
     force_age: int  # ticks since the newest external force; -1 before the first one
     engaged: bool  # it may touch: fresh, and outside the organ when it appeared
+    cutting: bool  # it is in tissue with a blade
     held_off: bool  # it appeared inside the organ, and nothing resists it until it has been outside
     released: bool  # poses stopped: the next one begins a new life, wherever it is
     placed: bool  # a hand began here, or is resisted here: the body stays while poses pause
@@ -152,6 +154,7 @@ class State(NamedTuple):
     prescribed_to: Floats  # (n, 3) m
     is_turned: Longs  # (c,) 1 for cells of the inside that are inverted
     region_hop: Longs  # (n,) 0 loaded, 1, 2 hops away, -1 outside the local region
+    blades: Any  # (S,) of BladeSample
     contacts: ContactSet  # which points may touch
 
 
@@ -183,7 +186,7 @@ def results_in(words: Longs, n_bodies: int) -> Results:
     return Results(**carve(words, _result_fields(n_bodies)))
 
 
-def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> State:
+def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0, n_samples: int = 0) -> State:
     """Return a state of zeros.
 
     Parameters
@@ -196,6 +199,8 @@ def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> Sta
         Number of modes.
     n_cells : int, optional
         Number of cells.
+    n_samples : int, optional
+        Number of places of blades.
     """
     real, whole = np.float64, np.int64
     fields: dict[str, Field] = _result_fields(n_bodies) | {
@@ -226,6 +231,7 @@ def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> Sta
         "prescribed_to": (real, (n, 3)),
         "is_turned": (whole, (n_cells,)),
         "region_hop": (whole, (n,)),
+        "blades": (BladeSample, n_samples),
     }
     size, first = size_of(fields), result_words(n_bodies)
     words = np.zeros(size + contact_set_words(n_bodies), dtype=np.int64)
@@ -246,9 +252,11 @@ def state_like(state: State) -> State:
     state : State
         The other one.
     """
-    return make_state(len(state.position), len(state.bodies), len(state.mode_position), len(state.is_turned))
+    sizes = len(state.mode_position), len(state.is_turned), len(state.blades)
+    return make_state(len(state.position), len(state.bodies), *sizes)
 
 
+_ADDED = ("blades", "bodies.cutting")  # 0 in older bags, whose tools are no blades
 _ONLY_HANDED_OUT = ("words", "results", "shape", "shape_tick")  # a tick doesn't start from these
 
 
@@ -297,6 +305,8 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
         found = fields.get(name)
         if found is not None and name.startswith("contacts."):
             found = padded(name.removeprefix("contacts."), found)
+        if found is None and name in _ADDED and target.size == 0:
+            continue
         if found is None or found.shape != target.shape:
             raise ValueError(f"its state has a different '{name}': it belongs to another organ or to other tools")
         if target.dtype.names is None:
@@ -305,6 +315,8 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
             target[...] = found
             continue
         for field in target.dtype.names:
+            if f"{name}.{field}" in _ADDED and field not in (found.dtype.names or ()):
+                continue
             if field not in (found.dtype.names or ()):
                 raise ValueError(f"its state has no '{name}.{field}'")
             target[field] = found[field]

@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
+from tissue_sim.model.data.blades import no_cut_cells
 from tissue_sim.model.data.blocks import BLOCK, aligned, empty_blocks, pack
 from tissue_sim.model.data.lips import make_lips
 from tissue_sim.model.data.model import Model, Reduction
@@ -167,6 +168,7 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
             tissue=tissue_of(rest, organ.cell_nodes, organ.cell_mu, organ.cell_lambda) if by_cells else None,
             work=aligned(np.zeros(9 * BLOCK)),
             lips=make_lips(),
+            cut_cells=no_cut_cells(),
         )
     )
     if made.tissue is None:

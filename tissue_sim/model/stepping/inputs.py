@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
+from tissue_sim.model.contact.blade import forget_blades
 from tissue_sim.model.contact.tool_motion import distance, distance_along_path, quaternion_distance
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import POINT_NODES, ContactSet, Engaged, used_words
@@ -159,7 +160,8 @@ def covers(state: State, shapes: Shapes, found: ContactSet, body: int) -> bool:
     if found.releases[body] != status.releases:
         return False
     way = distance_along_path(state.body_pose[body], found.place[body], shapes.extent[body])
-    is_reached = found.engaged[body] == Engaged.YES and way <= found.reach[body]
+    is_searched = found.engaged[body] == Engaged.YES or found.engaged[body] == Engaged.CUTS
+    is_reached = is_searched and way <= found.reach[body]
     return is_reached or (found.engaged[body] == Engaged.SLIPPED and (status.engaged or status.resisted))
 
 
@@ -284,6 +286,7 @@ def reset_state(model: Model, state: State) -> None:
     state.is_turned[:] = 0
     state.contact_pressed[:] = 0.0
     state.contact_held[:] = 0.0
+    forget_blades(state)
     drop_region(state)
     state.body_goal[:] = 0.0
     state.body_goal[:, 6] = 1.0

@@ -8,6 +8,7 @@ import numpy as np
 
 from tissue_sim.model.contact.active_contact import MOST_ACTIVE, ActiveContact
 from tissue_sim.model.contact.volume_limit import MOST_COMPRESSED, CompressedCell
+from tissue_sim.model.data.blades import LIP_NODES, BladeRow
 from tissue_sim.model.data.blocks import BLOCK, empty_blocks
 from tissue_sim.model.data.contact_set import MOST_POINTS
 from tissue_sim.model.data.model import Model
@@ -17,7 +18,7 @@ from tissue_sim.model.elasticity.cells import CONSTANTS
 from tissue_sim.model.regions.modal_region import MOST_BOUNDARY, MOST_DRIVE
 
 
-def make_scratch(model: Model, n_bodies: int) -> Scratch:
+def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
     """Return the working memory for a model, with its tables for a local region when it has one.
 
     Parameters
@@ -26,6 +27,8 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         Constants of the model.
     n_bodies : int
         Number of bodies.
+    n_samples : int, optional
+        Number of places of blades.
 
     Returns
     -------
@@ -78,6 +81,12 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         give=empty(n_bodies),
         active=records(ActiveContact, MOST_ACTIVE),
         work=empty(9 * BLOCK),
+        blade_rows=records(BladeRow, n_samples),
+        blade_stretch=empty(9),
+        blade_back=empty(9),
+        blade_way=empty(3),
+        blade_at=empty(3),
+        blade_weight=empty(LIP_NODES),
         compressed=records(CompressedCell, 0 if model.tissue is None else MOST_COMPRESSED),
         compressing=longs(1),
         watched=longs(MOST_POINTS),

@@ -100,7 +100,7 @@ class OrganPlayer:
             if cut.tick < 0:  # the bag began after it, and its organ is the cut one
                 self.cut_surface, self._finders = cut.surface, [(0, self._finder_of(cut))]
                 if cut.surface is not None:
-                    self.simulation.open_lips(cut.surface)
+                    self.simulation.open_cuts(cut.surface, cut.sides)
         first = self.tick = int(self.simulation.state.status.tick)
         journal = recording.journal
         self.inputs = {
@@ -201,7 +201,7 @@ class OrganPlayer:
             raise UserError("the bag's cut doesn't fit its organ: the bag is damaged")
         made.take_settings(before.settings)
         if found.surface is not None:
-            made.open_lips(found.surface)
+            made.open_cuts(found.surface, found.sides)
         made.plan_from(before, found.origin)
         made.continue_from(before)
         self.simulation, self.cut_surface = made, found.surface

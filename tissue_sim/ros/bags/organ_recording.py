@@ -17,6 +17,7 @@ from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.recorded_cut import RecordedCut, organ_in, recorded_cuts
 from tissue_sim.ros.shared.cdr import parse_cloud, parse_octets
 
+ADDED = ("toughness", "flank_friction")  # settings that older bags lack, whose tools are no blades
 NO_LONGER = ("factor_slot",)  # settings of older bags that this version has no use for
 
 
@@ -105,7 +106,7 @@ def settings_of(path: Path, recorded: np.ndarray) -> Settings:
     """Return settings from a record of them; raise UserError naming a field that one of both lacks."""
     names = [name for name in recorded.dtype.names or () if name not in NO_LONGER]
     wanted = Settings.dtype.names or ()
-    if differing := sorted(set(names) ^ set(wanted)):
+    if differing := sorted((set(names) ^ set(wanted)) - set(ADDED)):
         raise UserError(f"bag {path}: setting '{differing[0]}' is in the bag or in this version only; record it again")
     settings = Settings.new()
     for name in names:

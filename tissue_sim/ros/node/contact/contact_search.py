@@ -142,7 +142,7 @@ class ContactSearch:
         bodies, places = results.bodies, results.body_pose
         looked = bodies.engaged.astype(bool) | (np.array(now.fresh) & (bodies.age >= 0) & (bodies.released == 0))
         key = (*now.sequences, surface, places.tobytes(), bodies.releases.tobytes(), looked.tobytes())
-        key = (*key, bodies.engaged.tobytes(), now.pushing.tobytes())
+        key = (*key, bodies.engaged.tobytes(), bodies.cutting.tobytes(), now.pushing.tobytes())
         if key == self._last_key:
             self.unchanged_skips += 1
             return False
@@ -155,6 +155,7 @@ class ContactSearch:
         self.is_behind = bool(np.any(ways(places, goals, self._extents)[looked] > 0.5 * MARGIN))
         self._last_goals, self._last_time = goals, begun
         engaged = np.where(looked, Engaged.YES.value, Engaged.NO.value)
+        engaged[looked & bodies.cutting.astype(bool)] = Engaged.CUTS
         for body in np.flatnonzero(looked & (bodies.engaged == 0) & (bodies.resisted == 0)).tolist():
             if self.finder.is_inside(body, self._positions, places[body]):
                 engaged[body] = Engaged.HELD_OFF
@@ -171,7 +172,7 @@ class ContactSearch:
 
     def _report_inactive(self, engaged: Longs, bodies: Any) -> None:
         """Notify ports of bodies that nothing resists: each time that one was outside before, stopped or was reset."""
-        outside = engaged == Engaged.YES
+        outside = (engaged == Engaged.YES) | (engaged == Engaged.CUTS)
         held_off = ~outside & ((engaged == Engaged.HELD_OFF) | bodies.held_off.astype(bool))
         is_new = held_off & (self._told != bodies.releases)
         self._told[is_new] = bodies.releases[is_new]

@@ -1,0 +1,104 @@
+"""Cuts of blades: what they have swept in an organ becomes a cut of it, again and again while they move on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
+from tissue_sim.model.cutting.blade_path import BladePath
+from tissue_sim.model.cutting.sheet import Sheet
+from tissue_sim.model.simulation import Simulation
+
+
+class BladeCuts:
+    """Paths of all blades in one organ, and the sheets that are to be cut.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Simulation of the organ.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._organ = simulation.uncut_organ
+        blades = simulation.shapes.blades
+        self._edges = {body: np.flatnonzero((blades.body == body) & (blades.width > 0.0)) for body in set(blades.body)}
+        self._paths: dict[int, BladePath] = {}
+        self._left: list[BladePath] = []  # of blades that are out again
+        self._marks = 0
+        self.refused = 0  # cuts that could not be opened
+        self.problem = ""  # why the last one could not
+
+    def __bool__(self) -> bool:
+        return bool(self._edges)
+
+    def forget(self) -> None:
+        """Forget all paths: the organ was reset."""
+        self._paths.clear()
+        self._left.clear()
+
+    def note(self, simulation: Simulation) -> None:
+        """Note where the blades are.
+
+        Parameters
+        ----------
+        simulation : Simulation
+            Simulation of the organ; it may be running.
+        """
+        state, cells = simulation.state, simulation.model.cut_cells
+        for body, edge in self._edges.items():
+            held = edge[state.blades.embedded[edge]]
+            if not state.bodies.cutting[body] or not len(held):
+                if body in self._paths:
+                    self._left.append(self._paths.pop(body))
+                continue
+            if body not in self._paths:
+                self._marks += 1
+                self._paths[body] = BladePath(self._organ, self._marks)
+            cell = state.blades.cell[held]
+            corner = 0.5 * (state.position[cells.nodes[cell]] + state.position[cells.others[cell]])
+            back = np.linalg.inv(np.einsum("kax,kac->xc", corner, cells.slope[cell]) / len(held))
+            blades, turn = simulation.shapes.blades, _matrix(state.body_pose[body, 3:])
+            forward = back @ turn @ blades.forward[held[0]]
+            along = back @ turn @ np.cross(blades.normal[held[0]], blades.forward[held[0]])
+            reach = 0.5 * blades.width[held[0]] * along
+            places = state.blades.rest[held]
+            self._paths[body].note(np.concatenate([places - reach, places, places + reach]), forward, along)
+
+    def due(self) -> Iterator[Sheet]:
+        """Yield the sheets by which cuts have grown so much that they should be opened."""
+        left, self._left = self._left, []
+        for path in (*left, *self._paths.values()):
+            if path in left and path.is_open:
+                continue
+            if path in left or path.has_grown:
+                try:
+                    yield path.sheet()
+                except UserError as error:
+                    if path in left:
+                        self.refuse(str(error))
+
+    def refuse(self, problem: str) -> None:
+        """Count a cut that could not be opened.
+
+        Parameters
+        ----------
+        problem : str
+            The reason.
+        """
+        self.refused, self.problem = self.refused + 1, problem
+
+
+def _matrix(quaternion: Floats) -> Floats:
+    """Return the rotation matrix (3, 3) of a unit quaternion xyzw."""
+    x, y, z, w = quaternion
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )

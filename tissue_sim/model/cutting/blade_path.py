@@ -1,0 +1,149 @@
+"""Where a blade has been in an organ at rest, and the sheet that it has swept there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
+from tissue_sim.model.cutting.sheet import LEAST_DEPTH, RESOLVED_DEPTH, Sheet, across, heights
+from tissue_sim.organ.normals import surface_normals
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surfaces.line_hits import line_hits
+from tissue_sim.organ.surfaces.sizing import mean_edge
+
+BIN = 0.5  # mean edges of the surface, into which the length of a cut is divided
+STEEP = 0.3  # cosine between the plane of a blade and the surface's normal, below which the cut goes where the edge does
+GROWN = 0.35  # mean edges by which a cut has grown when it is opened again
+
+
+class BladePath:
+    """Places that the edge of one blade has passed in an organ, and the sheet through them.
+
+    The sheet is ruled along one direction: into the organ, in the plane of the blade where it entered. Across that it
+    follows the blade, and its depth is the greatest at each place of its length. A blade that turns back, or by more
+    than a right angle, needs another path.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ, uncut.
+    mark : int
+        Number of the cut, by which its later sheets take the place of earlier ones.
+    """
+
+    def __init__(self, organ: Organ, mark: int) -> None:
+        self._organ, self._mark = organ, mark
+        self._edge = mean_edge(organ.surface_positions, organ.surface_triangles)
+        self._axes: Floats | None = None  # (3, 3) along the cut, into the organ, and across both
+        self._deepest: dict[int, float] = {}  # m, by bin
+        self._aside: dict[int, float] = {}  # m
+        self._ends = (np.inf, -np.inf)  # m along the cut
+        self._opened: tuple[dict[int, float], tuple[float, float]] = ({}, (np.inf, -np.inf))
+
+    def note(self, places: Floats, forward: Floats, along: Floats) -> None:
+        """Note where the edge is.
+
+        Parameters
+        ----------
+        places : Floats, shape (k, 3), m
+            Places on it, at rest.
+        forward : Floats, shape (3,)
+            Direction in which it cuts, at rest.
+        along : Floats, shape (3,)
+            Direction of the edge, at rest.
+        """
+        if self._axes is None:
+            self._axes = self._frame(places.mean(axis=0), forward, along)
+        length, depth, aside = self._axes @ places.T
+        self._ends = min(self._ends[0], float(length.min())), max(self._ends[1], float(length.max()))
+        order = np.argsort(length)
+        size = BIN * self._edge
+        first, last = np.floor(length[order[[0, -1]]] / size).astype(int)
+        for number in range(first, last + 1):
+            within = np.floor(length / size).astype(int) == number
+            # Between two places of the edge, it is where the line between them is.
+            middle = (number + 0.5) * size
+            deep = float(depth[within].max()) if within.any() else float(np.interp(middle, length[order], depth[order]))
+            off = float(aside[within].mean()) if within.any() else float(np.interp(middle, length[order], aside[order]))
+            if deep > self._deepest.get(number, -np.inf):
+                self._deepest[number] = deep
+                self._aside.setdefault(number, off)
+
+    def _frame(self, place: Floats, forward: Floats, along: Floats) -> Floats:
+        """Return the axes (3, 3) of a cut that begins at a place."""
+        nearest = np.argmin(np.linalg.norm(self._organ.surface_positions - place, axis=1))
+        inward = -surface_normals(self._organ.surface_positions, self._organ.surface_triangles)[nearest]
+        normal = np.cross(along, forward)
+        normal /= np.linalg.norm(normal)
+        into = inward - (inward @ normal) * normal
+        size = float(np.linalg.norm(into))
+        into = into / size if size > STEEP else forward / np.linalg.norm(forward)
+        return np.stack([np.cross(into, normal), into, normal])
+
+    @property
+    def has_grown(self) -> bool:
+        """Whether the cut has grown by so much since it was opened that it should be again."""
+        return self._growth() >= GROWN * self._edge
+
+    @property
+    def is_open(self) -> bool:
+        """Whether all of it but a hair has been opened."""
+        return self._growth() < 0.25 * GROWN * self._edge
+
+    def _growth(self) -> float:
+        """Return by how much the cut is deeper or longer than what was opened, m."""
+        deepest, (first, last) = self._opened
+        if not self._deepest:
+            return 0.0
+        if not deepest:
+            return float("inf")
+        deeper = max(deep - deepest.get(number, -np.inf) for number, deep in self._deepest.items() if number in deepest)
+        return max(deeper, first - self._ends[0], self._ends[1] - last)
+
+    def sheet(self) -> Sheet:
+        """Return the sheet that the blade has swept; it counts as opened from here on.
+
+        Raises
+        ------
+        UserError
+            While the cut is too shallow for the surface.
+        """
+        if self._axes is None:
+            raise UserError("the blade has not been in the organ")
+        size = BIN * self._edge
+        numbers = np.array(sorted(self._deepest))
+        along = np.clip((numbers + 0.5) * size, *self._ends)
+        deep = np.array([self._deepest[number] for number in numbers])
+        off = np.array([self._aside[number] for number in numbers])
+        at = np.concatenate([[self._ends[0]], along, [self._ends[1]]])
+        apart = np.concatenate([[True], np.diff(at) > 0.1 * size])
+        apart[-1] = True
+        if len(at) > 2 and not at[-1] - at[-2] > 0.1 * size:
+            apart[-2] = False
+        at, deep, off = at[apart], np.interp(at, along, deep)[apart], np.interp(at, along, off)[apart]
+        if len(at) < 2 or at[-1] - at[0] < 0.1 * size:
+            raise UserError("the cut has no length yet")
+        first, into, normal = self._axes
+        bottom = at[:, None] * first + deep[:, None] * into + off[:, None] * normal
+        depth = self._below(bottom, into)
+        corners = bottom - depth[:, None] * into
+        rise, reached = heights(self._organ, corners, into, depth)
+        if reached < LEAST_DEPTH * self._edge:
+            raise UserError(
+                f"the cut is {1e3 * max(reached, 0.0):.2g} mm deep, too shallow to open a surface with edges of"
+                f" {1e3 * self._edge:.2g} mm"
+            )
+        self._opened = dict(self._deepest), self._ends
+        rise = min(rise, RESOLVED_DEPTH * self._edge) + self._edge
+        return Sheet(corners, into, float(depth.max()), rise, across(into), reached, depth, self._mark)
+
+    def _below(self, places: Floats, into: Floats) -> Floats:
+        """Return how deep below the surface places (k, 3) are, m (k,), at least a part of an edge."""
+        where = line_hits(self._organ, places, into)
+        before = np.where(where <= 0.0, where, -np.inf).max(axis=1)
+        depth = np.where(np.isfinite(before), -before, np.nan)
+        if np.isnan(depth).all():
+            return np.full(len(places), 0.1 * self._edge)
+        known = np.flatnonzero(~np.isnan(depth))
+        return np.maximum(np.interp(np.arange(len(depth)), known, depth[known]), 0.1 * self._edge)
