@@ -28,7 +28,7 @@ class BladeCuts:
         self._edges = {body: np.flatnonzero((blades.body == body) & (blades.width > 0.0)) for body in set(blades.body)}
         self._paths: dict[int, BladePath] = {}
         self._left: list[BladePath] = []  # of blades that are out again
-        self._marks = 0
+        self._earlier: list[BladePath] = []  # all since the last reset
         self.refused = 0  # cuts that could not be opened
         self.problem = ""  # why the last one could not
 
@@ -39,6 +39,7 @@ class BladeCuts:
         """Forget all paths: the organ was reset."""
         self._paths.clear()
         self._left.clear()
+        self._earlier.clear()
 
     def note(self, simulation: Simulation) -> None:
         """Note where the blades are.
@@ -55,9 +56,6 @@ class BladeCuts:
                 if body in self._paths:
                     self._left.append(self._paths.pop(body))
                 continue
-            if body not in self._paths:
-                self._marks += 1
-                self._paths[body] = BladePath(self._organ, self._marks)
             cell = state.blades.cell[held]
             corner = 0.5 * (state.position[cells.nodes[cell]] + state.position[cells.others[cell]])
             back = np.linalg.inv(np.einsum("kax,kac->xc", corner, cells.slope[cell]) / len(held))
@@ -66,7 +64,17 @@ class BladeCuts:
             along = back @ turn @ np.cross(blades.normal[held[0]], blades.forward[held[0]])
             reach = 0.5 * blades.width[held[0]] * along
             places = state.blades.rest[held]
+            if body not in self._paths:
+                self._paths[body] = self._path(places, forward, along)
             self._paths[body].note(np.concatenate([places - reach, places, places + reach]), forward, along)
+
+    def _path(self, places: Floats, forward: Floats, along: Floats) -> BladePath:
+        """Return the path of a blade that has entered: that of an earlier cut in which it is, or a new one."""
+        for path in self._earlier:
+            if path.continues(places, forward, along):
+                return path
+        self._earlier.append(BladePath(self._organ, len(self._earlier) + 1))
+        return self._earlier[-1]
 
     def due(self) -> Iterator[Sheet]:
         """Yield the sheets by which cuts have grown so much that they should be opened."""

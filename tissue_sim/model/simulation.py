@@ -15,7 +15,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.handles import handle
 from tissue_sim.model.cutting.carry import NO_PLAN, CarryPlan, carry, carry_plan
 from tissue_sim.model.cutting.cut import CutOrgan, CutReport, cut_again, not_cut
-from tissue_sim.model.cutting.cut_cells import cut_cells_of, sides_of
+from tissue_sim.model.cutting.cut_cells import Sides, cut_cells_of, sides_of
 from tissue_sim.model.cutting.cut_surface import CutSurface
 from tissue_sim.model.cutting.lips import lips_of
 from tissue_sim.model.cutting.masses import fastest_mode
@@ -343,15 +343,15 @@ class Simulation:
         made.cut_organ = after._replace(reports=(*after.reports[:-1], report))
         return made
 
-    def open_cuts(self, surface: CutSurface, sides: tuple[Longs, Longs] | None = None) -> None:
+    def open_cuts(self, surface: CutSurface, sides: Sides | None = None) -> None:
         """Let the lips of cuts touch each other, and blades move between them.
 
         Parameters
         ----------
         surface : CutSurface
             Surface of the cut organ.
-        sides : tuple[Longs, Longs] | None, shape (c, 4) each, optional
-            Nodes on both sides, see cut_cells.sides_of; without them no blade moves in these cuts.
+        sides : Sides | None, optional
+            Its cells on both sides; without them no blade moves in these cuts.
         """
         self.model = self.model._replace(lips=lips_of(surface, self.organ.rest_positions))
         if len(self.shapes.blades.body):

@@ -16,6 +16,7 @@ import math
 
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
+from tissue_sim.model.contact.active_contact import ActiveContact
 from tissue_sim.model.data.blades import CORNERS, LIP_NODES, BladeRow, BladeSample, CutCells
 from tissue_sim.model.data.contact_set import nodes_of
 from tissue_sim.model.data.scratch import Scratch
@@ -31,6 +32,9 @@ AT_FRONT = 1e-9  # m at rest, within which a place is at the front of its cut
 # not fit together.
 GIVE = 1e-3
 EASES = 0.02  # s, in which tissue gives way to forces across a flank that only balance each other
+MOST_OFFSET = 1e-3  # m, of a place from the tissue around it, where it enters beside others
+MOST_SPEED = 2.0  # m/s, of a place through tissue
+MOST_BACK = 4.0  # Frobenius norm of displacements at rest to those now; that of the unit matrix is 1.7
 SETTLED = 1e-3  # fraction of the impulses that a pass may still change
 
 
@@ -75,7 +79,7 @@ def find_blades(world: World, step: float) -> int:
 
 @kernel
 def _leave(sample: BladeSample) -> None:
-    sample.embedded = False
+    sample.embedded = sample.free = False
     sample.depth = sample.deepest = sample.area = 0.0
     for axis in range(3):
         sample.force[axis] = sample.offset[axis] = 0.0
@@ -185,18 +189,25 @@ def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) ->
 
 @kernel
 def _write_inverse(a: Floats, inverse: Floats) -> None:
-    """Write the inverse (9,) of a matrix (9,), row by row; the unit matrix where it is nearly singular."""
+    """Write the inverse (9,) of a deformation gradient (9,), row by row, at most MOST_BACK large.
+
+    It is 0 where that is nearly singular: inverted cells tell nothing about directions.
+    """
     c0, c1, c2 = a[4] * a[8] - a[5] * a[7], a[5] * a[6] - a[3] * a[8], a[3] * a[7] - a[4] * a[6]
     determinant = a[0] * c0 + a[1] * c1 + a[2] * c2
-    if determinant < 0.05:  # nearly inverted cells tell nothing about directions
+    if determinant < 0.05:
         inverse[:] = 0.0
-        inverse[0] = inverse[4] = inverse[8] = 1.0
         return
     inverse[0], inverse[3], inverse[6] = c0, c1, c2
     inverse[1], inverse[4], inverse[7] = a[2] * a[7] - a[1] * a[8], a[0] * a[8] - a[2] * a[6], a[1] * a[6] - a[0] * a[7]
     inverse[2], inverse[5], inverse[8] = a[1] * a[5] - a[2] * a[4], a[2] * a[3] - a[0] * a[5], a[0] * a[4] - a[1] * a[3]
+    square = 0.0
     for c in range(9):
         inverse[c] /= determinant
+        square += inverse[c] * inverse[c]
+    if square > MOST_BACK * MOST_BACK:
+        for c in range(9):
+            inverse[c] *= MOST_BACK / math.sqrt(square)
 
 
 @kernel
@@ -207,14 +218,17 @@ def _resist(world: World, row: BladeRow, sample: BladeSample, step: float) -> No
     fx, fy, fz = _times(b, f[0], f[1], f[2])
     ex, ey, ez = _times(b, e[0], e[1], e[2])
     row.area_ratio = math.sqrt((fy * ez - fz * ey) ** 2 + (fz * ex - fx * ez) ** 2 + (fx * ey - fy * ex) ** 2)
+    if row.area_ratio == 0.0:
+        row.area_ratio = 1.0
     row.most = settings.force_clamp * step
     row.drag = settings.flank_friction * blades.flank[row.sample] * step
     width, speed = blades.width[row.sample], blades.speed[row.sample]
     row.resistance = 0.0
+    sample.free = sample.free and world.model.cut_cells.is_cut[sample.cell] == 1
     if width > 0.0 and speed > 0.0:
         _melt(world, row, sample, speed * step)
         row.resistance = row.most
-    elif width > 0.0 and sample.depth >= sample.deepest - AT_FRONT:
+    elif width > 0.0 and not sample.free and sample.depth >= sample.deepest - AT_FRONT:
         row.resistance = settings.toughness * width * row.area_ratio * step
     row.slips = row.cuts = False
     for axis in range(3):
@@ -343,7 +357,9 @@ def end_blades(world: World, found: int, step: float) -> None:
             across = n[0] * x + n[1] * y + n[2] * z - soft * pushed[2]
         elif row.side == 0.0:
             across = step / EASES * soft * (pushed[2] - _mean_across(scratch, row.body, found))
-        _advance(world, row, sample, (ahead, aside, across))
+        most = MOST_SPEED * step
+        ahead, aside = min(max(ahead, -most), most), min(max(aside, -most), most)
+        _advance(world, row, sample, (ahead, aside, min(max(across, -most), most)))
         impulse, arm = scratch.impulse[row.body], row.arm
         px = pushed[0] * f[0] + pushed[1] * e[0] + pushed[2] * n[0]
         py = pushed[0] * f[1] + pushed[1] * e[1] + pushed[2] * n[1]
@@ -389,7 +405,9 @@ def _advance(world: World, row: BladeRow, sample: BladeSample, way: tuple[float,
     fx, fy, fz = _times(row.back, f[0], f[1], f[2])
     forward = ahead * math.sqrt(fx * fx + fy * fy + fz * fz)
     sample.depth += forward
-    if sample.depth > sample.deepest:
+    if sample.free:
+        sample.deepest = sample.depth
+    elif sample.depth > sample.deepest:
         new = (sample.depth - sample.deepest) / forward if forward > 0.0 else 0.0
         sample.area += min(1.0, new) * ahead * world.shapes.blades.width[row.sample] * row.area_ratio
         sample.deepest = sample.depth
@@ -399,9 +417,9 @@ def _advance(world: World, row: BladeRow, sample: BladeSample, way: tuple[float,
 def _enters(world: World, number: int) -> bool:
     """Return whether a place of a blade is in tissue now, by the nearest place of its body that is already there."""
     state, scratch, cells, blades = world.state, world.scratch, world.model.cut_cells, world.shapes.blades
-    best, chosen = math.inf, -1
+    best, chosen, body = math.inf, -1, blades.body[number]
     for other in range(len(state.blades)):
-        if blades.body[other] == blades.body[number] and state.blades[other].embedded:
+        if blades.body[other] == body and state.blades[other].embedded:
             square = 0.0
             for axis in range(3):
                 square += (blades.at[other, axis] - blades.at[number, axis]) ** 2
@@ -410,30 +428,38 @@ def _enters(world: World, number: int) -> bool:
     if chosen < 0:
         return False
     beside, sample, cell = state.blades[chosen], state.blades[number], state.blades[chosen].cell
-    stretch, way = scratch.blade_stretch, scratch.blade_way
+    stretch, at, weight = scratch.blade_stretch, scratch.blade_at, scratch.blade_weight
+    if not _locate(cells, beside, weight):
+        return False
     stretch[:] = 0.0
+    _turned(scratch.rotation[body], blades.at[number], at)
+    for axis in range(3):
+        at[axis] += scratch.origin[body, axis]
     for corner in range(CORNERS):
         first, second = cells.nodes[cell, corner], cells.others[cell, corner]
         for axis in range(3):
-            at = 0.5 * (state.position[first, axis] + state.position[second, axis])
+            place = 0.5 * (state.position[first, axis] + state.position[second, axis])
+            at[axis] -= weight[corner] * place
             for c in range(3):
-                stretch[3 * axis + c] += at * cells.slope[cell, corner, c]
+                stretch[3 * axis + c] += place * cells.slope[cell, corner, c]
     _write_inverse(stretch, scratch.blade_back)
-    for axis in range(3):
-        way[axis] = blades.at[number, axis] - blades.at[chosen, axis]
-    rotation = scratch.rotation[blades.body[number]]
-    _turned(rotation, way, sample.rest)
-    x, y, z = _times(scratch.blade_back, sample.rest[0], sample.rest[1], sample.rest[2])
+    x, y, z = _times(scratch.blade_back, at[0], at[1], at[2])
+    _leave(sample)
     sample.rest[0], sample.rest[1], sample.rest[2] = beside.rest[0] + x, beside.rest[1] + y, beside.rest[2] + z
     sample.cell = cell
-    if not _locate(cells, sample, scratch.blade_weight):
+    if not _locate(cells, sample, weight):
         return False
     for corner in range(CORNERS):
-        if scratch.blade_weight[corner] < 0.0:
+        if weight[corner] < 0.0:
             return False
-    _leave(sample)
+    _write_offset(world, number, weight)
+    square = 0.0
+    for axis in range(3):
+        square += sample.offset[axis] ** 2
+    if square > MOST_OFFSET * MOST_OFFSET:
+        return False
     sample.embedded = True
-    _write_offset(world, number, scratch.blade_weight)
+    sample.free = cells.is_cut[sample.cell] == 1
     return True
 
 
@@ -456,13 +482,13 @@ def begin_cuts(world: World, touching: int, step: float) -> None:
     for body in range(len(state.bodies)):
         if state.bodies[body].cutting or not state.bodies[body].engaged:
             continue
-        load, width, is_hot = _edge_load(world, body, touching)
-        if width == 0.0 or load <= 0.0 or (not is_hot and load < world.settings.toughness * width * step):
+        load, touched, width = _edge_load(world, body, touching)
+        if touched == 0.0 or load <= 0.0 or load < world.settings.toughness * width * step:
             continue
         began = False
         for number in range(len(state.blades)):
             if blades.body[number] == body and blades.width[number] > 0.0:
-                began = _begin(world, number, touching, load / (width * step)) or began
+                began = _begin(world, number, touching, load / (touched * step)) or began
         if began:
             state.bodies[body].cutting = True
             for entry in range(state.contacts.header.points):
@@ -472,30 +498,43 @@ def begin_cuts(world: World, touching: int, step: float) -> None:
 
 
 @kernel
-def _edge_load(world: World, body: int, touching: int) -> tuple[float, float, bool]:
-    """Return the impulse forward, N s, by which a body presses, and the width, m, of its edge that does.
+def _edge_load(world: World, body: int, touching: int) -> tuple[float, float, float]:
+    """Return the impulse forward, N s, by which a body presses, and the widths, m, of its edge that does.
 
-    Beside that, whether it parts tissue without force.
+    The first width is of what presses anything, the second of what presses tissue that has to be cut, or 0 for a blade
+    that parts it without force.
     """
     state, blades, scratch = world.state, world.shapes.blades, world.scratch
-    load = width = 0.0
-    is_hot, is_first = False, True
+    load = touched = width = 0.0
+    is_first = True
     for number in range(len(state.blades)):
         if blades.body[number] != body or blades.width[number] == 0.0:
             continue
         if is_first:
             _turned(scratch.rotation[body], blades.forward[number], scratch.blade_way)
             is_first = False
-        is_hot = is_hot or blades.speed[number] > 0.0
-        if _pressed_beside(world, number, touching) >= 0:
-            width += blades.width[number]
+        chosen = _pressed_beside(world, number, touching)
+        if chosen >= 0:
+            touched += blades.width[number]
+            if blades.speed[number] == 0.0 and not _is_in_cut(world, scratch.active[chosen]):
+                width += blades.width[number]
     forward = scratch.blade_way
     for index in range(touching):
         contact = scratch.active[index]
         if contact.body == body and contact.pressed > 0.0:
             for axis in range(3):
                 load += forward[axis] * (contact.pressed * contact.normal[axis] + contact.held[axis])
-    return load, width, is_hot
+    return load, touched, width
+
+
+@kernel
+def _is_in_cut(world: World, contact: ActiveContact) -> bool:
+    """Return whether a contact point lies on the lips of a cut, or on its walls."""
+    cells, count = world.model.cut_cells, len(world.model.cut_cells.first)
+    for corner in range(contact.nodes):
+        if contact.node[corner] >= count:
+            return True
+    return cells.is_cut[cells.first[contact.node[0]]] == 1
 
 
 @kernel
@@ -528,8 +567,11 @@ def _begin(world: World, number: int, touching: int, load: float) -> bool:
         return False
     contact, sample, at = scratch.active[chosen], state.blades[number], scratch.blade_at
     node = contact.node[0]
+    for corner in range(contact.nodes):
+        if contact.node[corner] < len(cells.first):
+            node = contact.node[corner]
     if node >= len(cells.first):
-        return False  # beside an earlier cut, whose nodes have no places of their own at rest
+        return False  # between virtual nodes alone, which tell no cell
     _leave(sample)
     rest = world.model.rest
     for axis in range(3):
@@ -542,6 +584,7 @@ def _begin(world: World, number: int, touching: int, load: float) -> bool:
         _put_into(cells, sample, scratch.blade_weight, rest)
         _locate(cells, sample, scratch.blade_weight)
     sample.embedded = True
+    sample.free = cells.is_cut[sample.cell] == 1
     sample.force[0] = load * world.shapes.blades.width[number]
     _write_offset(world, number, scratch.blade_weight)
     return True

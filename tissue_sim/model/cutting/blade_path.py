@@ -14,6 +14,7 @@ from tissue_sim.organ.surfaces.sizing import mean_edge
 
 BIN = 0.5  # mean edges of the surface, into which the length of a cut is divided
 STEEP = 0.3  # cosine between the plane of a blade and the surface's normal, below which the cut goes where the edge does
+ALIKE = 0.9  # cosine between the planes of a blade and of a cut that it goes on with
 GROWN = 0.35  # mean edges by which a cut has grown when it is opened again
 
 
@@ -80,6 +81,31 @@ class BladePath:
         size = float(np.linalg.norm(into))
         into = into / size if size > STEEP else forward / np.linalg.norm(forward)
         return np.stack([np.cross(into, normal), into, normal])
+
+    def continues(self, places: Floats, forward: Floats, along: Floats) -> bool:
+        """Return whether an edge that enters the organ is in this cut.
+
+        Parameters
+        ----------
+        places : Floats, shape (k, 3), m
+            Places on it, at rest.
+        forward : Floats, shape (3,)
+            Direction in which it cuts, at rest.
+        along : Floats, shape (3,)
+            Direction of the edge, at rest.
+        """
+        if self._axes is None:
+            return False
+        normal = np.cross(along, forward)
+        if abs(normal @ self._axes[2]) < ALIKE * np.linalg.norm(normal):
+            return False
+        length, depth, aside = self._axes @ places.mean(axis=0)
+        numbers = np.array(sorted(self._deepest))
+        at = (numbers + 0.5) * BIN * self._edge
+        beside = abs(aside - np.interp(length, at, [self._aside[number] for number in numbers])) < self._edge
+        deep = depth < np.interp(length, at, [self._deepest[number] for number in numbers]) + self._edge
+        within = self._ends[0] - self._edge < length < self._ends[1] + self._edge
+        return bool(beside and deep and within)
 
     @property
     def has_grown(self) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from tissue_sim.array_types import Longs
@@ -13,8 +15,16 @@ from tissue_sim.organ.organ import Organ
 _FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # corners of the face opposite to each
 
 
-def sides_of(cut: CutOrgan) -> tuple[Longs, Longs]:
-    """Return the nodes (c, 4) of every cell of the uncut organ on the negative and on the positive side of its cut.
+class Sides(NamedTuple):
+    """Cells of an uncut organ after its cuts. c cells."""
+
+    below: Longs  # (c, 4) their nodes on the negative side of cuts
+    above: Longs  # (c, 4) and on the positive one
+    is_cut: Longs  # (c,) 1 for those whose middle a cut has passed
+
+
+def sides_of(cut: CutOrgan) -> Sides:
+    """Return the cells of an organ on both sides of its cuts.
 
     Parameters
     ----------
@@ -26,20 +36,26 @@ def sides_of(cut: CutOrgan) -> tuple[Longs, Longs]:
     for found, side in ((below, -1), (above, 1)):
         copies = np.flatnonzero(cut.side == side)
         found[cut.cell_of[copies]] = cut.organ.cell_nodes[copies]
-    return below, above
+    is_cut = np.zeros(len(cells), dtype=np.int64)
+    middle = cut.uncut.rest_positions[cells].mean(axis=1)
+    divided = np.unique(cut.cell_of[cut.side != 0])
+    for sheet in cut.sheets:
+        is_cut[divided] |= sheet.covers(sheet.place(middle[divided]))
+    return Sides(below, above, is_cut)
 
 
-def cut_cells_of(organ: Organ, sides: tuple[Longs, Longs] | None = None) -> CutCells:
+def cut_cells_of(organ: Organ, sides: Sides | None = None) -> CutCells:
     """Return the cells of an organ in which blades find their places.
 
     Parameters
     ----------
     organ : Organ
         The organ, with its virtual nodes where it is cut.
-    sides : tuple[Longs, Longs] | None, shape (c, 4) each, optional
-        Nodes on both sides of cuts, see `sides_of`; None: it has none.
+    sides : Sides | None, optional
+        Its cells on both sides of its cuts; None: it has none.
     """
-    below, above = sides or (organ.cell_nodes.astype(np.int64),) * 2
+    whole = organ.cell_nodes.astype(np.int64)
+    below, above, is_cut = sides or Sides(whole, whole, np.zeros(len(whole), dtype=np.int64))
     source = np.concatenate([np.arange(organ.n_uncut), organ.virtual_of]).astype(np.int64)
     cells = source[below]
     slope = np.ascontiguousarray(shapes_of(organ.rest_positions, cells)[0])
@@ -47,7 +63,7 @@ def cut_cells_of(organ: Organ, sides: tuple[Longs, Longs] | None = None) -> CutC
     base = 1.0 - np.einsum("cax,cax->ca", slope, organ.rest_positions[cells])
     first = np.zeros(organ.n_uncut, dtype=np.int64)
     first[cells.ravel()] = np.repeat(np.arange(len(cells)), CORNERS)
-    return CutCells(below.copy(), above.copy(), base, slope, _neighbours(cells), first)
+    return CutCells(below.copy(), above.copy(), base, slope, is_cut, _neighbours(cells), first)
 
 
 def _neighbours(cells: Longs) -> Longs:

@@ -30,6 +30,7 @@ class BladeSample(Record):
     """Place of a blade in the tissue; all 0 outside."""
 
     embedded: bool  # it is in tissue
+    free: bool  # in a cut that was there when it entered: nothing is left to cut
     cell: int  # the cell of the uncut organ that holds it
     rest: Vector  # m, where it is in the organ at rest
     offset: Vector  # m in the body's frame, from the blade to the tissue that holds it, as it was when it entered
@@ -71,6 +72,7 @@ class CutCells(NamedTuple):
     others: Longs  # (c, 4) of the copy on the positive side
     base: Floats  # (c, 4) barycentric weights of a place X at rest: base + slope X
     slope: Floats  # (c, 4, 3) 1/m
+    is_cut: Longs  # (c,) 1 for those whose middle a cut has passed
     neighbour: Longs  # (c, 4) cell behind the face opposite to each corner; -1: outside
     first: Longs  # (n,) a cell around each node
 
@@ -118,5 +120,5 @@ def no_cut_cells() -> CutCells:
     """Return cells that no blade can cut: none."""
     none = np.zeros((0, CORNERS), dtype=np.int64)
     return CutCells(
-        none, none, np.zeros((0, CORNERS)), np.zeros((0, CORNERS, 3)), none, np.zeros(0, dtype=np.int64)
+        none, none, np.zeros((0, CORNERS)), np.zeros((0, CORNERS, 3)), none[:, 0], none, np.zeros(0, dtype=np.int64)
     )

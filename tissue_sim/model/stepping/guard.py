@@ -6,6 +6,7 @@ import math
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
+from tissue_sim.model.contact.blade import forget_blades
 from tissue_sim.model.contact.tool_motion import restore_bodies
 from tissue_sim.model.data.arrays import copy, copy_nodes
 from tissue_sim.model.data.model import Model
@@ -71,6 +72,7 @@ def guard(model: Model, state: State, settings: Settings, scratch: Scratch) -> N
         return
     restore_shape(model, state, scratch)
     restore_bodies(state, span)
+    forget_blades(state)
     state.contact_pressed[:] = 0.0
     state.contact_held[:] = 0.0
     scratch.impulse[:] = 0.0

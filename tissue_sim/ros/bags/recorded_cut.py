@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Longs
-from tissue_sim.model.cutting.cut_cells import sides_of
+from tissue_sim.model.cutting.cut_cells import Sides, sides_of
 from tissue_sim.model.cutting.cut_surface import CutSurface
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
@@ -28,7 +28,7 @@ class RecordedCut(NamedTuple):
     organ: Organ
     origin: Longs  # (n,) node before whose place each node takes
     surface: CutSurface | None  # None without cuts
-    sides: tuple[Longs, Longs] | None  # (c, 4) see cut_cells.sides_of; None in bags without blades
+    sides: Sides | None  # None in bags without blades
 
 
 def organ_in(file: bytes) -> Organ:
@@ -67,7 +67,7 @@ def fields_of_cut(number: int, tick: int, made: Simulation) -> dict[str, NDArray
     if made.cut_organ is not None:
         fields |= {f"surface.{name}": array for name, array in made.cut_organ.surface._asdict().items()}
         if len(made.shapes.blades.body):
-            fields["below"], fields["above"] = sides_of(made.cut_organ)
+            fields |= sides_of(made.cut_organ)._asdict()
     return fields
 
 
@@ -112,16 +112,18 @@ def _cut_of(fields: Mapping[str, NDArray[Any]]) -> RecordedCut:
     return RecordedCut(_whole(fields, "tick"), NEVER, organ, origin.astype(np.int64), surface, _sides_of(fields, organ))
 
 
-def _sides_of(fields: Mapping[str, NDArray[Any]], organ: Organ) -> tuple[Longs, Longs] | None:
+def _sides_of(fields: Mapping[str, NDArray[Any]], organ: Organ) -> Sides | None:
     if "below" not in fields:
         return None
-    below, above = (fields.get(name, np.zeros(0)) for name in ("below", "above"))
+    below, above, is_cut = (fields.get(name, np.zeros(0)) for name in Sides._fields)
+    if is_cut.shape != below.shape[:1] or is_cut.dtype.kind != "i":
+        raise ValueError("its cut has sides of another type")
     for side in (below, above):
         if side.dtype.kind != "i" or side.ndim != 2 or side.shape != (len(below), 4):
             raise ValueError("its cut has sides of another type")
         if side.min(initial=0) < 0 or side.max(initial=0) >= organ.n_nodes:
             raise ValueError("its cut has sides without nodes")
-    return below.astype(np.int64), above.astype(np.int64)
+    return Sides(*(side.astype(np.int64) for side in (below, above, is_cut)))
 
 
 def _check_surface(surface: CutSurface) -> None:
