@@ -238,9 +238,8 @@ def _organ_of(organ: Organ, parts: _Parts, frequency: float) -> Organ:
     )
     mass = shared_masses(organ, made, frequency)
     share = mass / organ.mass[source]
-    return replace(
-        made, mass=mass, damping=organ.damping[source] * share, return_stiffness=organ.return_stiffness[source] * share
-    )
+    # Each copy is damped as the whole node: pressed between lips, what is light would oscillate.
+    return replace(made, mass=mass, return_stiffness=organ.return_stiffness[source] * share)
 
 
 def _pieces(organ: Organ, parts: _Parts) -> tuple[int, int]:
