@@ -35,6 +35,11 @@ class BladeCuts:
     def __bool__(self) -> bool:
         return bool(self._edges)
 
+    @property
+    def in_tissue(self) -> bool:
+        """Whether any blade is cutting."""
+        return bool(self._paths)
+
     def forget(self) -> None:
         """Forget all paths: the organ was reset."""
         self._paths.clear()

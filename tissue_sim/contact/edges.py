@@ -13,7 +13,7 @@ from tissue_sim.model.data.blades import Blades, make_blades
 if TYPE_CHECKING:
     from tissue_sim.contact.tools import Tool
 
-ALONG = 5  # places along an edge
+ALONG = 8  # places along an edge
 BEHIND = 2  # rows of places on the flanks behind it
 LEAST_EDGE = 1e-3  # m
 MOST_SPEED = 0.1  # m/s of cautery

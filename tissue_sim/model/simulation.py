@@ -146,7 +146,7 @@ class Simulation:
         self.settings.tick_time = 1.0 / rate
         self.settings.friction = 0.6
         self.settings.toughness = 120.0
-        self.settings.flank_friction = 1e3
+        self.settings.flank_friction = 500.0
         self.settings.force_clamp = 10.0
         self.settings.force_slew = 1e3
         self.settings.stale_time = 0.05

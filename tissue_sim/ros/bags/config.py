@@ -63,7 +63,7 @@ def check_config(config: Mapping[str, Any]) -> None:
         chosen |= {f"{tool}.{name}": fits for name, fits in {**of_tool, "mesh": _is_name}.items()}
         # Bags from before these parameters lack them.
         later: dict[str, Fits] = {"smoothing": _is_number, "links": _is_names}
-        later |= {"tip_link": _is_name, "jaw_joint": _is_name}
+        later |= {"tip_link": _is_name, "jaw_joint": _is_name, "height": _is_number, "cautery_speed": _is_number}
         chosen |= {f"{tool}.{name}": fits for name, fits in later.items() if f"{tool}.{name}" in parameters}
     _check(parameters, "parameters.", chosen)
     if parameters.get("return_target", "rest") != "rest":

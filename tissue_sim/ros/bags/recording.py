@@ -183,6 +183,8 @@ def tools_of(config: dict[str, Any]) -> list[Tool]:
             links=tuple(parameters.get(f"{name}.links", ())),
             tip_link=parameters.get(f"{name}.tip_link", ""),
             jaw_joint=parameters.get(f"{name}.jaw_joint", ""),
+            height=parameters.get(f"{name}.height", Tool.height),
+            cautery_speed=parameters.get(f"{name}.cautery_speed", 0.0),
         )
         for name in config["tools"]
     ]

@@ -85,6 +85,16 @@ NODE_SPECS = (
     Spec("local_region", "off", "part of the organ that moves under a small load", choices=LOCAL_REGIONS),
     Spec("region_force", 0.3, "N, load above which the whole organ moves", 0.0, 100.0, True, setting="region_force"),
     Spec("friction", 0.6, "Coulomb coefficient between tools and tissue", 0.0, 5.0, True, setting="friction"),
+    Spec("toughness", 120.0, "J/m^2 that a blade needs to cut", 0.0, 1e5, True, setting="toughness"),
+    Spec(
+        "flank_friction",
+        500.0,
+        "Pa of friction on the flanks of a blade in a cut",
+        0.0,
+        1e6,
+        True,
+        setting="flank_friction",
+    ),
     Spec("force_clamp", 10.0, "N, largest published force", 0.0, 100.0, True, setting="force_clamp"),
     Spec("force_slew", 1000.0, "N/s, fastest change of a published force", 1.0, 1e6, True, setting="force_slew"),
     Spec(
@@ -128,12 +138,14 @@ NODE_SPECS = (
 
 TOOL_SPECS = (
     Spec("shape", "sphere", "shape of the tool; its origin is the tip", choices=SHAPE_NAMES),
-    Spec("radius", 0.005, "m, of a sphere or capsule", 5e-4, 0.5),
-    Spec("length", 0.05, "m, from a capsule's tip along -z; from a gripper's tips to its hinge", 0.0, 2.0),
+    Spec("radius", 0.005, "m, of a sphere or capsule; half the thickness of an edge", 5e-4, 0.5),
+    Spec("length", 0.05, "m, of a capsule or an edge from its tip along -z; from a gripper's tips to its hinge", 0.0, 2.0),
     Spec("mesh", "", "mesh file of the tool, or of a gripper's jaw, in metres, closed unless convex; or a URDF"),
     Spec("links", [""], "links of a URDF whose collision elements are the tool's bodies; empty for all that have any"),
     Spec("tip_link", "", "link of a URDF whose frame is the tool's, the frame of its poses' axes; empty for its root"),
     Spec("jaw_joint", "", "joint of a URDF that measured_js moves, by its name there; empty for none"),
+    Spec("height", 0.01, "m of a blade behind its edge", 1e-3, 0.5),
+    Spec("cautery_speed", 0.0, "m/s at which a blade parts tissue without force; 0: it cuts by force", 0.0, 0.1),
     Spec("smoothing", 1.0, "fraction of the time between two poses in which the tool moves to the newer one", 0.0, 1.0),
     Spec("device_damping", 0.0, "N s/m of the device, which limits the coupling; 0: unknown", 0.0, 100.0, True),
     Spec("passivity_damping", 0.0, "N s/m, most that a passivity observer adds; 0: none", 0.0, 100.0, True),
@@ -184,7 +196,7 @@ def tool_of(values: Values, name: str) -> Tool:
     name : str
         Name of the tool.
     """
-    keys = "shape", "radius", "length", "mesh", "smoothing", "tip_link", "jaw_joint"
+    keys = "shape", "radius", "length", "mesh", "smoothing", "tip_link", "jaw_joint", "height", "cautery_speed"
     links = tuple(link for link in values[f"{name}.links"] if link)
     return Tool(name, **{key: values[f"{name}.{key}"] for key in keys}, links=links)
 

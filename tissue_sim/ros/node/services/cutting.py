@@ -13,9 +13,11 @@ from nav_msgs.msg import Path
 from std_srvs.srv import Trigger
 
 from tissue_sim.array_types import Floats
+from tissue_sim.contact.blade_cuts import BladeCuts
 from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.cut import CutReport
+from tissue_sim.model.cutting.sheet import Sheet, sheet_of
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
@@ -29,6 +31,7 @@ from tissue_sim.ros.shared.qos import LATCHED, RELIABLE
 from tissue_sim.ros.shared.report import Report
 
 PARALLEL = 1e-3  # by which the directions of a path's poses may differ
+BLADE_PERIOD = 0.02  # s, after which it is seen whether blades have cut
 NICE = 10  # of the thread that makes a cut
 HEALED = "the organ was reset while its cut was computed, and is uncut; call the service again"
 
@@ -75,6 +78,9 @@ class OrganCutting:
         self._cuts = node.create_publisher(DiagnosticArray, f"{below}/cuts", LATCHED)
         self._subscription = node.create_subscription(Path, f"{below}/cut_path", self._on_path, RELIABLE)
         DeferredService(node, Trigger, f"{below}/cut", self._on_cut)
+        self._blades = BladeCuts(served.physics.simulation)
+        if self._blades:
+            node.create_timer(BLADE_PERIOD, self._follow_blades)
 
     @property
     def cuts(self) -> Sequence[CutReport]:
@@ -84,6 +90,7 @@ class OrganCutting:
     def heal(self) -> None:
         """Go on with the uncut organ, in the state of the cut one: the organ is about to be reset."""
         self._heals += 1
+        self._blades.forget()
         if not self.cuts:
             return
         if self._parts.loop.clock_stands:  # the tick that takes it up comes when /clock goes on
@@ -172,7 +179,11 @@ class OrganCutting:
         """Cut the organ; return the cut's description."""
         begun, heals = time.monotonic(), self._heals
         before = self._served.physics.simulation
-        made = before.prepared_cut(polyline, direction, depth)
+        return self._take_up(before, sheet_of(before.uncut_organ, polyline, direction, depth), begun, heals)
+
+    def _take_up(self, before: Simulation, sheet: Sheet, begun: float, heals: int) -> str:
+        """Cut the organ along a sheet, unless it was reset since `heals`; return the cut's description."""
+        made = before.prepared_sheet(sheet)
         with self._exchanging:
             if heals != self._heals:
                 raise UserError(HEALED)
@@ -181,9 +192,36 @@ class OrganCutting:
             self._parts.exchange(self._number, made)
         self.made, self.seconds = self.made + 1, time.monotonic() - begun
         text = str(made.cuts[-1])
-        self._log.info(f"{self._name} was cut: {text}")
+        if not sheet.mark:
+            self._log.info(f"{self._name} was cut: {text}")
         self._publish()
         return text
+
+    def _follow_blades(self) -> None:
+        """Note where blades are, and open what they have cut, in a thread of its own."""
+        was_in, simulation = self._blades.in_tissue, self._served.physics.simulation
+        self._blades.note(simulation)
+        if was_in and not self._blades.in_tissue and simulation.cuts:
+            self._log.info(f"a blade has left {self._name}; its cut: {simulation.cuts[-1]}")
+        if self._busy.acquire(blocking=False):
+            sheets = list(self._blades.due())
+            if sheets:
+                threading.Thread(target=self._open, args=(sheets,), daemon=True).start()
+            else:
+                self._busy.release()
+
+    def _open(self, sheets: Sequence[Sheet]) -> None:
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+        try:
+            with self._node.mishaps.noted():
+                for sheet in sheets:
+                    try:
+                        self._take_up(self._served.physics.simulation, sheet, time.monotonic(), self._heals)
+                    except (UserError, TimeoutError) as error:
+                        self._blades.refuse(str(error))
+                        self._log.warning(f"a blade's cut of {self._name} was not opened: {error}")
+        finally:
+            self._busy.release()
 
     def _publish(self) -> None:
         """Publish all cuts that the organ has: a late subscriber gets them, too."""
@@ -204,7 +242,7 @@ class OrganCutting:
         report.values |= {f"{before}cuts": len(self.cuts), f"{before}cuts_made": self.made}
         if self.made:
             report.values[f"{before}cut_seconds"] = self.seconds
-        report.problems[f"{before}cuts_refused"] = self.refused
+        report.problems[f"{before}cuts_refused"] = self.refused + self._blades.refused
 
 
 class CuttingParts:

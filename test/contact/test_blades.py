@@ -1,0 +1,195 @@
+"""Blades in a slab: what they feel, what they cut, and what becomes of that."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from helpers.slabs import MIDDLE, SIZE, slab
+from tissue_sim.contact.edges import ALONG
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.errors import UserError
+
+TOUGHNESS = 20.0  # J/m^2
+SPEED = 2e-5  # m a tick
+# Its edge, -z of the tool, lies along y of the slab; it cuts, +x of the tool, downwards.
+DOWN = Rotation.from_matrix(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])).as_quat()
+UP = Rotation.from_matrix(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])).as_quat()
+
+
+def knife(**changes):
+    return Tool("knife", **({"shape": "blade", "radius": 5e-4, "length": SIZE[1], "height": 0.01} | changes))
+
+
+class Cutting:
+    """A blade above the middle of the slab, across its whole width."""
+
+    def __init__(self, turn=DOWN, tool=None, toughness=TOUGHNESS, friction=0.0):
+        self.scene = Scene(slab(), [tool or knife()])
+        settings = self.scene.simulation.settings
+        settings.toughness, settings.flank_friction, settings.friction = toughness, friction, 0.0
+        self.height, self.turn, self.aside = SIZE[2] + 0.002, turn, 0.0
+        self.work = self.damped = 0.0
+        self.force = np.zeros(3)
+        self.step(0.0, 2)
+
+    @property
+    def simulation(self):
+        return self.scene.simulation
+
+    @property
+    def blades(self):
+        return self.simulation.state.blades
+
+    @property
+    def is_cutting(self):
+        return bool(self.simulation.state.bodies.cutting[0])
+
+    @property
+    def area(self):
+        return float(self.blades.area.sum())
+
+    def step(self, way, ticks):
+        """Move by a way down in each tick; return the forces up on the hand."""
+        forces = []
+        for _ in range(ticks):
+            before = self.force
+            self.height -= way
+            self.scene.move("knife", [MIDDLE + self.aside, 0.0, self.height], self.turn)
+            self.scene.step()
+            self.force = self.scene.wrench("knife")[:3]
+            self.work += 0.5 * (before + self.force)[2] * way
+            simulation = self.simulation
+            speed = np.square(simulation.velocities).sum(axis=1)
+            self.damped += float(simulation.organ.damping @ speed) / simulation.rate
+            forces.append(self.force[2])
+        return np.array(forces)
+
+    def begin(self):
+        """Press until the blade enters; return the largest force before."""
+        largest = 0.0
+        while not self.is_cutting:
+            largest = max(largest, self.step(SPEED, 1)[0])
+            assert self.height > 0.01, "it never enters"
+        return largest
+
+
+@pytest.fixture(scope="module")
+def cut():
+    """A blade that has cut 14 mm deep, with the forces of the last 8 mm."""
+    made = Cutting()
+    made.largest = made.begin()
+    made.step(SPEED, 300)
+    made.forces = made.step(SPEED, 400)
+    return made
+
+
+def test_tissue_sticks_until_the_load_reaches_the_toughness(cut):
+    assert cut.largest == pytest.approx(TOUGHNESS * SIZE[1], rel=0.15)
+
+
+def test_the_steady_force_is_toughness_times_width(cut):
+    assert cut.forces.mean() == pytest.approx(TOUGHNESS * SIZE[1], rel=0.1)
+
+
+def test_the_work_is_stored_dissipated_or_has_made_area(cut):
+    stored = cut.simulation.energy.total
+    assert cut.work == pytest.approx(stored + cut.damped + TOUGHNESS * cut.area, rel=0.05)
+
+
+def test_what_is_swept_is_opened(cut):
+    (report,) = cut.simulation.cuts
+    assert report.area == pytest.approx(cut.area, rel=0.15)
+    assert report.depth == pytest.approx(cut.blades.deepest[:ALONG].max(), abs=0.002)
+
+
+def test_twice_the_toughness_needs_twice_the_force():
+    made = Cutting(toughness=2.0 * TOUGHNESS)
+    assert made.begin() == pytest.approx(2.0 * TOUGHNESS * SIZE[1], rel=0.15)
+
+
+def test_the_blunt_side_does_not_cut():
+    made = Cutting(turn=UP)
+    forces = made.step(SPEED, 700)
+    assert forces[-1] > 2.0 * TOUGHNESS * SIZE[1] and not made.is_cutting and not made.simulation.cuts
+
+
+def test_a_blade_that_is_drawn_out_feels_friction_alone_and_then_nothing():
+    made = Cutting(friction=500.0)
+    made.begin()
+    made.step(SPEED, 300)
+    forces = made.step(-5e-5, 100)
+    in_tissue = made.blades.embedded
+    flank = made.simulation.shapes.blades.flank[in_tissue].sum()
+    assert -1.05 * 500.0 * flank <= forces[-1] <= 0.0
+    made.step(-5e-5, 400)
+    assert not made.is_cutting and not made.force.any()
+
+
+def test_an_open_cut_resists_no_second_time(cut):
+    again = Cutting()
+    again.begin()
+    again.step(SPEED, 300)
+    again.step(-5e-5, 400)
+    assert not again.is_cutting and len(again.simulation.cuts) == 1
+    depth, area = again.simulation.cuts[0].depth, again.simulation.cuts[0].area
+    top = again.height
+    forces = again.step(5e-5, round((top - (SIZE[2] - 0.5 * depth)) / 5e-5))
+    assert again.is_cutting and forces.max() < 0.3 * TOUGHNESS * SIZE[1]
+    again.step(-5e-5, 600)
+    assert again.simulation.cuts[0].area == pytest.approx(area, rel=0.1) and len(again.simulation.cuts) == 1
+
+
+def test_a_hand_that_moves_aside_takes_tissue_along(cut):
+    made = Cutting()
+    made.begin()
+    made.step(SPEED, 200)
+    for _ in range(100):
+        made.aside += 2e-5
+        made.step(0.0, 1)
+    assert made.force[0] < -0.05
+    assert np.isfinite(made.simulation.positions).all()
+
+
+def test_a_reset_heals_and_releases():
+    made = Cutting()
+    made.begin()
+    made.step(SPEED, 300)
+    assert made.simulation.cuts
+    made.scene.reset()
+    made.scene.step(10)
+    assert not made.simulation.cuts and not made.is_cutting and not made.blades.embedded.any()
+    assert made.simulation.energy.total == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_cautery_hook_parts_tissue_without_force_at_its_speed():
+    made = Cutting(tool=knife(cautery_speed=0.02), toughness=1e4)
+    made.step(1e-5, 1200)
+    assert made.is_cutting and abs(made.force[2]) < 0.2 * TOUGHNESS * SIZE[1]
+    deep = made.blades.deepest[:ALONG].max()
+    made.step(1e-4, 50)  # five times its speed
+    assert made.blades.deepest[:ALONG].max() - deep < 1.5 * 0.02 * 0.05
+    assert made.force[2] > 0.1
+
+
+def test_two_runs_have_the_same_bits():
+    words = []
+    for _ in range(2):
+        made = Cutting()
+        made.begin()
+        made.step(SPEED, 200)
+        words.append(made.simulation.state.words.copy())
+    assert np.array_equal(*words)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"length": 0.0}, "length 0 m of its edge"),
+        ({"height": 0.0}, "height 0 m"),
+        ({"cautery_speed": 1.0}, "cautery_speed 1 m/s"),
+    ],
+)
+def test_a_blade_out_of_range_is_refused(changes, said):
+    with pytest.raises(UserError, match=f"tool 'knife': {said}"):
+        Scene(slab(), [knife(**changes)])
