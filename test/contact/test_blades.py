@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from helpers.bars import bar
 from helpers.slabs import MIDDLE, SIZE, slab
 from tissue_sim.contact.edges import ALONG
 from tissue_sim.contact.scene import Scene
@@ -110,7 +111,7 @@ def test_twice_the_toughness_needs_twice_the_force():
 
 def test_the_blunt_side_does_not_cut():
     made = Cutting(turn=UP)
-    forces = made.step(SPEED, 700)
+    forces = made.step(SPEED, 500)
     assert forces[-1] > 2.0 * TOUGHNESS * SIZE[1] and not made.is_cutting and not made.simulation.cuts
 
 
@@ -180,6 +181,23 @@ def test_two_runs_have_the_same_bits():
         made.step(SPEED, 200)
         words.append(made.simulation.state.words.copy())
     assert np.array_equal(*words)
+
+
+def test_scissors_cut_what_is_between_their_blades_off():
+    organ = bar(8, 0.005, 2)  # 40 x 10 x 10 mm, held at x = 0
+    scene = Scene(organ, [Tool("scissors", shape="scissors", radius=5e-4, length=0.04, height=0.005)])
+    settings = scene.simulation.settings
+    settings.toughness, settings.friction, settings.flank_friction = 5.0, 0.0, 0.0
+    place = [0.0215, 0.014, 0.005]
+    turn = Rotation.from_matrix(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])).as_quat()
+    jaws = scene.tools.tools[0].jaws
+    for gap in np.arange(0.022, 0.0, -2e-5):
+        scene.move("scissors", place, turn, angle=jaws.angle(gap))
+        scene.step()
+    scene.step(20)
+    (report,) = scene.simulation.cuts
+    assert report.pieces == 2 and report.free_pieces == 1
+    assert report.area == pytest.approx(1e-4, rel=0.1)
 
 
 @pytest.mark.parametrize(

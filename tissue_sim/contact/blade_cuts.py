@@ -26,7 +26,8 @@ class BladeCuts:
         self._organ = simulation.uncut_organ
         blades = simulation.shapes.blades
         self._edges = {body: np.flatnonzero((blades.body == body) & (blades.width > 0.0)) for body in set(blades.body)}
-        self._paths: dict[int, BladePath] = {}
+        self._paths: dict[int, BladePath] = {}  # by tool
+        self._first: dict[int, int] = {}  # of each tool the body that has entered first
         self._left: list[BladePath] = []  # of blades that are out again
         self._earlier: list[BladePath] = []  # all since the last reset
         self.refused = 0  # cuts that could not be opened
@@ -43,6 +44,7 @@ class BladeCuts:
     def forget(self) -> None:
         """Forget all paths: the organ was reset."""
         self._paths.clear()
+        self._first.clear()
         self._left.clear()
         self._earlier.clear()
 
@@ -56,10 +58,11 @@ class BladeCuts:
         """
         state, cells = simulation.state, simulation.model.cut_cells
         for body, edge in self._edges.items():
-            held = edge[state.blades.embedded[edge]]
+            held, tool = edge[state.blades.embedded[edge]], int(simulation.shapes.tool[body])
             if not state.bodies.cutting[body] or not len(held):
-                if body in self._paths:
-                    self._left.append(self._paths.pop(body))
+                if self._first.get(tool) == body:
+                    self._left.append(self._paths.pop(tool))
+                    del self._first[tool]
                 continue
             cell = state.blades.cell[held]
             corner = 0.5 * (state.position[cells.nodes[cell]] + state.position[cells.others[cell]])
@@ -69,9 +72,13 @@ class BladeCuts:
             along = back @ turn @ np.cross(blades.normal[held[0]], blades.forward[held[0]])
             reach = 0.5 * blades.width[held[0]] * along
             places = state.blades.rest[held]
-            if body not in self._paths:
-                self._paths[body] = self._path(places, forward, along)
-            self._paths[body].note(np.concatenate([places - reach, places, places + reach]), forward, along)
+            swept = np.concatenate([places - reach, places, places + reach])
+            if tool not in self._paths:
+                self._first[tool], self._paths[tool] = body, self._path(places, forward, along)
+            if self._first[tool] == body:
+                self._paths[tool].note(swept, forward, along)
+            else:
+                self._paths[tool].meet(swept)
 
     def _path(self, places: Floats, forward: Floats, along: Floats) -> BladePath:
         """Return the path of a blade that has entered: that of an earlier cut in which it is, or a new one."""

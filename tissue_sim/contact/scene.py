@@ -364,7 +364,9 @@ class Scene:
                     made = one.simulation.prepared_sheet(sheet)
                 except UserError as error:
                     one.blade_cuts.refuse(str(error))
-                    warnings.warn(f"a blade's cut of organ '{self.names[number]}' was not opened: {error}", stacklevel=3)
+                    warnings.warn(
+                        f"a blade's cut of organ '{self.names[number]}' was not opened: {error}", stacklevel=3
+                    )
                     continue
                 made.continue_from(one.simulation)
                 one.exchange(made)

@@ -164,9 +164,7 @@ class Simulation:
         # Nothing that a tool can do moves tissue by more than the organ's own size.
         self.settings.runaway_span = float(np.linalg.norm(np.ptp(self.model.rest, axis=0)))
         n_bodies, n_modes = len(shapes.kind), len(self.model.reduction.frequency)
-        self.state: State = make_state(
-            organ.n_nodes, n_bodies, n_modes, len(self.model.cells), len(shapes.blades.body)
-        )
+        self.state: State = make_state(organ.n_nodes, n_bodies, n_modes, len(self.model.cells), len(shapes.blades.body))
         self.frequency = largest_frequency(self.model)
         self.set_substeps()
         self.scratch = make_scratch(self.model, n_bodies, len(shapes.blades.body))

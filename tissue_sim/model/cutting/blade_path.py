@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
@@ -13,7 +14,10 @@ from tissue_sim.organ.surfaces.line_hits import line_hits
 from tissue_sim.organ.surfaces.sizing import mean_edge
 
 BIN = 0.5  # mean edges of the surface, into which the length of a cut is divided
-STEEP = 0.3  # cosine between the plane of a blade and the surface's normal, below which the cut goes where the edge does
+STEEP = (
+    0.3  # cosine between the plane of a blade and the surface's normal, below which the cut goes where the edge does
+)
+MEETS = 0.2  # mean edges between the two blades of scissors, below which nothing holds what is between them
 ALIKE = 0.9  # cosine between the planes of a blade and of a cut that it goes on with
 GROWN = 0.35  # mean edges by which a cut has grown when it is opened again
 
@@ -36,10 +40,13 @@ class BladePath:
     def __init__(self, organ: Organ, mark: int) -> None:
         self._organ, self._mark = organ, mark
         self._edge = mean_edge(organ.surface_positions, organ.surface_triangles)
+        self._size = float(np.linalg.norm(np.ptp(organ.surface_positions, axis=0)))  # m, more than it is thick
         self._axes: Floats | None = None  # (3, 3) along the cut, into the organ, and across both
         self._deepest: dict[int, float] = {}  # m, by bin
         self._aside: dict[int, float] = {}  # m
+        self._met: set[int] = set()  # bins in which both blades of scissors have passed each other
         self._ends = (np.inf, -np.inf)  # m along the cut
+        self._through = 0  # of these bins, as the cut was opened last
         self._opened: tuple[dict[int, float], tuple[float, float]] = ({}, (np.inf, -np.inf))
 
     def note(self, places: Floats, forward: Floats, along: Floats) -> None:
@@ -55,7 +62,7 @@ class BladePath:
             Direction of the edge, at rest.
         """
         if self._axes is None:
-            self._axes = self._frame(places.mean(axis=0), forward, along)
+            self._axes = self._frame(places, forward, along)
         length, depth, aside = self._axes @ places.T
         self._ends = min(self._ends[0], float(length.min())), max(self._ends[1], float(length.max()))
         order = np.argsort(length)
@@ -71,10 +78,30 @@ class BladePath:
                 self._deepest[number] = deep
                 self._aside.setdefault(number, off)
 
-    def _frame(self, place: Floats, forward: Floats, along: Floats) -> Floats:
-        """Return the axes (3, 3) of a cut that begins at a place."""
-        nearest = np.argmin(np.linalg.norm(self._organ.surface_positions - place, axis=1))
-        inward = -surface_normals(self._organ.surface_positions, self._organ.surface_triangles)[nearest]
+    def meet(self, places: Floats) -> None:
+        """Note where the other edge of scissors is: where both have passed each other, all between them is cut.
+
+        Parameters
+        ----------
+        places : Floats, shape (k, 3), m
+            Places on it, at rest.
+        """
+        if self._axes is None:
+            return
+        length, depth, _ = self._axes @ places.T
+        order, size = np.argsort(length), BIN * self._edge
+        for number, deep in self._deepest.items():
+            middle = (number + 0.5) * size
+            if length.min() <= middle <= length.max():
+                other = float(np.interp(middle, length[order], depth[order]))
+                if other - deep < MEETS * self._edge:
+                    self._met.add(number)
+
+    def _frame(self, places: Floats, forward: Floats, along: Floats) -> Floats:
+        """Return the axes (3, 3) of a cut that begins at some places."""
+        surface = self._organ.surface_positions
+        away, nearest = cKDTree(surface).query(places)
+        inward = -surface_normals(surface, self._organ.surface_triangles)[nearest[np.argmin(away)]]
         normal = np.cross(along, forward)
         normal /= np.linalg.norm(normal)
         into = inward - (inward @ normal) * normal
@@ -125,7 +152,8 @@ class BladePath:
         if not deepest:
             return float("inf")
         deeper = max(deep - deepest.get(number, -np.inf) for number, deep in self._deepest.items() if number in deepest)
-        return max(deeper, first - self._ends[0], self._ends[1] - last)
+        through = np.inf if len(self._met) > self._through else 0.0
+        return max(deeper, first - self._ends[0], self._ends[1] - last, through)
 
     def sheet(self) -> Sheet:
         """Return the sheet that the blade has swept; it counts as opened from here on.
@@ -141,28 +169,36 @@ class BladePath:
         numbers = np.array(sorted(self._deepest))
         along = np.clip((numbers + 0.5) * size, *self._ends)
         deep = np.array([self._deepest[number] for number in numbers])
+        more = np.where([self._is_through(number) for number in numbers], self._size, 0.0)
         off = np.array([self._aside[number] for number in numbers])
         at = np.concatenate([[self._ends[0]], along, [self._ends[1]]])
         apart = np.concatenate([[True], np.diff(at) > 0.1 * size])
         apart[-1] = True
         if len(at) > 2 and not at[-1] - at[-2] > 0.1 * size:
             apart[-2] = False
-        at, deep, off = at[apart], np.interp(at, along, deep)[apart], np.interp(at, along, off)[apart]
+        at = at[apart]
+        deep, off, more = (np.interp(at, along, each) for each in (deep, off, more))
         if len(at) < 2 or at[-1] - at[0] < 0.1 * size:
             raise UserError("the cut has no length yet")
         first, into, normal = self._axes
         bottom = at[:, None] * first + deep[:, None] * into + off[:, None] * normal
         depth = self._below(bottom, into)
         corners = bottom - depth[:, None] * into
+        depth = depth + more
         rise, reached = heights(self._organ, corners, into, depth)
         if reached < LEAST_DEPTH * self._edge:
             raise UserError(
                 f"the cut is {1e3 * max(reached, 0.0):.2g} mm deep, too shallow to open a surface with edges of"
                 f" {1e3 * self._edge:.2g} mm"
             )
-        self._opened = dict(self._deepest), self._ends
+        self._opened, self._through = (dict(self._deepest), self._ends), len(self._met)
         rise = min(rise, RESOLVED_DEPTH * self._edge) + self._edge
         return Sheet(corners, into, float(depth.max()), rise, across(into), reached, depth, self._mark)
+
+    def _is_through(self, number: int) -> bool:
+        """Return whether scissors have cut through at a bin: what is left beside that is less than an edge long."""
+        beside = round(1.0 / BIN)
+        return any(number + step in self._met for step in range(-beside, beside + 1))
 
     def _below(self, places: Floats, into: Floats) -> Floats:
         """Return how deep below the surface places (k, 3) are, m (k,), at least a part of an edge."""
