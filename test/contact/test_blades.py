@@ -112,7 +112,9 @@ def test_twice_the_toughness_needs_twice_the_force():
 def test_the_blunt_side_does_not_cut():
     made = Cutting(turn=UP)
     forces = made.step(SPEED, 500)
-    assert forces[-1] > 2.0 * TOUGHNESS * SIZE[1] and not made.is_cutting and not made.simulation.cuts
+    assert forces[-1] > 2.0 * TOUGHNESS * SIZE[1]
+    assert not made.is_cutting
+    assert not made.simulation.cuts
 
 
 def test_a_blade_that_is_drawn_out_feels_friction_alone_and_then_nothing():
@@ -124,7 +126,8 @@ def test_a_blade_that_is_drawn_out_feels_friction_alone_and_then_nothing():
     flank = made.simulation.shapes.blades.flank[in_tissue].sum()
     assert -1.05 * 500.0 * flank <= forces[-1] <= 0.0
     made.step(-5e-5, 400)
-    assert not made.is_cutting and not made.force.any()
+    assert not made.is_cutting
+    assert not made.force.any()
 
 
 def test_an_open_cut_resists_no_second_time(cut):
@@ -132,13 +135,16 @@ def test_an_open_cut_resists_no_second_time(cut):
     again.begin()
     again.step(SPEED, 300)
     again.step(-5e-5, 400)
-    assert not again.is_cutting and len(again.simulation.cuts) == 1
+    assert not again.is_cutting
+    assert len(again.simulation.cuts) == 1
     depth, area = again.simulation.cuts[0].depth, again.simulation.cuts[0].area
     top = again.height
     forces = again.step(5e-5, round((top - (SIZE[2] - 0.5 * depth)) / 5e-5))
-    assert again.is_cutting and forces.max() < 0.3 * TOUGHNESS * SIZE[1]
+    assert again.is_cutting
+    assert forces.max() < 0.3 * TOUGHNESS * SIZE[1]
     again.step(-5e-5, 600)
-    assert again.simulation.cuts[0].area == pytest.approx(area, rel=0.1) and len(again.simulation.cuts) == 1
+    assert again.simulation.cuts[0].area == pytest.approx(area, rel=0.1)
+    assert len(again.simulation.cuts) == 1
 
 
 def test_a_hand_that_moves_aside_takes_tissue_along(cut):
@@ -159,14 +165,17 @@ def test_a_reset_heals_and_releases():
     assert made.simulation.cuts
     made.scene.reset()
     made.scene.step(10)
-    assert not made.simulation.cuts and not made.is_cutting and not made.blades.embedded.any()
+    assert not made.simulation.cuts
+    assert not made.is_cutting
+    assert not made.blades.embedded.any()
     assert made.simulation.energy.total == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_cautery_hook_parts_tissue_without_force_at_its_speed():
     made = Cutting(tool=knife(cautery_speed=0.02), toughness=1e4)
     made.step(1e-5, 1200)
-    assert made.is_cutting and abs(made.force[2]) < 0.2 * TOUGHNESS * SIZE[1]
+    assert made.is_cutting
+    assert abs(made.force[2]) < 0.2 * TOUGHNESS * SIZE[1]
     deep = made.blades.deepest[:ALONG].max()
     made.step(1e-4, 50)  # five times its speed
     assert made.blades.deepest[:ALONG].max() - deep < 1.5 * 0.02 * 0.05
@@ -196,7 +205,8 @@ def test_scissors_cut_what_is_between_their_blades_off():
         scene.step()
     scene.step(20)
     (report,) = scene.simulation.cuts
-    assert report.pieces == 2 and report.free_pieces == 1
+    assert report.pieces == 2
+    assert report.free_pieces == 1
     assert report.area == pytest.approx(1e-4, rel=0.1)
 
 

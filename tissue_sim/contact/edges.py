@@ -32,7 +32,7 @@ def check_edge(tool: Tool) -> None:
     UserError
         Where one is out of range; the message names it.
     """
-    if not LEAST_EDGE <= tool.length:
+    if not tool.length >= LEAST_EDGE:
         raise UserError(f"tool '{tool.name}': length {tool.length:g} m of its edge is below {LEAST_EDGE:g}")
     if not 0.0 < tool.height <= 0.5:
         raise UserError(f"tool '{tool.name}': height {tool.height:g} m is outside 0..0.5")

@@ -24,7 +24,6 @@ from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
-
 TICKS_A_CUT = 10  # after which it is seen whether blades have cut
 
 

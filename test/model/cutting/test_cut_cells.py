@@ -28,7 +28,8 @@ def test_neighbours_share_a_face_and_know_each_other():
     for one, opposite in list(zip(cell, corner, strict=True))[::97]:
         other = cells.neighbour[one, opposite]
         face = set(np.delete(cells.nodes[one], opposite))
-        assert face < set(cells.nodes[other]) and one in cells.neighbour[other]
+        assert face < set(cells.nodes[other])
+        assert one in cells.neighbour[other]
     # Each face without a neighbour is a triangle of the surface.
     assert np.count_nonzero(cells.neighbour < 0) == len(slab().surface_triangles)
 
@@ -46,12 +47,15 @@ def test_both_sides_of_a_cut():
     cells = cut_cells_of(cut.organ, sides)
     differ = (sides.below != sides.above).any(axis=1)
     divided = np.unique(cut.cell_of[cut.side != 0])
-    assert set(np.flatnonzero(differ)) <= set(divided) and differ.sum() > 0.5 * len(divided)
+    assert set(np.flatnonzero(differ)) <= set(divided)
+    assert differ.sum() > 0.5 * len(divided)
     whole = cut_cells_of(organ)
-    assert np.array_equal(cells.base, whole.base) and np.array_equal(cells.neighbour, whole.neighbour)
+    assert np.array_equal(cells.base, whole.base)
+    assert np.array_equal(cells.neighbour, whole.neighbour)
     # What the sheet has passed is cut, and what its front has only been moved to is not.
     sheet = sheet_of(organ, *INCISION)
     middle = organ.rest_positions[organ.cell_nodes].mean(axis=1)
     deepest = -(middle[sides.is_cut == 1] @ sheet.direction).min()
-    assert sides.is_cut.any() and not sides.is_cut[~np.isin(np.arange(len(middle)), divided)].any()
+    assert sides.is_cut.any()
+    assert not sides.is_cut[~np.isin(np.arange(len(middle)), divided)].any()
     assert deepest >= INCISION[0][0][2] - INCISION[2] - 1e-9

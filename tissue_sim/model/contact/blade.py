@@ -20,7 +20,6 @@ from tissue_sim.model.contact.active_contact import ActiveContact
 from tissue_sim.model.data.blades import CORNERS, LIP_NODES, BladeRow, BladeSample, CutCells
 from tissue_sim.model.data.contact_set import nodes_of
 from tissue_sim.model.data.scratch import Scratch
-from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
 
@@ -376,7 +375,7 @@ def end_blades(world: World, found: int, step: float) -> None:
 
 @kernel
 def _mean_across(scratch: Scratch, body: int, found: int) -> float:
-    """Return the mean impulse across the flanks of a body, N s: what the hand gives them, not what they give another."""
+    """Return the mean impulse across the flanks of a body, N s: the hand's part, as all others balance each other."""
     total, count = 0.0, 0
     for index in range(found):
         row = scratch.blade_rows[index]
@@ -540,7 +539,7 @@ def _is_in_cut(world: World, contact: ActiveContact) -> bool:
 @kernel
 def _pressed_beside(world: World, number: int, touching: int) -> int:
     """Return which active contact presses nearest to a place of an edge; -1: none does beside it."""
-    state, shapes, scratch = world.state, world.shapes, world.scratch
+    shapes, scratch = world.shapes, world.scratch
     body = shapes.blades.body[number]
     at = scratch.blade_at
     _turned(scratch.rotation[body], shapes.blades.at[number], at)

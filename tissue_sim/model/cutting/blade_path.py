@@ -14,9 +14,8 @@ from tissue_sim.organ.surfaces.line_hits import line_hits
 from tissue_sim.organ.surfaces.sizing import mean_edge
 
 BIN = 0.5  # mean edges of the surface, into which the length of a cut is divided
-STEEP = (
-    0.3  # cosine between the plane of a blade and the surface's normal, below which the cut goes where the edge does
-)
+STEEP = 0.3  # cosine between a blade's plane and the surface's normal, below which the cut goes where the edge does
+NEAR = 0.1  # mean edges, within which places count as on the surface
 MEETS = 0.2  # mean edges between the two blades of scissors, below which nothing holds what is between them
 ALIKE = 0.9  # cosine between the planes of a blade and of a cut that it goes on with
 GROWN = 0.35  # mean edges by which a cut has grown when it is opened again
@@ -101,7 +100,10 @@ class BladePath:
         """Return the axes (3, 3) of a cut that begins at some places."""
         surface = self._organ.surface_positions
         away, nearest = cKDTree(surface).query(places)
-        inward = -surface_normals(surface, self._organ.surface_triangles)[nearest[np.argmin(away)]]
+        normals = surface_normals(surface, self._organ.surface_triangles)[nearest]
+        # Mostly that of the surface where the edge is nearest to it, and of both sides of its sharp edges.
+        inward = -normals.T @ (1.0 / (away**2 + (NEAR * self._edge) ** 2))
+        inward /= max(float(np.linalg.norm(inward)), 1e-300)
         normal = np.cross(along, forward)
         normal /= np.linalg.norm(normal)
         into = inward - (inward @ normal) * normal

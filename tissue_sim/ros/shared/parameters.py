@@ -139,9 +139,7 @@ NODE_SPECS = (
 TOOL_SPECS = (
     Spec("shape", "sphere", "shape of the tool; its origin is the tip", choices=SHAPE_NAMES),
     Spec("radius", 0.005, "m, of a sphere or capsule; half the thickness of an edge", 5e-4, 0.5),
-    Spec(
-        "length", 0.05, "m, of a capsule or an edge from its tip along -z; from a gripper's tips to its hinge", 0.0, 2.0
-    ),
+    Spec("length", 0.05, "m, of a capsule or edge from its tip along -z; from a gripper's tips to its hinge", 0.0, 2.0),
     Spec("mesh", "", "mesh file of the tool, or of a gripper's jaw, in metres, closed unless convex; or a URDF"),
     Spec("links", [""], "links of a URDF whose collision elements are the tool's bodies; empty for all that have any"),
     Spec("tip_link", "", "link of a URDF whose frame is the tool's, the frame of its poses' axes; empty for its root"),
