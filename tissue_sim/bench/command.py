@@ -53,6 +53,7 @@ BENCHMARKS = {
         "tissue_sim.bench.cutting.command",
         "cuts: their time and that of the ticks around them; with --accuracy, error against finite elements",
     ),
+    "blade": ("tissue_sim.bench.cutting.blade", "a blade that cuts by force: its load, energy balance and ticks"),
     "presses": ("tissue_sim.bench.presses", "tools enter fast, late or in jumps: failed presses, error of the force"),
     "haptics": (
         "tissue_sim.bench.haptics",

@@ -350,10 +350,10 @@ class Scene:
             self.ticks += 1
             self.joined.step()
             if self.ticks % TICKS_A_CUT == 0:
-                self._open_cuts()
+                self.open_cuts()
 
-    def _open_cuts(self) -> None:
-        """Open what blades have cut since the last time."""
+    def open_cuts(self) -> None:
+        """Open what blades have cut since the last time; `step` does so every few ticks."""
         for number, one in enumerate(self.organs):
             if not one.blade_cuts:
                 continue

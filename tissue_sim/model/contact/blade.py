@@ -34,6 +34,7 @@ EASES = 0.02  # s, in which tissue gives way to forces across a flank that only 
 MOST_OFFSET = 1e-3  # m, of a place from the tissue around it, where it enters beside others
 MOST_SPEED = 2.0  # m/s, of a place through tissue
 MOST_BACK = 4.0  # Frobenius norm of displacements at rest to those now; that of the unit matrix is 1.7
+SMOOTH = 5e-3  # s over which the load on an edge counts before it enters
 SETTLED = 1e-3  # fraction of the impulses that a pass may still change
 
 
@@ -356,6 +357,9 @@ def end_blades(world: World, found: int, step: float) -> None:
             across = n[0] * x + n[1] * y + n[2] * z - soft * pushed[2]
         elif row.side == 0.0:
             across = step / EASES * soft * (pushed[2] - _mean_across(scratch, row.body, found))
+        if row.resistance == 0.0 and not sample.free and world.shapes.blades.width[row.sample] > 0.0:
+            # Up to where it has been before; from there on it is resisted.
+            ahead = min(ahead, max(0.0, sample.deepest - sample.depth) / max(_shrinking(row), 1e-9))
         most = MOST_SPEED * step
         ahead, aside = min(max(ahead, -most), most), min(max(aside, -most), most)
         _advance(world, row, sample, (ahead, aside, min(max(across, -most), most)))
@@ -386,6 +390,14 @@ def _mean_across(scratch: Scratch, body: int, found: int) -> float:
 
 
 @kernel
+def _shrinking(row: BladeRow) -> float:
+    """Return how long a way forward is at rest, relative to now."""
+    f = row.forward
+    x, y, z = _times(row.back, f[0], f[1], f[2])
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@kernel
 def _advance(world: World, row: BladeRow, sample: BladeSample, way: tuple[float, float, float]) -> None:
     """Move a place through the tissue by a way, m forward, along and across, and count the area that it cuts."""
     ahead, aside, across = way
@@ -401,8 +413,7 @@ def _advance(world: World, row: BladeRow, sample: BladeSample, way: tuple[float,
     sample.rest[0] += x
     sample.rest[1] += y
     sample.rest[2] += z
-    fx, fy, fz = _times(row.back, f[0], f[1], f[2])
-    forward = ahead * math.sqrt(fx * fx + fy * fy + fz * fz)
+    forward = ahead * _shrinking(row)
     sample.depth += forward
     if sample.free:
         sample.deepest = sample.depth
@@ -482,7 +493,7 @@ def begin_cuts(world: World, touching: int, step: float) -> None:
         if state.bodies[body].cutting or not state.bodies[body].engaged:
             continue
         load, touched, width = _edge_load(world, body, touching)
-        if touched == 0.0 or load <= 0.0 or load < world.settings.toughness * width * step:
+        if touched == 0.0 or load <= 0.0 or not _is_heavy(world, body, load / step, width, step):
             continue
         began = False
         for number in range(len(state.blades)):
@@ -494,6 +505,18 @@ def begin_cuts(world: World, touching: int, step: float) -> None:
                 if state.contacts.body[entry] == body:
                     state.contact_pressed[0, entry] = 0.0
                     state.contact_held[0, entry] = 0.0
+
+
+@kernel
+def _is_heavy(world: World, body: int, load: float, width: float, step: float) -> bool:
+    """Return whether a load, N, on a width, m, of an edge is as large as the tissue resists, for some time."""
+    state, blades = world.state, world.shapes.blades
+    for number in range(len(state.blades)):
+        if blades.body[number] == body:
+            sample = state.blades[number]
+            sample.load += min(1.0, step / SMOOTH) * (load - sample.load)
+            return sample.load >= world.settings.toughness * width
+    return False
 
 
 @kernel
@@ -538,23 +561,31 @@ def _is_in_cut(world: World, contact: ActiveContact) -> bool:
 
 @kernel
 def _pressed_beside(world: World, number: int, touching: int) -> int:
-    """Return which active contact presses nearest to a place of an edge; -1: none does beside it."""
-    shapes, scratch = world.shapes, world.scratch
-    body = shapes.blades.body[number]
-    at = scratch.blade_at
-    _turned(scratch.rotation[body], shapes.blades.at[number], at)
-    reach = shapes.blades.width[number] + 2.0 * shapes.size[body, 0]
-    best, chosen = reach * reach, -1
+    """Return which active contact presses nearest to a place of an edge.
+
+    It is -1 where the edge presses on one side of that place only, or nowhere: contact points may be farther apart than
+    the places are.
+    """
+    blades, scratch = world.shapes.blades, world.scratch
+    body, at = blades.body[number], scratch.blade_at
+    _turned(scratch.rotation[body], blades.at[number], at)
+    f, n, local, along = blades.forward[number], blades.normal[number], scratch.blade_back, scratch.blade_weight
+    local[0], local[1], local[2] = n[1] * f[2] - n[2] * f[1], n[2] * f[0] - n[0] * f[2], n[0] * f[1] - n[1] * f[0]
+    _turned(scratch.rotation[body], local, along)
+    best, chosen, half = math.inf, -1, 0.5 * blades.width[number]
+    before = behind = False
     for index in range(touching):
         contact = scratch.active[index]
         if contact.body != body or contact.pressed <= 0.0:
             continue
-        square = 0.0
+        square = beside = 0.0
         for axis in range(3):
             square += (contact.arm[axis] - at[axis]) ** 2
+            beside += along[axis] * (contact.arm[axis] - at[axis])
+        before, behind = before or beside < half, behind or beside > -half
         if square < best:
             best, chosen = square, index
-    return chosen
+    return chosen if before and behind else -1
 
 
 @kernel

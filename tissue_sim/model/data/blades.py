@@ -27,8 +27,9 @@ class Blades(NamedTuple):
 
 
 class BladeSample(Record):
-    """Place of a blade in the tissue; all 0 outside."""
+    """Place of a blade in the tissue; all but the load 0 outside."""
 
+    load: float  # N on the edge before it enters, smoothed; of the first place of each body
     embedded: bool  # it is in tissue
     free: bool  # in a cut that was there when it entered: nothing is left to cut
     cell: int  # the cell of the uncut organ that holds it

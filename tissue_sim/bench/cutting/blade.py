@@ -1,0 +1,187 @@
+"""Benchmark `tissue_sim bench blade`: a blade that cuts organs by force: its load, where its work goes, and ticks.
+
+Work that a hand does is stored in the tissue, taken by damping, or has made area. Friction is off here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.timing import in_one_thread
+from tissue_sim.contact.scene import TICKS_A_CUT, Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.organ.normals import surface_normals
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+
+TOUGHNESS = (75.0, 120.0, 185.0)  # J/m^2, of liver in the literature and the default
+LENGTH, HEIGHT, RADIUS = 0.02, 0.012, 1.5e-3  # m, of the blade
+DEPTH = 0.025  # m from the surface that it is moved, and
+SPEED = 0.02  # m/s, at which
+AWAY = 0.003  # m from which it comes
+PATCH = 19  # nodes around the place where it enters
+MOST_REST, MOST_P99, MOST_TICK = 5.0, 250.0, 1000.0  # %, us, us
+
+
+class BladeRun(NamedTuple):
+    """A blade that was pressed into an organ."""
+
+    organ: str
+    toughness: float  # J/m^2
+    entry: float  # N before it entered
+    dent: float  # m by which the surface yielded before
+    force: float  # N, mean of the last third of its way
+    area: float  # m^2 at rest
+    work: float  # J of the hand
+    stored: float  # J, elastic and kinetic
+    damped: float  # J
+    made: float  # J, toughness times area
+    opened: int  # times that the cut was opened
+    tick: float  # s, median of processor time while it cuts, of ticks that open nothing
+    p99: float
+    longest: float
+    faults: int
+
+    @property
+    def rest(self) -> float:
+        """Fraction of the work that is unaccounted for."""
+        return 1.0 - (self.stored + self.damped + self.made) / self.work
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_shared(parser, check=True)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Cut, weigh and print; return 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    organ = Organ.load(args.organ or shipped_organ())
+    found = as_json(in_one_thread(measure, organ))
+    emit(found, text(found), args.json)
+    return exit_code(found, check=args.check)
+
+
+def measure(organ: Organ, toughness: Sequence[float] = TOUGHNESS, depth: float = DEPTH) -> list[BladeRun]:
+    """Return the results of a blade for each toughness, J/m^2, moved by so many metres from the surface."""
+    found = []
+    with rows.until_stopped():
+        for each in rows.each(toughness, "toughness"):
+            found.append(cut(organ, each, depth))
+            rows.tell(f"{each:g} J/m^2", f"unaccounted {100.0 * found[-1].rest:.1f} %")
+    return found
+
+
+def cut(organ: Organ, toughness: float, depth: float) -> BladeRun:
+    """Press a blade into an organ where it is farthest from its clamp."""
+    scene = Scene(organ, [Tool("knife", shape="blade", radius=RADIUS, length=LENGTH, height=HEIGHT)])
+    settings = scene.simulation.settings
+    settings.toughness, settings.friction, settings.flank_friction = toughness, 0.0, 0.0
+    start, into, turn = place(organ)
+    step = SPEED / scene.simulation.rate
+    work = damped = before = entry = dent = 0.0
+    forces, seconds, opened = [], [], 0
+    for tick in range(round((AWAY + depth) / step)):
+        simulation = scene.simulation
+        scene.move("knife", start + (tick * step - AWAY) * into, turn)
+        was_cutting = bool(simulation.state.bodies.cutting[0])
+        scene.find()
+        begun = time.thread_time()
+        scene.joined.step()
+        scene.ticks += 1
+        if was_cutting:
+            seconds.append(time.thread_time() - begun)
+        force = -float(scene.wrench("knife")[:3] @ into)
+        work += 0.5 * (before + force) * step
+        before = force
+        forces.append(force)
+        speed = np.square(simulation.velocities).sum(axis=1)
+        damped += float(simulation.organ.damping @ speed) / simulation.rate
+        if not simulation.state.bodies.cutting[0] and not opened:
+            entry, dent = max(entry, force), tick * step - AWAY
+        if scene.ticks % TICKS_A_CUT == 0:
+            scene.open_cuts()
+            opened += scene.simulation is not simulation
+    state, measured = scene.simulation.state, np.array(seconds or [np.nan])
+    area = float(state.blades.area.sum())
+    return BladeRun(
+        organ=organ.name,
+        toughness=toughness,
+        entry=entry,
+        dent=dent,
+        force=float(np.mean(forces[-len(forces) // 3 :])),
+        area=area,
+        work=work,
+        stored=scene.simulation.energy.total,
+        damped=damped,
+        made=toughness * area,
+        opened=opened,
+        tick=float(np.median(measured)),
+        p99=float(np.percentile(measured, 99.0)),
+        longest=float(measured.max()),
+        faults=int(state.count.faults),
+    )
+
+
+def place(organ: Organ) -> tuple[Floats, Floats, Floats]:
+    """Return where a blade's tip begins on the surface (3,), the direction into it, and its quaternion."""
+    surface = organ.surface_positions
+    away = cKDTree(organ.rest_positions[organ.fixed]).query(surface)[0]
+    middle = surface.mean(axis=0)
+    node = int(np.argmax(away - 0.5 * np.abs(surface - middle).max(axis=1)))
+    near = np.argsort(np.linalg.norm(surface - surface[node], axis=1))[:PATCH]
+    into = -surface_normals(surface, organ.surface_triangles)[near].mean(axis=0)
+    into /= np.linalg.norm(into)
+    axes = np.linalg.svd(surface - middle, full_matrices=False)[2]
+    along = axes[0] - (axes[0] @ into) * into
+    along /= np.linalg.norm(along)
+    # The edge runs from the tip along -z, and cuts towards x.
+    turn = Rotation.from_matrix(np.stack([into, np.cross(-along, into), -along], axis=1)).as_quat()
+    return surface[node] - 0.5 * LENGTH * along - RADIUS * into, into, turn
+
+
+def as_json(found: Sequence[BladeRun]) -> dict[str, Any]:
+    """Return all figures and their bounds."""
+    bounds = [
+        Bound("work that is unaccounted for, worst", 100.0 * max(abs(one.rest) for one in found), MOST_REST, "%"),
+        Bound("tick while a blade cuts, p99", 1e6 * max(one.p99 for one in found), MOST_P99, "us"),
+        Bound("tick while a blade cuts, longest", 1e6 * max(one.longest for one in found), MOST_TICK, "us"),
+        Bound("faults", float(sum(one.faults for one in found)), 0.0, ""),
+    ]
+    return {"blades": [one._asdict() for one in found], "bounds": [bound.as_json() for bound in bounds]}
+
+
+def text(found: dict[str, Any]) -> str:
+    """Return the figures as a table, a row for each toughness."""
+    head = ["J/m^2", "entry N", "dent mm", "cutting N", "area mm^2", "work mJ", "stored", "damped", "area's", "rest %"]
+    table = [[*head, "opened", "tick us", "p99", "longest"]]
+    for each in found["blades"]:
+        one = BladeRun(**each)
+        energies = [f"{1e3 * energy:.2f}" for energy in (one.work, one.stored, one.damped, one.made)]
+        table.append(
+            [
+                f"{one.toughness:g}",
+                f"{one.entry:.2f}",
+                f"{1e3 * one.dent:.1f}",
+                f"{one.force:.2f}",
+                f"{1e6 * one.area:.0f}",
+                *energies,
+                f"{100.0 * one.rest:.1f}",
+                str(one.opened),
+                *(f"{1e6 * seconds:.0f}" for seconds in (one.tick, one.p99, one.longest)),
+            ]
+        )
+    organ = found["blades"][0]["organ"] if found["blades"] else ""
+    title = f"organ '{organ}': a blade of {1e3 * LENGTH:.0f} mm, pressed in by {1e3 * DEPTH:.0f} mm at {1e3 * SPEED:.0f} mm/s"
+    return "\n".join([title, *aligned(table), "", *bound_lines(found["bounds"])])
