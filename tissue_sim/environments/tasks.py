@@ -21,7 +21,8 @@ NEAR, HELD = 0.003, 10  # m beside the place; steps in a row after which it is r
 PRECISION = 0.05  # of the force
 FOUND, TOUCH = 0.008, 0.05  # m from the tumour's nearest surface point; N that counts as touching
 LIFT = 0.004  # m by which tissue is to be lifted
-DECLARED = 10.0  # reward for the right place, and penalty for a wrong one
+DECLARED, MISSED = 10.0, 1.0  # reward for the right place, and penalty for a wrong one
+SEARCH = 0.05  # penalty of a step of a search at most: less than what a find brings, or giving up would be best
 
 
 class Draw(NamedTuple):
@@ -59,6 +60,7 @@ class Task:
     """Press: reach a force at a place. Others change what differs."""
 
     organ, actions = "kidney", 3  # the shipped organ; velocity, and what else a step is told
+    has_jaws, declares = False, False  # whether the last action moves jaws, or says: here it is
     ends = True  # whether an episode ends where the goal is met for HELD steps
     shift = 0.005  # m by which the organ is moved at most, along each axis
     shows_goal = True
@@ -127,7 +129,7 @@ class Hold(Task):
 class Palpate(Task):
     """Find the tumour by touch: press, move on, and say where it is."""
 
-    organ, actions = "kidney_tumour", 4
+    organ, actions, declares = "kidney_tumour", 4, True
     ends = False
     shift = 0.015
     shows_goal = False
@@ -146,14 +148,14 @@ class Palpate(Task):
         """Return reward and success: the nearer the better, and the right or wrong place at the end."""
         beside = np.linalg.norm(now.tip - now.place - RADIUS * now.outward, axis=1)
         is_here = (beside < FOUND) & (now.felt > TOUCH)
-        final = np.where(now.declared, np.where(is_here, DECLARED, -DECLARED), 0.0)
-        return Judged(-np.minimum(beside / 0.05, 1.0) + final, is_here & now.declared, now.declared)
+        final = np.where(now.declared, np.where(is_here, DECLARED, -MISSED), 0.0)
+        return Judged(-SEARCH * np.minimum(beside / 0.05, 1.0) + final, is_here & now.declared, now.declared)
 
 
 class Retract(Task):
     """Grasp the tissue at a place and lift it, to expose what lies beside it."""
 
-    actions = 4
+    actions, has_jaws = 4, True
 
     def tool(self) -> Tool:
         """Return a gripper with round jaws."""
