@@ -12,7 +12,7 @@ from tissue_sim.organ.organ import Organ
 if TYPE_CHECKING:
     from tissue_sim.environments.policies import Learned
 
-TASKS = ("Press", "Palpate", "Retract", "Hold")
+TASKS = ("Press", "Palpate", "Retract", "Hold", "Cut")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

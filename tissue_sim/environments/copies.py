@@ -57,12 +57,12 @@ class TaskCopies:
     def __init__(self, task: str, count: int, organ: Organ | str | None = None, threads: int = 0) -> None:
         self.task = task_of(task)
         self.organ = organ if isinstance(organ, Organ) else Organ.shipped(organ or self.task.organ)
-        scene = self.task.scene(self.organ)
-        self.batch = SceneBatch(scene, count, threads=threads)
+        self.scene = self.task.scene(self.organ)  # at rest
+        self.batch = SceneBatch(self.scene, count, threads=threads)
         self._fresh = self.batch.save([0])[0]
-        self._place, self._outward, self._start, self._tip, self._shift = np.zeros((5, count, 3))
+        self._place, self._outward, self._half, self._start, self._tip, self._shift = np.zeros((6, count, 3))
         self._node = np.zeros(count, dtype=np.int64)
-        self._force, self._angle, self._heading = np.zeros(count), np.zeros(count), np.zeros(count)
+        self._wanted, self._angle, self._heading = np.zeros(count), np.zeros(count), np.zeros(count)
         self._turned = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))  # of the tools, in the organs' frames
         self._held = np.zeros(count, dtype=np.int64)
 
@@ -82,7 +82,7 @@ class TaskCopies:
         for copy, random in zip(copies.tolist(), randoms, strict=True):
             drawn = self.task.draw(random, self.organ)
             self._place[copy], self._outward[copy], self._start[copy] = drawn.place, drawn.outward, drawn.start
-            self._tip[copy], self._force[copy] = drawn.start, drawn.force
+            self._tip[copy], self._wanted[copy], self._half[copy] = drawn.start, drawn.wanted, drawn.half
             self._angle[copy] = OPEN if self.task.has_jaws else 0.0
             self._shift[copy] = self.task.shift * random.uniform(-1.0, 1.0, 3)
             self._heading[copy] = random.uniform(-TURN, TURN)
@@ -102,7 +102,7 @@ class TaskCopies:
             Velocity along each axis, and for some tasks the jaws' speed, or whether the agent declares a find.
         """
         given = clipped(actions)
-        self._tip = moved_tip(self._tip, self._start, _turn(given[:, :3], -self._heading))
+        self._tip = moved_tip(self._tip, self._start, turned_about_z(given[:, :3], -self._heading))
         if self.task.has_jaws:
             self._angle = moved_jaws(self._angle, given)
         self._send(np.arange(len(self._tip)))
@@ -122,31 +122,40 @@ class TaskCopies:
         half = np.zeros_like(self._heading)
         about = np.stack([half, half, np.sin(0.5 * self._heading), np.cos(0.5 * self._heading)], axis=1)
         turned = [multiply(tuple(a), tuple(b)) for a, b in zip(about.tolist(), poses[:, 3:].tolist(), strict=True)]
-        wrench = np.hstack([_turn(wrenches[:, :3], self._heading), _turn(wrenches[:, 3:], self._heading)])
+        wrench = np.hstack(
+            [turned_about_z(wrenches[:, :3], self._heading), turned_about_z(wrenches[:, 3:], self._heading)]
+        )
         return observation_of(
             self.task,
             Sensed(
-                pose=np.hstack([self._outside(poses[:, :3]), np.array(turned)]),
+                pose=np.hstack([self.outside(poses[:, :3]), np.array(turned)]),
                 wrench=wrench,
                 angle=self._angle,
-                place=self._outside(self._place),
-                outward=_turn(self._outward, self._heading),
-                force=self._force,
+                place=self.outside(self._place),
+                outward=turned_about_z(self._outward, self._heading),
+                wanted=self._wanted,
             ),
         )
 
     def surface(self) -> Singles:
         """Return where the surface nodes of all copies are, (n, n_surface, 3) m, in their environments' frames."""
         surface = self.batch.surface_positions()
-        return (_turn(surface, self._heading[:, None]) + self._shift[:, None]).astype(np.float32)
+        return (turned_about_z(surface, self._heading[:, None]) + self._shift[:, None]).astype(np.float32)
 
     def _send(self, copies: Longs) -> None:
         poses = np.hstack([self._tip[copies], self._turned[copies]])[:, None]
         self.batch.move(poses, self._angle[copies][:, None], copies)
 
-    def _outside(self, points: Floats) -> Floats:
+    def outside(self, points: Floats) -> Floats:
         """Return points (n, 3) of organs' frames in the environments' frames."""
-        return _turn(points, self._heading) + self._shift
+        return turned_about_z(points, self._heading) + self._shift
+
+    def inside(self, copy: int, pose: Floats) -> Floats:
+        """Return a pose (7,) of the environments' frame in the frame of a copy's organ."""
+        half = -0.5 * self._heading[copy]
+        back = 0.0, 0.0, float(np.sin(half)), float(np.cos(half))
+        place = turned_about_z(pose[None, :3] - self._shift[copy], -self._heading[[copy]])[0]
+        return np.concatenate([place, multiply(back, tuple(pose[3:].tolist()))])
 
     def _now(self, declared: Mask) -> Now:
         forces = self.batch.wrenches[:, 0, :3]
@@ -155,10 +164,10 @@ class TaskCopies:
         lifted = np.einsum("nx,nx->n", surface - self._place, self._outward)
         tips = self.batch.poses[:, 0, :3]
         sizes = np.linalg.norm(forces, axis=1)
-        return Now(self._place, self._outward, self._force, tips, pushed, sizes, lifted, declared)
+        return Now(self._place, self._outward, self._wanted, tips, pushed, sizes, lifted, declared)
 
 
-def _turn(vectors: Floats, angle: Floats) -> Floats:
+def turned_about_z(vectors: Floats, angle: Floats) -> Floats:
     """Return vectors (n, ..., 3) turned about z by angles that broadcast to (n, ...)."""
     x, y, sine, cosine = vectors[..., 0], vectors[..., 1], np.sin(angle), np.cos(angle)
     return np.stack([cosine * x - sine * y, sine * x + cosine * y, vectors[..., 2]], axis=-1)

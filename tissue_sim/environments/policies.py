@@ -105,7 +105,38 @@ class PalpatePolicy(Policy):
         return np.clip(np.column_stack([velocity, says]), -1.0, 1.0)
 
 
-POLICIES: dict[str, type[Policy]] = {one.task: one for one in (Policy, PalpatePolicy, RetractPolicy, HoldPolicy)}
+class CutPolicy(Policy):
+    """Cut: put the blade in at one end of the line, slide to the other one, and say that it is done there."""
+
+    task = "Cut"
+    weights = ("beside", "lack", "force", "blade", "overshoot", "slow")
+
+    def act(self, weights: Floats, seen: Seen) -> Floats:
+        """Return the actions (n, 5)."""
+        w = np.broadcast_to(weights, (len(seen["pose"]), len(self.weights))).T
+        goal, line = (np.asarray(seen[name], dtype=np.float64) for name in ("goal", "line"))
+        outward, slides = goal[:, 3:6], self.memory[:, 0] > 0.0
+        half = 0.5 * (line[:, 3:] - line[:, :3])
+        end = 1.0 + w[4] / 10.0
+        aim = goal[:, :3] + np.where(slides, end, -end)[:, None] * half
+        way = aim - seen["pose"][:, :3]
+        way = way - np.einsum("nx,nx->n", way, outward)[:, None] * outward
+        is_there = np.linalg.norm(way, axis=1) < 0.15 * CM
+        felt = np.linalg.norm(seen["wrench"][:, :3], axis=1)
+        short = goal[:, 6] * (1.0 + w[3] / 10.0) - seen["blade"][:, 0]
+        is_in = (np.abs(short) < 0.05 * CM) & (felt > 0.05)
+        push = -w[1] * np.clip(0.1 * (1.0 + w[2]) - felt, -0.3, 0.3)
+        speed = np.where(slides & (w[5] > 0.0), 1.0 / (1.0 + np.maximum(w[5], 0.0)), 1.0)
+        size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True) / CM, 1.0)
+        velocity = (w[0] * speed)[:, None] * way / CM / size + push[:, None] * outward
+        finished = np.where(slides & is_there, 1.0, -1.0)
+        self.memory[:, 0] = np.maximum(self.memory[:, 0], is_there & is_in)
+        return np.clip(np.column_stack([velocity, short / 0.1 / CM, finished]), -1.0, 1.0)
+
+
+POLICIES: dict[str, type[Policy]] = {
+    one.task: one for one in (Policy, PalpatePolicy, RetractPolicy, HoldPolicy, CutPolicy)
+}
 
 
 def places(seen: Seen) -> tuple[Floats, Floats, Floats]:

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from tissue_sim.array_types import Floats, Pixels, Singles
-from tissue_sim.environments.copies import TaskCopies
+from tissue_sim.environments.cut_copies import copies_of
 from tissue_sim.environments.observations import Observer
 from tissue_sim.organ.organ import Organ
 
@@ -19,7 +19,7 @@ class TissueEnv(gymnasium.Env):
     Parameters
     ----------
     task : str
-        Press, Palpate, Retract or Hold.
+        Press, Palpate, Retract, Hold or Cut.
     organ : Organ | str | None, optional
         Another organ, or the name of one that ships; None for the task's.
     observation : str, optional
@@ -29,7 +29,7 @@ class TissueEnv(gymnasium.Env):
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
     def __init__(self, task: str, organ: Organ | str | None = None, observation: str = "pose") -> None:
-        self.copies = TaskCopies(task, 1, organ, threads=1)
+        self.copies = copies_of(task, 1, organ, threads=1)
         self._observer = Observer(self.copies, observation)
         self.observation_space, self.action_space = self._observer.spaces()
 

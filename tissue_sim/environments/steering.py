@@ -23,7 +23,7 @@ class Sensed(NamedTuple):
     angle: Floats  # (n,) rad between jaws
     place: Floats  # (n, 3) m of the goal
     outward: Floats  # (n, 3) normal there
-    force: Floats  # (n,) N that is wanted
+    wanted: Floats  # (n,) N, or m of a cut
 
 
 def clipped(actions: Floats) -> Floats:
@@ -74,7 +74,7 @@ def observation_of(task: Task, sensed: Sensed) -> dict[str, Singles]:
     if task.has_jaws:
         seen["angle"] = sensed.angle[:, None]
     if task.shows_goal:
-        seen["goal"] = np.hstack([sensed.place, sensed.outward, sensed.force[:, None]])
+        seen["goal"] = np.hstack([sensed.place, sensed.outward, sensed.wanted[:, None]])
     return {name: values.astype(np.float32) for name, values in seen.items()}
 
 

@@ -30,9 +30,10 @@ class Draw(NamedTuple):
 
     place: Floats  # (3,) on the surface
     outward: Floats  # (3,)
-    force: float  # N to be reached
+    wanted: float  # N of force, or of a cut m of depth
     start: Floats  # (3,) of the tool
     stiffness: float  # factor
+    half: Floats = np.zeros(3)  # (3,) from there to an end of the line of a cut
 
 
 class Now(NamedTuple):
@@ -40,7 +41,7 @@ class Now(NamedTuple):
 
     place: Floats  # (n, 3) m
     outward: Floats  # (n, 3)
-    force: Floats  # (n,) N to be reached
+    wanted: Floats  # (n,) N, the force to be reached
     tip: Floats  # (n, 3) m, where the tool is
     pushed: Floats  # (n,) N that pushes the hand out
     felt: Floats  # (n,) N, size of the force
@@ -103,7 +104,7 @@ class Task:
         now : Now
             What there is after a step.
         """
-        off = np.abs(now.pushed - now.force) / now.force
+        off = np.abs(now.pushed - now.wanted) / now.wanted
         beside = distance_beside(now)
         reward = -np.minimum(off, 1.0) - np.minimum(beside / 0.01, 1.0)
         return Judged(reward, (off < PRECISION) & (beside < NEAR), np.zeros(len(off), dtype=np.bool_))
@@ -168,7 +169,29 @@ class Retract(Task):
         return Judged(-short - 0.2 * away, short == 0.0, np.zeros(len(short), dtype=np.bool_))
 
 
-TASKS: dict[str, type[Task]] = {"Press": Task, "Palpate": Palpate, "Retract": Retract, "Hold": Hold}
+class Cut(Task):
+    """Cut along a line to a depth: slide a guard over the tissue, below which a blade protrudes; see CutCopies."""
+
+    actions, declares = 5, True
+    ends = False
+
+    def tool(self) -> Tool:
+        """Return the guard, which slides on the tissue and is felt; the blade itself meets no resistance."""
+        return Tool("guard", radius=0.002)
+
+    def draw(self, random: np.random.Generator, organ: Organ) -> Draw:
+        """Return an episode: the middle of a line on the surface, its half, the depth, and where the guard begins."""
+        drawn = super().draw(random, organ)
+        across = np.cross(drawn.outward, random.normal(size=3))
+        half = random.uniform(0.008, 0.012) * across / np.linalg.norm(across)
+        return drawn._replace(half=half, wanted=random.uniform(0.008, 0.014))
+
+    def judge(self, now: Now) -> Judged:
+        """Raise NotImplementedError: a cut is judged by its whole way, as CutCopies does."""
+        raise NotImplementedError
+
+
+TASKS: dict[str, type[Task]] = {"Press": Task, "Palpate": Palpate, "Retract": Retract, "Hold": Hold, "Cut": Cut}
 
 
 def task_of(name: str) -> Task:

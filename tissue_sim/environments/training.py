@@ -36,6 +36,7 @@ PLANS = {
     "Hold": Plan(steps=150),
     "Retract": Plan(generations=25, steps=120),
     "Palpate": Plan(generations=40, each=6, steps=150),
+    "Cut": Plan(generations=20, steps=150),
 }
 
 

@@ -10,7 +10,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector.utils import batch_space
 
 from tissue_sim.array_types import Floats, Longs, Mask, Pixels, Singles
-from tissue_sim.environments.copies import TaskCopies
+from tissue_sim.environments.cut_copies import copies_of
 from tissue_sim.environments.observations import Observer
 from tissue_sim.organ.organ import Organ
 
@@ -21,7 +21,7 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv):
     Parameters
     ----------
     task : str
-        Press, Palpate, Retract or Hold.
+        Press, Palpate, Retract, Hold or Cut.
     num_envs : int, optional
         Number of copies.
     max_episode_steps : int, optional
@@ -46,7 +46,7 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv):
         threads: int = 0,
     ) -> None:
         self.num_envs, self.render_mode = num_envs, None
-        self.copies = TaskCopies(task, num_envs, organ, threads)
+        self.copies = copies_of(task, num_envs, organ, threads)
         self._observer = Observer(self.copies, observation)
         self.single_observation_space, self.single_action_space = self._observer.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -34,7 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         nargs=3,
         metavar=("X", "Y", "Z"),
-        help="point in the organ's frame, m, whose nearest surface point is the goal (default: the middle of the front)",
+        help="point in the organ's frame, m, to which the surface point of the goal is nearest (default: the middle of"
+        " the front)",
     )
     add("--force", type=client.number(0.01, 20.0, "N"), default=0.3, help="wanted force, N")
     add("--seconds", type=client.number(0.1, 3600.0, "s"), help="longest time (default: that of the task's episodes)")
@@ -53,6 +54,8 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"policies need {error.name}: pip install 'tissue_sim[learn]'") from None
     learned = Learned.load(args.policy)
     task = task_of(learned.task)
+    if learned.task == "Cut":
+        raise UserError("a blade isn't a tool of a node, so that Cut can't be driven; cut by the service ~/cut")
 
     from shape_msgs.msg import Mesh
 
@@ -100,10 +103,8 @@ def told(learned: Learned, goal: Goal, done: Done, step: float) -> str:
     force = float(done.force @ goal.outward)
     wanted = "" if learned.task == "Retract" else f" of {goal.force:.3f} N"
     share = f" in {100.0 * done.share:.0f} % of the steps" if learned.task == "Hold" else ""
-    return (
-        f"{learned.task}: goal {'' if done.is_met else 'not '}met{share}: {force:.3f} N{wanted}, {beside:.1f} mm beside the"
-        f" place, {after}"
-    )
+    met = f"goal {'' if done.is_met else 'not '}met{share}"
+    return f"{learned.task}: {met}: {force:.3f} N{wanted}, {beside:.1f} mm beside the place, {after}"
 
 
 def link_of(values: Mapping[str, Any], args: argparse.Namespace, task: Task) -> ToolLink:

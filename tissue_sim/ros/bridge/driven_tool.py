@@ -145,7 +145,7 @@ class DrivenTool:
             angle=np.array([self._angle]),
             place=goal.place[None],
             outward=goal.outward[None],
-            force=np.array([goal.force]),
+            wanted=np.array([goal.force]),
         )
 
     def _judge(self, task: Task, goal: Goal, tip: Floats, says: Mask) -> Judged:
@@ -157,7 +157,7 @@ class DrivenTool:
             Now(
                 place=goal.place[None],
                 outward=goal.outward[None],
-                force=np.array([goal.force]),
+                wanted=np.array([goal.force]),
                 tip=tip[None],
                 pushed=np.array([force @ goal.outward]),
                 felt=np.array([np.linalg.norm(force)]),
