@@ -175,8 +175,8 @@ def test_a_shaft_lies_behind_its_direction(direction):
 
 
 def test_what_is_not_there_is_named():
-    with pytest.raises(UserError, match="no task 'Cut'; choose one of Press, Palpate, Retract, Hold"):
-        TaskCopies("Cut", 1)
+    with pytest.raises(UserError, match="no task 'Sew'; choose one of Press, Palpate, Retract, Hold, Cut"):
+        TaskCopies("Sew", 1)
     copies = TaskCopies("Palpate", 1, ball_of_cells())
     with pytest.raises(UserError, match="has no tumour to palpate"):
         copies.begin(np.arange(1), [np.random.default_rng(0)])

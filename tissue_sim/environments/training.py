@@ -24,19 +24,19 @@ LARGEST_SEED = 1000
 class Plan(NamedTuple):
     """How much is learned from."""
 
-    generations: int = 15
-    candidates: int = 12  # policies of a generation
-    each: int = 4  # episodes of each
-    steps: int = 150  # of an episode at most
-    episodes: int = 64  # new ones, at the end
+    generations: int = 12
+    candidates: int = 10  # policies of a generation
+    each: int = 3  # episodes of each
+    steps: int = 100  # of an episode at most
+    episodes: int = 40  # new ones, at the end
 
 
 PLANS = {
-    "Press": Plan(steps=120),
-    "Hold": Plan(steps=150),
-    "Retract": Plan(generations=25, steps=120),
-    "Palpate": Plan(generations=40, each=6, steps=150),
-    "Cut": Plan(generations=20, steps=150),
+    "Press": Plan(),
+    "Hold": Plan(),
+    "Retract": Plan(generations=18),
+    "Palpate": Plan(generations=20, each=4, steps=120),
+    "Cut": Plan(steps=120),
 }
 
 

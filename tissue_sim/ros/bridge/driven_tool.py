@@ -63,7 +63,8 @@ class DrivenTool:
     """
 
     def __init__(self, node: Node, target: str, link: ToolLink, below: str) -> None:
-        self._tool = ScriptedTool(node, link, link.tool.has_jaws)
+        self._has_jaws = link.tool.has_jaws
+        self._tool = ScriptedTool(node, link, self._has_jaws)
         topic = f"/{target}/{link.tool.name}/wrench"
         self._wrenches = client.NewestMessage(node, WrenchStamped, topic, RELIABLE)
         self._surface = client.NewestMessage(node, PointCloud2, f"{below}surface", client.stream_qos())
@@ -73,7 +74,7 @@ class DrivenTool:
 
     def meet(self, start: Floats, goal: Goal, longest: float, stop: client.Stop) -> bool:
         """Hold the tool outside until the node answers; return whether it does within some s."""
-        if self._tool.has_jaws:
+        if self._has_jaws:
             self._turn, self._angle = facing(-goal.outward), OPEN
 
         def is_heard() -> bool:
