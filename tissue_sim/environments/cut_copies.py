@@ -31,6 +31,7 @@ class CutCopies(TaskCopies):
     def __init__(self, task: str, count: int, organ: Organ | str | None = None, threads: int = 0) -> None:
         super().__init__(task, count, organ, threads)
         self._blade, self._peak = np.zeros(count), np.zeros(count)  # m, N
+        self._normals = self.organ.surface_normals
         self._ways: list[list[Floats]] = [[] for _ in range(count)]  # points (4,) m: where, and how deep
         self._is_cut = np.zeros((count, SAMPLES), dtype=np.bool_)
 
@@ -70,11 +71,12 @@ class CutCopies(TaskCopies):
 
     def _note(self, tips: Floats, felt: Floats) -> None:
         """Note where blades are in the tissue, in the organ's rest coordinates."""
-        surfaces, rest = self.batch.surface_positions(), self.organ.surface_positions
+        surfaces, rest, normals = self.batch.surface_positions(), self.organ.surface_positions, self._normals
         for copy in np.flatnonzero((felt > TOUCH) & (self._blade > 0.0)).tolist():
             node = int(np.argmin(np.linalg.norm(surfaces[copy] - tips[copy], axis=1)))
-            under = tips[copy] - self.task.tool().radius * self.organ.surface_normals[node]
-            point = under - (surfaces[copy, node] - rest[node])
+            # The guard dents the tissue between the nodes, too: its place on the surface at rest is what counts.
+            point = tips[copy] - (surfaces[copy, node] - rest[node])
+            point -= ((point - rest[node]) @ normals[node]) * normals[node]
             way = self._ways[copy]
             if not way or np.linalg.norm(point - way[-1][:3]) >= APART:
                 way.append(np.append(point, self._blade[copy]))

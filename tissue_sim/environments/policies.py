@@ -27,7 +27,7 @@ class Policy:
     """Press: keep above the place, and push by what the force lacks. Others change what differs."""
 
     task = "Press"
-    weights = ("beside", "lack", "height", "push", "far")
+    weights = ("beside", "lack", "far")
 
     def __init__(self, count: int = 1) -> None:
         self.memory = np.zeros((count, 4))  # of each agent, zero when its episode begins
@@ -48,12 +48,12 @@ class Policy:
         """
         w = np.broadcast_to(weights, (len(seen["pose"]), len(self.weights))).T
         beside, outward, along = places(seen)
-        return np.clip(w[0][:, None] * beside / CM + self._push(w, seen, along)[:, None] * outward, -1.0, 1.0)
+        push = self._push(w, np.clip(lacking(seen), -1.0, 1.0)) + w[2] * (along > 0.9 * CM)
+        return np.clip(w[0][:, None] * beside / CM + push[:, None] * outward, -1.0, 1.0)
 
-    def _push(self, w: Floats, seen: Seen, along: Floats) -> Floats:
-        """Return the speed outwards (n,), 1 for the fastest."""
-        lack = lacking(seen)
-        return np.asarray(w[1] * np.clip(lack, -1.0, 1.0) + w[2] * along / CM + w[3] + w[4] * (along > 0.8 * CM))
+    def _push(self, w: Floats, lack: Floats) -> Floats:
+        """Return the speed outwards (n,), 1 for the fastest, by the part of the force that lacks."""
+        return np.asarray(w[1] * lack)
 
 
 class HoldPolicy(Policy):
@@ -62,12 +62,12 @@ class HoldPolicy(Policy):
     task = "Hold"
     weights = (*Policy.weights, "sum", "change")
 
-    def _push(self, w: Floats, seen: Seen, along: Floats) -> Floats:
-        lack = np.clip(lacking(seen), -1.0, 1.0)
+    def _push(self, w: Floats, lack: Floats) -> Floats:
+        """Return the speed outwards (n,), also by the sum and the change of what lacks once something is felt."""
         changed = np.where(self.memory[:, 2] > 0.0, lack - self.memory[:, 1], 0.0)
         self.memory[:, 0] = LEAK * self.memory[:, 0] + lack * (lack < 1.0)
         self.memory[:, 1], self.memory[:, 2] = lack, 1.0
-        return super()._push(w, seen, along) + w[5] * self.memory[:, 0] / 10.0 + w[6] * changed
+        return np.asarray(w[1] * lack + w[3] * self.memory[:, 0] / 10.0 + w[4] * changed)
 
 
 class RetractPolicy(Policy):

@@ -164,7 +164,8 @@ class Retract(Task):
 
     def judge(self, now: Now) -> Judged:
         """Return reward and success: the place's distance from LIFT, and the tool's from the place."""
-        short = np.clip((LIFT - now.lifted) / LIFT, 0.0, 2.0)
+        # A grasp has to press in first, which is no worse than nothing.
+        short = np.clip((LIFT - now.lifted) / LIFT, 0.0, 1.0)
         away = np.minimum(np.linalg.norm(now.tip - now.place, axis=1) / 0.02, 1.0)
         return Judged(-short - 0.2 * away, short == 0.0, np.zeros(len(short), dtype=np.bool_))
 

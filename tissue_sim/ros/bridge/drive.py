@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from tissue_sim.ros.bridge.driven_tool import CLEAR, DrivenTool
     from tissue_sim.ros.shared.node_parameters import NodeParameters
 
-    with client.Stop() as stop, client.client_node("haptic_bridge", args.node) as node:
+    with client.Stop() as stop, client.client_node("drive", args.node) as node:
         parameters = NodeParameters(node, args.node)
         with progress.task(f"waiting for /{args.node}"):
             values = client.wait_until(parameters.poll, args.wait, stop)
