@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
+from helpers.drawing import require_drawing
 from helpers.scenes import ball_of_cells
 from tissue_sim.errors import UserError
 
@@ -14,10 +15,12 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 import tissue_sim.environments  # noqa: E402, F401
 from tissue_sim.environments.copies import TaskCopies  # noqa: E402
+from tissue_sim.environments.observations import SIZE, VIEW, Camera  # noqa: E402
 from tissue_sim.environments.registration import NAMES  # noqa: E402
 from tissue_sim.environments.steering import facing  # noqa: E402
 from tissue_sim.environments.tasks import HELD, RADIUS  # noqa: E402
 from tissue_sim.organ.organ import Organ  # noqa: E402
+from tissue_sim.rendering.pinhole import Pinhole, matrix_of  # noqa: E402
 
 
 def organ_for(task):
@@ -55,7 +58,7 @@ def test_gymnasiums_checker_finds_nothing(task):
 
 
 @pytest.mark.extended
-@pytest.mark.parametrize("task", ["Palpate", "Hold"])
+@pytest.mark.parametrize("task", ["Palpate", "Hold", "Cut"])
 def test_gymnasiums_checker_finds_nothing_in_the_others(task):
     check_env(gymnasium.make(f"tissue_sim/{task}-v0", organ=organ_for(task)).unwrapped, skip_render_check=True)
 
@@ -180,3 +183,41 @@ def test_what_is_not_there_is_named():
     copies = TaskCopies("Palpate", 1, ball_of_cells())
     with pytest.raises(UserError, match="has no tumour to palpate"):
         copies.begin(np.arange(1), [np.random.default_rng(0)])
+
+
+@pytest.mark.parametrize("task", ["Press", pytest.param("Retract", marks=pytest.mark.extended)])
+def test_images_repeat_show_the_tool_and_follow_the_seed(task):
+    require_drawing()
+    some, others = (played(vector_of(task, 2, observation="image", threads=threads), 7, 3) for threads in (1, 2))
+    assert_same(some, others)
+    images = some[0]["image"]
+    assert images.shape == (2, 64, 64, 3)
+    assert images.dtype == np.uint8
+    assert np.any(images[0] != images[1]), "each copy has its own tool and place"
+    assert np.any(images != played(vector_of(task, 2, observation="image"), 8, 0)[0]["image"])
+    env = vector_of(task, 2, observation="image")
+    seen, _ = env.reset(seed=7)
+    assert seen in env.observation_space
+    single = gymnasium.make(f"tissue_sim/{task}-v0", organ=organ_for(task), observation="image")
+    one, _ = single.reset(seed=8)
+    np.testing.assert_array_equal(one["image"], seen["image"][1])
+    check_env(single.unwrapped, skip_render_check=True)
+
+
+def test_an_image_shows_the_organ_where_the_observations_have_it():
+    """The camera stands still in the environment's frame: the organ's middle is where its surface's middle is."""
+    require_drawing()
+    copies = TaskCopies("Press", 2, ball_of_cells())
+    copies.begin(np.arange(2), [np.random.default_rng(seed) for seed in range(2)])
+    camera = Camera(copies)
+    eye, lens = camera._pose, Pinhole.of_view(SIZE, SIZE, VIEW)
+    for image, surface in zip(camera.pictures(), copies.surface(), strict=True):
+        rows, columns = np.nonzero(image[..., 0].astype(int) - image[..., 1] > 50)  # tissue
+        in_camera = np.linalg.inv(matrix_of(eye)) @ np.append(surface.mean(axis=0), 1.0)
+        expected = lens.project(in_camera[None, :3])[0]
+        np.testing.assert_allclose([np.median(columns), np.median(rows)], expected, atol=2.5)
+
+
+def test_another_observation_is_named():
+    with pytest.raises(UserError, match="no observation 'sound'; choose one of pose, surface, image"):
+        vector_of(observation="sound")

@@ -40,7 +40,7 @@ def test_a_learned_policy_reaches_the_force_over_dds(tmp_path):
         assert float(found[1]) == pytest.approx(FORCE, rel=PRECISION)
         assert float(found[2]) < 3.0
         # A policy that does nothing feels nothing: what was felt above came through the topics.
-        none = Learned("Press", np.zeros(5))
+        none = Learned("Press", np.zeros(3))
         none.save(tmp_path / "none.json")
         text, code = driven(tmp_path, str(tmp_path / "none.json"), *given, "--seconds", "0.5")
         assert code == 1
