@@ -89,6 +89,13 @@ def test_an_agent_learns_to_press(tmp_path):
 
 
 @pytest.mark.extended
+def test_learning_curves_rise(tmp_path):
+    found = re.findall(r"return (-?[\d.]+) before and (-?[\d.]+) after", run("learning_curves", tmp_path))
+    assert len(found) == 5
+    assert all(float(after) > float(before) for before, after in found)
+
+
+@pytest.mark.extended
 def test_a_scene_is_seen_without_ros(tmp_path):
     from helpers.drawing import require_drawing
 

@@ -27,7 +27,8 @@ class Policy:
     """Press: keep above the place, and push by what the force lacks. Others change what differs."""
 
     task = "Press"
-    weights = ("beside", "lack", "far")
+    weights: tuple[str, ...] = ("beside", "lack", "far")
+    start: tuple[float, ...] = (0.0, 0.0, 0.0)  # weights that learning begins with
 
     def __init__(self, count: int = 1) -> None:
         self.memory = np.zeros((count, 4))  # of each agent, zero when its episode begins
@@ -61,6 +62,7 @@ class HoldPolicy(Policy):
 
     task = "Hold"
     weights = (*Policy.weights, "sum", "change")
+    start = (0.0,) * 5
 
     def _push(self, w: Floats, lack: Floats) -> Floats:
         """Return the speed outwards (n,), also by the sum and the change of what lacks once something is felt."""
@@ -75,13 +77,14 @@ class RetractPolicy(Policy):
 
     task = "Retract"
     weights = ("beside", "depth", "approach", "jaws", "open", "closed", "lift")
+    start = (-2.0, -1.0, -2.0, -1.0, 3.0, 0.0, 0.2)  # set by hand: by chance, tissue is never grasped and lifted
 
     def act(self, weights: Floats, seen: Seen) -> Floats:
         """Return the actions (n, 4)."""
         w = np.broadcast_to(weights, (len(seen["pose"]), len(self.weights))).T
         beside, outward, along = places(seen)
         above = along / CM - w[1]
-        is_closed = seen["angle"][:, 0] < 0.6 * w[5]
+        is_closed = seen["angle"][:, 0] < 0.05 + 0.6 * w[5]
         rise = np.where(is_closed, w[6], w[2] * above)
         jaws = np.where(is_closed, -1.0, w[3] + w[4] * np.maximum(above, 0.0))
         velocity = w[0][:, None] * beside / CM + rise[:, None] * outward
@@ -93,6 +96,7 @@ class PalpatePolicy(Policy):
 
     task = "Palpate"
     weights = ("x", "y", "z", "speed", "yielding", "felt", "away", "bias")
+    start = (0.0,) * 8
 
     def act(self, weights: Floats, seen: Seen) -> Floats:
         """Return the actions (n, 4)."""
@@ -110,6 +114,7 @@ class CutPolicy(Policy):
 
     task = "Cut"
     weights = ("beside", "lack", "force", "blade", "overshoot", "slow")
+    start = (0.0,) * 6
 
     def act(self, weights: Floats, seen: Seen) -> Floats:
         """Return the actions (n, 5)."""

@@ -16,7 +16,6 @@ from tissue_sim.environments.tasks import task_of
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 
-SIGMA = 0.5  # of the first weights, about zero
 HELD_OUT = 1_000_000  # seed of the first new episode, beyond those that are learned from
 LARGEST_SEED = 1000
 
@@ -29,12 +28,13 @@ class Plan(NamedTuple):
     each: int = 3  # episodes of each
     steps: int = 100  # of an episode at most
     episodes: int = 40  # new ones, at the end
+    sigma: float = 0.5  # standard deviation of the first weights
 
 
 PLANS = {
     "Press": Plan(),
     "Hold": Plan(),
-    "Retract": Plan(generations=18),
+    "Retract": Plan(each=4, steps=160, sigma=0.3),
     "Palpate": Plan(generations=20, each=4, steps=120),
     "Cut": Plan(steps=120),
 }
@@ -122,7 +122,7 @@ def learn(task: str, plan: Plan, seed: int = 1, organ: Organ | None = None, thre
     env = gymnasium.make_vec(f"{PREFIX}{task}-v0", num_envs=count, organ=organ, threads=threads)
     # Seed 0 would be drawn from the clock.
     options = {"popsize": plan.candidates, "seed": seed + 1, "verbose": -9}
-    strategy = cma.CMAEvolutionStrategy(len(made.weights) * [0.0], SIGMA, options)
+    strategy = cma.CMAEvolutionStrategy(list(made.start), plan.sigma, options)
     policy, curve, steps, began = made(count), list[Generation](), 0, time.process_time()
     for generation in progress.steps(range(plan.generations), f"learning {task}"):
         weights = np.array(strategy.ask())
@@ -138,7 +138,7 @@ def learn(task: str, plan: Plan, seed: int = 1, organ: Organ | None = None, thre
     about: dict[str, Any] = {"seed": seed, "plan": plan._asdict(), "curve": [one._asdict() for one in curve]}
     about["held_out"] = {
         "learned": held_out(task, best, plan, organ, threads),
-        "untrained": held_out(task, np.zeros(len(best)), plan, organ, threads),
+        "untrained": held_out(task, np.array(made.start), plan, organ, threads),
     }
     return Learned(task, best, about)
 
