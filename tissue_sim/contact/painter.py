@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tissue_sim.array_types import Floats, Ints, Pixels
 from tissue_sim.contact.drawn_scene import SeenSurface, body_shapes
@@ -12,8 +13,6 @@ from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.rendering.appearance import tissue_colour
 from tissue_sim.rendering.pinhole import Pinhole, framing
-
-FIRST_TOOL = 101  # label
 
 
 class Painter:
@@ -42,7 +41,7 @@ class Painter:
             raise UserError(f"pictures need {error.name}: pip install 'tissue_sim[camera]'") from None
         self.lens, self._look = lens, Look
         self._drawn = Offscreen(lens, samples=samples)
-        self._shapes: dict[str, tuple[Ints, int]] = {}
+        self._shapes: dict[str, Ints] = {}  # triangles that each organ was drawn with
         self._tools = [f"tool/{body}" for body in range(len(tools.meshes))]
         for name, shape in zip(self._tools, body_shapes(tools), strict=True):
             self._drawn.add(name, *shape, METAL)
@@ -59,15 +58,15 @@ class Painter:
         """
         for number, one in enumerate(surfaces):
             name = f"organ/{one.name}"
-            if self._shapes.get(name, (None, 0))[0] is not one.triangles:
+            if self._shapes.get(name) is not one.triangles:
                 red, green, blue = (part / 255.0 for part in tissue_colour(one.name))
                 self._drawn.add(name, one.rest, one.triangles, self._look((red, green, blue), min(number + 1, 100)))
-                self._shapes[name] = one.triangles, len(one.points)
+                self._shapes[name] = one.triangles
             self._drawn.move(name, one.points)
         for name, pose in zip(self._tools, poses, strict=True):
             self._drawn.place(name, pose)
 
-    def picture(self, pose: Floats) -> Pixels:
+    def picture(self, pose: ArrayLike) -> Pixels:
         """Return the colours (height, width, 3) from a camera's pose (7,), m and quaternion xyzw."""
         colour = self._drawn.take(pose).colour
         assert colour is not None  # as it was asked for

@@ -74,7 +74,7 @@ def played(env: gymnasium.vector.VectorEnv, policy: Policy, weights: Floats, see
     steps : int
         Steps of an episode at most.
     """
-    seen, _ = env.reset(seed=seeds)
+    seen, _ = env.reset(seed=seeds)  # type: ignore[arg-type]  # a list of seeds, as VectorEnv's subclasses take it
     policy.forget(np.arange(len(seeds)))
     plays, is_met = np.ones(len(seeds), dtype=np.bool_), np.zeros(len(seeds), dtype=np.bool_)
     returns, good, done = np.zeros(len(seeds)), np.zeros(len(seeds)), np.zeros(len(seeds))
