@@ -1,13 +1,15 @@
 """A learned policy moves a tool of a real node over DDS, and the force that it was to reach is felt."""
 
 import re
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 pytest.importorskip("gymnasium")
 
-from helpers.ros.processes import UNHURRIED, Process, running_node, shipped
+from helpers.paths import CONFIG
+from helpers.ros.processes import UNHURRIED, Process, shipped, start_node
 from helpers.scenes import ball_of_cells
 from tissue_sim.contact.tools import Tool
 from tissue_sim.environments.copies import TaskCopies
@@ -18,7 +20,6 @@ from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge.driven_tool import DrivenTool, Goal, check_tool
 
 FORCE = 0.25  # N
-FINGER = ("tools:=[left]", f"left.radius:={RADIUS}", UNHURRIED)
 
 
 def driven(folder, *words):
@@ -28,12 +29,21 @@ def driven(folder, *words):
     return process.text(), code
 
 
+@contextmanager
+def node_with_a_finger(folder):
+    node = start_node(folder, UNHURRIED, profile=CONFIG / "finger.yaml")
+    try:
+        yield node
+    finally:
+        assert node.stop() == 0, node.text()
+
+
 @pytest.mark.extended
 def test_a_learned_policy_reaches_the_force_over_dds(tmp_path):
     surface = shipped().surface_positions
     place = surface[np.argmax(surface[:, 0])]
     given = ["--place", *map(str, place.tolist()), "--force", str(FORCE)]
-    with running_node(tmp_path, *FINGER):
+    with node_with_a_finger(tmp_path):
         text, code = driven(tmp_path, "press", *given)
         assert code == 0, text
         found = re.search(r"goal met: ([\d.]+) N of 0.250 N, ([\d.]+) mm beside", text)
