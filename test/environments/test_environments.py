@@ -204,6 +204,17 @@ def test_images_repeat_show_the_tool_and_follow_the_seed(task):
     check_env(single.unwrapped, skip_render_check=True)
 
 
+def test_an_environment_is_rendered_as_gymnasium_asks():
+    require_drawing()
+    env = gymnasium.make("tissue_sim/Press-v0", organ=ball_of_cells(), render_mode="rgb_array")
+    check_env(env.unwrapped)
+    env.reset(seed=1)
+    before = env.render()
+    assert before.shape == (480, 480, 3)
+    env.step(np.ones(3, dtype=np.float32))
+    assert np.any(env.render() != before), "the tool has moved"
+
+
 def test_an_image_shows_the_organ_where_the_observations_have_it():
     """The camera stands still in the environment's frame: the organ's middle is where its surface's middle is."""
     require_drawing()

@@ -16,6 +16,7 @@ from tissue_sim.rendering.pinhole import Pinhole, look_at
 
 KINDS = ("pose", "surface", "image")  # image and surface come beside the pose
 SIZE, VIEW = 64, 60.0  # pixels of a side, degrees
+RENDERED = 480  # pixels of a side of what `render` returns
 DISTANCE, SIDE = 0.12, (0.55, -1.0, 0.3)  # m, and direction from the middle of the organ at rest to the camera
 
 
@@ -72,6 +73,10 @@ class Camera:
     ----------
     copies : TaskCopies
         The copies.
+    size : int, optional
+        Pixels of a side.
+    samples : int, optional
+        Samples of a pixel that smooth edges: 1, 2 or 4.
 
     Raises
     ------
@@ -79,22 +84,26 @@ class Camera:
         Where nothing can be drawn.
     """
 
-    def __init__(self, copies: TaskCopies) -> None:
-        self._copies = copies
-        lens = Pinhole.of_view(SIZE, SIZE, VIEW)
-        self._painter = Painter(copies.batch.tools, lens, samples=1)
+    def __init__(self, copies: TaskCopies, size: int = SIZE, samples: int = 1) -> None:
+        self._copies, self._size = copies, size
+        self._painter = Painter(copies.batch.tools, Pinhole.of_view(size, size, VIEW), samples)
         rest = copies.organ.surface_positions
         middle = 0.5 * (rest.min(axis=0) + rest.max(axis=0))
         away = np.array(SIDE) / np.linalg.norm(SIDE)
         self._pose = look_at(middle + DISTANCE * away, middle)
 
     def pictures(self) -> Pixels:
-        """Return the pictures (n, SIZE, SIZE, 3) of all copies."""
+        """Return the pictures (n, size, size, 3) of all copies."""
         copies, organ = self._copies, self._copies.organ
         surfaces, bodies = copies.batch.surface_positions(), copies.batch.body_poses
-        found: Pixels = np.empty((len(surfaces), SIZE, SIZE, 3), dtype=np.uint8)
+        found: Pixels = np.empty((len(surfaces), self._size, self._size, 3), dtype=np.uint8)
         for copy, points in enumerate(surfaces):
             seen = SeenSurface(organ.name, points, organ.surface_positions, organ.surface_triangles)
             self._painter.draw([seen], list(bodies[copy]))
             found[copy] = self._painter.picture(copies.inside(copy, self._pose))
         return found
+
+
+def camera_of(copies: TaskCopies) -> Camera:
+    """Return the camera whose pictures `render` returns. Raises UserError where nothing can be drawn."""
+    return Camera(copies, RENDERED, samples=4)

@@ -9,7 +9,8 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Pixels, Singles
 from tissue_sim.environments.cut_copies import copies_of
-from tissue_sim.environments.observations import Observer
+from tissue_sim.environments.observations import Observer, camera_of
+from tissue_sim.environments.tasks import STEP
 from tissue_sim.organ.organ import Organ
 
 
@@ -24,12 +25,21 @@ class TissueEnv(gymnasium.Env):
         Another organ, or the name of one that ships; None for the task's.
     observation : str, optional
         What is seen: pose, or beside it the surface, or an image.
+    render_mode : str | None, optional
+        rgb_array to have pictures of `render`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1.0 / STEP)}  # noqa: RUF012
 
-    def __init__(self, task: str, organ: Organ | str | None = None, observation: str = "pose") -> None:
+    def __init__(
+        self,
+        task: str,
+        organ: Organ | str | None = None,
+        observation: str = "pose",
+        render_mode: str | None = None,
+    ) -> None:
         self.copies = copies_of(task, 1, organ, threads=1)
+        self.render_mode, self._camera = render_mode, None if render_mode is None else camera_of(self.copies)
         self._observer = Observer(self.copies, observation)
         self.observation_space, self.action_space = self._observer.spaces()
 
@@ -46,6 +56,10 @@ class TissueEnv(gymnasium.Env):
         stepped = self.copies.step(np.asarray(action)[None])
         info = {"success": bool(stepped.succeeded[0])}
         return self._observe(), float(stepped.reward[0]), bool(stepped.terminated[0]), False, info
+
+    def render(self) -> Pixels | None:  # type: ignore[override]
+        """Return a picture (RENDERED, RENDERED, 3) of what is there; None without a render_mode."""
+        return None if self._camera is None else self._camera.pictures()[0]
 
     def _observe(self) -> dict[str, Singles | Pixels]:
         return {name: values[0] for name, values in self._observer.observe().items()}
