@@ -6,9 +6,9 @@ import pytest
 pytest.importorskip("gymnasium")
 
 from helpers.scenes import ball_of_cells
-from tissue_sim.environments.cut_copies import LINE, MOST_FORCE, CutCopies
+from tissue_sim.environments.cut_copies import LINE, MISSED, MOST_FORCE, CutCopies
 from tissue_sim.environments.policies import CutPolicy
-from tissue_sim.environments.tasks import DECLARED, MISSED
+from tissue_sim.environments.tasks import DECLARED
 
 STEADY = np.array([2.0, 2.0, 1.0, 0.0, 0.0, 1.0])  # weights that slide along the line at the wanted depth
 

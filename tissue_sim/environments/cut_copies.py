@@ -13,7 +13,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs, Singles
 from tissue_sim.environments.copies import TaskCopies, turned_about_z
 from tissue_sim.environments.steering import declared
-from tissue_sim.environments.tasks import DECLARED, MISSED, SEARCH, STEP, TOUCH, Judged
+from tissue_sim.environments.tasks import DECLARED, STEP, TOUCH, Judged
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 
@@ -21,6 +21,7 @@ BLADE_SPEED, LONGEST_BLADE = 0.05, 0.02  # m/s at an action of 1; m
 APART, SPACING = 5e-4, 0.005  # m between noted points of a way, and between corners of the cut
 SHORTEST = 0.004  # m, a way that is no cut
 SAMPLES, REACH = 21, 0.003  # points of the line, and m from the way within which one is cut
+AWAY, MISSED = 0.05, 1.0  # penalty of a step far from what is left of the line, and of a cut that isn't one
 LINE, DEPTH = 0.005, 0.5  # m beside the line, and part of the depth, at which a cut is worth nothing
 GOOD_LINE, GOOD_DEPTH, MOST_FORCE = 0.002, 0.15, 1.0  # of a success: m, part of the depth, N of the guard at most
 
@@ -63,7 +64,7 @@ class CutCopies(TaskCopies):
         away = np.where(self._is_cut, np.inf, away).min(axis=1)
         away[self._is_cut.all(axis=1)] = 0.0
         finished = declared(self.task, given)
-        reward, is_good = -SEARCH * np.minimum(away / 0.05, 1.0), np.zeros(len(tips), dtype=np.bool_)
+        reward, is_good = -AWAY * np.minimum(away / 0.05, 1.0), np.zeros(len(tips), dtype=np.bool_)
         for copy in np.flatnonzero(finished).tolist():
             worth, is_good[copy] = self._worth(copy)
             reward[copy] += worth

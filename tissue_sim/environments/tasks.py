@@ -21,8 +21,8 @@ NEAR, HELD = 0.003, 10  # m beside the place; steps in a row after which it is r
 PRECISION = 0.05  # of the force
 FOUND, TOUCH = 0.008, 0.05  # m from the tumour's nearest surface point; N that counts as touching
 LIFT = 0.004  # m by which tissue is to be lifted
-DECLARED, MISSED = 10.0, 1.0  # reward for the right place, and penalty for a wrong one
-SEARCH = 0.05  # penalty of a step of a search at most: less than what a find brings, or giving up would be best
+DECLARED, WRONG = 10.0, 3.0  # reward for the right place, and penalty for a wrong one
+SEARCH = 0.01  # penalty of a step of a search at most: all 300 cost no more than giving up at once by a wrong answer
 
 
 class Draw(NamedTuple):
@@ -149,7 +149,7 @@ class Palpate(Task):
         """Return reward and success: the nearer the better, and the right or wrong place at the end."""
         beside = np.linalg.norm(now.tip - now.place - RADIUS * now.outward, axis=1)
         is_here = (beside < FOUND) & (now.felt > TOUCH)
-        final = np.where(now.declared, np.where(is_here, DECLARED, -MISSED), 0.0)
+        final = np.where(now.declared, np.where(is_here, DECLARED, -WRONG), 0.0)
         return Judged(-SEARCH * np.minimum(beside / 0.05, 1.0) + final, is_here & now.declared, now.declared)
 
 
