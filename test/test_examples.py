@@ -89,6 +89,24 @@ def test_an_agent_learns_to_press(tmp_path):
 
 
 @pytest.mark.extended
+def test_learning_curves_rise(tmp_path):
+    found = re.findall(r"return (-?[\d.]+) before and (-?[\d.]+) after", run("learning_curves", tmp_path))
+    assert len(found) == 5
+    assert all(float(after) > float(before) for before, after in found[:3]), "Press, Hold and Cut are learned"
+
+
+@pytest.mark.extended
+def test_a_scene_is_seen_without_ros(tmp_path):
+    from helpers.drawing import require_drawing
+
+    require_drawing()
+    found = re.findall(r"([\d.]+) s: fingers (\d+) mm apart, mean colour ([\d.]+)", run("render", tmp_path))
+    assert [int(apart) for _, apart, _ in found] == [12, 12, 40, 60]
+    pressed, opened, released = (float(colour) for _, _, colour in found[1:])
+    assert opened < min(pressed, released), "an open cut is dark"
+
+
+@pytest.mark.extended
 def test_an_organ_pulls_another_one_along(tmp_path):
     pushed, pulled = map(
         float, re.match(r"pushed ([\d.]+) mm, pulled along ([\d.]+) mm", run("two_organs", tmp_path)).groups()

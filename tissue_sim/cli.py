@@ -21,6 +21,7 @@ UNTIL_ASKED = (
     "view",
     "bridge",
     "camera",
+    "drive",
 )  # commands that Ctrl-C ends normally; they report no progress once they run
 
 

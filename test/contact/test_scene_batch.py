@@ -6,7 +6,7 @@ import pytest
 from helpers.scenes import RADIUS, ball_of_cells, near
 from tissue_sim.contact.attachments import Breathing
 from tissue_sim.contact.scene import Scene
-from tissue_sim.contact.scene_batch import SceneBatch
+from tissue_sim.contact.scene_batch import SceneBatch, pieces
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
 
@@ -238,3 +238,12 @@ def test_a_batch_needs_copies_and_threads():
     assert repr(SceneBatch(scene_of(), 2, threads=1)) == (
         "<SceneBatch of 2 x ball; finger (sphere); 1000 Hz, 1 thread>"
     )
+
+
+@pytest.mark.parametrize(("count", "threads"), [(1, 1), (3, 2), (32, 2), (33, 4), (100, 64)])
+def test_pieces_hold_every_copy_and_become_small_towards_the_end(count, threads):
+    sizes = pieces(count, threads)
+    assert sum(sizes) == count
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[0] <= max(1, count / threads)
+    assert sizes[-1] == 1, "whoever is done first waits for one copy at most"

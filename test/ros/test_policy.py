@@ -113,7 +113,7 @@ def test_names_follow_the_nodes_parameters():
     values = defaults(tools=["arm"]) | {"arm.measured_cp": "~/pose", "arm.servo_cf": "/MTML/servo_cf"}
     values |= {"arm.external_cf": "arm/push"}
     found = allowed(policy.fitted("ward/organ", values | {"arm.shape": "gripper"}))
-    assert set(found) == {f"/ward/organ{name}" for name in ("", "/bridge", "/camera", "/viewer")}
+    assert set(found) == {f"/ward/organ{name}" for name in ("", "/bridge", "/camera", "/drive", "/viewer")}
     inward = {"/ward/organ/pose", "/ward/arm/push", "/ward/arm/gripper/measured_js"}
     assert inward < found["/ward/organ"]["subscribe"]
     assert inward < found["/ward/organ/bridge"]["publish"]

@@ -14,10 +14,12 @@ COMMANDS = {
     "solve": ("tissue_sim.commands.solve", "compute the equilibrium displacements under given loads"),
     "calibrate": ("tissue_sim.commands.calibrate", "fit an organ to finite elements of its shape, and evaluate it"),
     "identify": ("tissue_sim.commands.identify", "fit an organ's stiffness to measured presses"),
+    "learn": ("tissue_sim.commands.learn", "learn a policy for a task, on many copies of an organ"),
     "bench": ("tissue_sim.bench.command", "measure speed, accuracy and stability"),
     "replay": ("tissue_sim.ros.bags.replay", "compute recorded bags again and compare"),
     "view": ("tissue_sim.ros.viewer.view", "show a running node in the browser"),
     "camera": ("tissue_sim.ros.camera.command", "publish an endoscope's images of a running node"),
     "policy": ("tissue_sim.ros.policy", "print the DDS Security policy of a running node and its clients"),
+    "drive": ("tissue_sim.ros.bridge.drive", "let a learned policy move a tool of a running node"),
     "bridge": ("tissue_sim.ros.bridge.play", "simulate a haptic bridge that follows a script"),
 }

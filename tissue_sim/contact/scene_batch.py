@@ -19,7 +19,7 @@ from tissue_sim.contact.scene_copy import copied_scene, memory_of
 from tissue_sim.errors import UserError
 from tissue_sim.handles import row
 
-PARTS = 8  # pieces of work for each thread: copies that sleep are done sooner than others
+TAKEN = 0.5  # part of a thread's share of what is left that it takes at once
 
 
 class SceneBatch:
@@ -87,7 +87,7 @@ class SceneBatch:
         if self._pool is None:
             self._copies.advance(every, ticks)
             return
-        parts = np.array_split(every, min(len(self), PARTS * self.threads))
+        parts = np.split(every, np.cumsum(pieces(len(self), self.threads))[:-1])
         for _ in self._pool.map(lambda part: self._copies.advance(part, ticks), parts):
             pass
 
@@ -205,6 +205,11 @@ class SceneBatch:
         return found
 
     @property
+    def body_poses(self) -> Floats:
+        """Poses of the rigid bodies of which the tools consist, (n, bodies, 7) m and quaternion xyzw."""
+        return self._bodies()[0]
+
+    @property
     def times(self) -> Floats:
         """Simulated seconds of each copy, (n,)."""
         return np.array([one.time for one in self._scenes])
@@ -311,6 +316,26 @@ class SceneBatch:
         if given.dtype.kind not in "iu" or given.ndim != 1 or given.min() < -len(self) or given.max() >= len(self):
             raise UserError(f"no such copies of {len(self)}: give a mask of that length, or numbers below it")
         return np.asarray(given, dtype=np.int64) % len(self)
+
+
+def pieces(count: int, threads: int) -> list[int]:
+    """Return the sizes of pieces of work for threads, which take the next one whenever they are done.
+
+    Pieces become smaller towards the end (guided self-scheduling, Polychronopoulos and Kuck 1987): copies that sleep
+    are done sooner than others, and a thread that is done waits for one copy at most.
+
+    Parameters
+    ----------
+    count : int
+        Number of copies.
+    threads : int
+        Number of threads.
+    """
+    sizes, left = list[int](), count
+    while left > 0:
+        sizes.append(max(1, int(TAKEN * left / threads)))
+        left -= sizes[-1]
+    return sizes
 
 
 def _spread(given: ArrayLike, shape: Sequence[int], name: str) -> Floats:

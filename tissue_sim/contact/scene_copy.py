@@ -35,6 +35,7 @@ def copied_scene(scene: Scene) -> Scene:
         The copy. It shares the contact finders' buffers, so that only one of all copies may search at a time.
     """
     made = copy.copy(scene)
+    made._painter = None
     made.organs = [_copied_organ(one) for one in scene.organs]
     made.joined = _copied_joined(scene.joined, made.simulations)
     made.pairs_finder = copy.deepcopy(scene.pairs_finder)

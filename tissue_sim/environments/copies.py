@@ -6,17 +6,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.array_types import Floats, Longs, Mask
+from tissue_sim.array_types import Floats, Longs, Mask, Singles
 from tissue_sim.contact.quaternions import multiply
 from tissue_sim.contact.scene_batch import SceneBatch
-from tissue_sim.environments.tasks import HELD, OPEN, RATE, STEP, Now, task_of
+from tissue_sim.environments.steering import (
+    Sensed,
+    clipped,
+    declared,
+    facing,
+    moved_jaws,
+    moved_tip,
+    observation_of,
+)
+from tissue_sim.environments.tasks import HELD, OPEN, RATE, STEP, Judged, Now, task_of
 from tissue_sim.organ.organ import Organ
 
-SPEED = 0.05  # m/s of an action of 1, along each axis
-OPENING = 2.0  # rad/s of the jaws at an action of 1
-FARTHEST = 0.06  # m that a tool may go from where it began
 TURN = 0.35  # rad by which the organ is turned at most, about z
-SAYS = 0.5  # of the last action of a task without jaws, above which it says: here it is
 
 
 class Stepped(NamedTuple):
@@ -52,13 +57,12 @@ class TaskCopies:
     def __init__(self, task: str, count: int, organ: Organ | str | None = None, threads: int = 0) -> None:
         self.task = task_of(task)
         self.organ = organ if isinstance(organ, Organ) else Organ.shipped(organ or self.task.organ)
-        scene = self.task.scene(self.organ)
-        self.batch = SceneBatch(scene, count, threads=threads)
+        self.scene = self.task.scene(self.organ)  # at rest
+        self.batch = SceneBatch(self.scene, count, threads=threads)
         self._fresh = self.batch.save([0])[0]
-        self._has_jaws = self.batch.tools.tools[0].shape == "gripper"
-        self._place, self._outward, self._start, self._tip, self._shift = np.zeros((5, count, 3))
+        self._place, self._outward, self._half, self._start, self._tip, self._shift = np.zeros((6, count, 3))
         self._node = np.zeros(count, dtype=np.int64)
-        self._force, self._angle, self._heading = np.zeros(count), np.zeros(count), np.zeros(count)
+        self._wanted, self._angle, self._heading = np.zeros(count), np.zeros(count), np.zeros(count)
         self._turned = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))  # of the tools, in the organs' frames
         self._held = np.zeros(count, dtype=np.int64)
 
@@ -78,13 +82,13 @@ class TaskCopies:
         for copy, random in zip(copies.tolist(), randoms, strict=True):
             drawn = self.task.draw(random, self.organ)
             self._place[copy], self._outward[copy], self._start[copy] = drawn.place, drawn.outward, drawn.start
-            self._tip[copy], self._force[copy] = drawn.start, drawn.force
-            self._angle[copy] = OPEN if self._has_jaws else 0.0
+            self._tip[copy], self._wanted[copy], self._half[copy] = drawn.start, drawn.wanted, drawn.half
+            self._angle[copy] = OPEN if self.task.has_jaws else 0.0
             self._shift[copy] = self.task.shift * random.uniform(-1.0, 1.0, 3)
             self._heading[copy] = random.uniform(-TURN, TURN)
             apart = np.linalg.norm(self.organ.surface_positions - drawn.place, axis=1)
             self._node[copy] = np.argmin(apart)
-            self._turned[copy] = facing(-drawn.outward) if self._has_jaws else [0.0, 0.0, 0.0, 1.0]
+            self._turned[copy] = facing(-drawn.outward) if self.task.has_jaws else [0.0, 0.0, 0.0, 1.0]
             self.batch.set_stiffness(drawn.stiffness, [copy])
         self._held[copies] = 0
         self._send(copies)
@@ -97,52 +101,61 @@ class TaskCopies:
         actions : Floats, shape (n, a)
             Velocity along each axis, and for some tasks the jaws' speed, or whether the agent declares a find.
         """
-        given = np.clip(np.asarray(actions, dtype=np.float64), -1.0, 1.0)
-        moved = self._tip + STEP * SPEED * _turn(given[:, :3], -self._heading)
-        way = moved - self._start
-        far = np.linalg.norm(way, axis=1, keepdims=True)
-        self._tip = self._start + way * np.minimum(1.0, FARTHEST / np.maximum(far, 1e-12))
-        if self._has_jaws:
-            self._angle = np.clip(self._angle + STEP * OPENING * given[:, 3], 0.0, 1.2)
+        given = clipped(actions)
+        self._tip = moved_tip(self._tip, self._start, turned_about_z(given[:, :3], -self._heading))
+        if self.task.has_jaws:
+            self._angle = moved_jaws(self._angle, given)
         self._send(np.arange(len(self._tip)))
         self.batch.step(round(STEP * RATE))
-        declares = given[:, -1] > SAYS if self.task.actions > 3 and not self._has_jaws else np.zeros(len(given), bool)
-        judged = self.task.judge(self._now(declares))
+        judged = self.judge(given)
         self._held = np.where(judged.is_good, self._held + 1, 0)
         reached = (self._held >= HELD) if self.task.ends else np.zeros(len(given), dtype=np.bool_)
         return Stepped(judged.reward, reached | judged.is_over, judged.is_good)
 
-    def observe(self, with_surface: bool) -> dict[str, Floats]:
-        """Return the observations of all copies, in their environments' frames.
+    def judge(self, given: Floats) -> Judged:
+        """Return what a step with clipped actions (n, a), which was done, is worth."""
+        return self.task.judge(self._now(declared(self.task, given)))
 
-        Parameters
-        ----------
-        with_surface : bool
-            Whether to add where the surface is.
-        """
+    def observe(self) -> dict[str, Singles]:
+        """Return the observations of all copies, in their environments' frames."""
         poses, wrenches = self.batch.poses[:, 0], self.batch.wrenches[:, 0]
-        about = np.stack([np.zeros_like(self._heading)] * 2 + [np.sin(0.5 * self._heading)], axis=1)
-        about = np.column_stack([about, np.cos(0.5 * self._heading)])
+        half = np.zeros_like(self._heading)
+        about = np.stack([half, half, np.sin(0.5 * self._heading), np.cos(0.5 * self._heading)], axis=1)
         turned = [multiply(tuple(a), tuple(b)) for a, b in zip(about.tolist(), poses[:, 3:].tolist(), strict=True)]
-        wrench = np.hstack([_turn(wrenches[:, :3], self._heading), _turn(wrenches[:, 3:], self._heading)])
-        seen = {"pose": np.hstack([self._outside(poses[:, :3]), np.array(turned)]), "wrench": wrench}
-        if self._has_jaws:
-            seen["angle"] = self._angle[:, None]
-        if self.task.shows_goal:
-            outward = _turn(self._outward, self._heading)
-            seen["goal"] = np.hstack([self._outside(self._place), outward, self._force[:, None]])
-        if with_surface:
-            surface = self.batch.surface_positions()
-            seen["surface"] = _turn(surface, self._heading[:, None]) + self._shift[:, None]
-        return {name: values.astype(np.float32) for name, values in seen.items()}
+        wrench = np.hstack(
+            [turned_about_z(wrenches[:, :3], self._heading), turned_about_z(wrenches[:, 3:], self._heading)]
+        )
+        return observation_of(
+            self.task,
+            Sensed(
+                pose=np.hstack([self.outside(poses[:, :3]), np.array(turned)]),
+                wrench=wrench,
+                angle=self._angle,
+                place=self.outside(self._place),
+                outward=turned_about_z(self._outward, self._heading),
+                wanted=self._wanted,
+            ),
+        )
+
+    def surface(self) -> Singles:
+        """Return where the surface nodes of all copies are, (n, n_surface, 3) m, in their environments' frames."""
+        surface = self.batch.surface_positions()
+        return (turned_about_z(surface, self._heading[:, None]) + self._shift[:, None]).astype(np.float32)
 
     def _send(self, copies: Longs) -> None:
         poses = np.hstack([self._tip[copies], self._turned[copies]])[:, None]
         self.batch.move(poses, self._angle[copies][:, None], copies)
 
-    def _outside(self, points: Floats) -> Floats:
+    def outside(self, points: Floats) -> Floats:
         """Return points (n, 3) of organs' frames in the environments' frames."""
-        return _turn(points, self._heading) + self._shift
+        return turned_about_z(points, self._heading) + self._shift
+
+    def inside(self, copy: int, pose: Floats) -> Floats:
+        """Return a pose (7,) of the environments' frame in the frame of a copy's organ."""
+        half = -0.5 * self._heading[copy]
+        back = 0.0, 0.0, float(np.sin(half)), float(np.cos(half))
+        place = turned_about_z(pose[None, :3] - self._shift[copy], -self._heading[[copy]])[0]
+        return np.concatenate([place, multiply(back, tuple(pose[3:].tolist()))])
 
     def _now(self, declared: Mask) -> Now:
         forces = self.batch.wrenches[:, 0, :3]
@@ -151,25 +164,10 @@ class TaskCopies:
         lifted = np.einsum("nx,nx->n", surface - self._place, self._outward)
         tips = self.batch.poses[:, 0, :3]
         sizes = np.linalg.norm(forces, axis=1)
-        return Now(self._place, self._outward, self._force, tips, pushed, sizes, lifted, declared)
+        return Now(self._place, self._outward, self._wanted, tips, pushed, sizes, lifted, declared)
 
 
-def _turn(vectors: Floats, angle: Floats) -> Floats:
+def turned_about_z(vectors: Floats, angle: Floats) -> Floats:
     """Return vectors (n, ..., 3) turned about z by angles that broadcast to (n, ...)."""
     x, y, sine, cosine = vectors[..., 0], vectors[..., 1], np.sin(angle), np.cos(angle)
     return np.stack([cosine * x - sine * y, sine * x + cosine * y, vectors[..., 2]], axis=-1)
-
-
-def facing(direction: Floats) -> Floats:
-    """Return the quaternion xyzw (4,) that turns z to a direction (3,), so that a shaft lies behind it.
-
-    Parameters
-    ----------
-    direction : Floats, shape (3,)
-        A direction of length 1.
-    """
-    x, y, z = direction
-    if z < -0.999999:
-        return np.array([1.0, 0.0, 0.0, 0.0])
-    turned = np.array([-y, x, 0.0, 1.0 + z])
-    return np.asarray(turned / np.linalg.norm(turned))

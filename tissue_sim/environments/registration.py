@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-NAMES = {"Press": 200, "Palpate": 300, "Retract": 300, "Hold": 300}  # and their longest episodes, steps of 20 ms
+NAMES = {
+    "Press": 200,
+    "Palpate": 300,
+    "Retract": 300,
+    "Hold": 300,
+    "Cut": 300,
+}  # and their longest episodes, steps of 20 ms
 PREFIX = "tissue_sim/"
 
 

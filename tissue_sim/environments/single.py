@@ -7,9 +7,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from tissue_sim.array_types import Floats
-from tissue_sim.environments.copies import TaskCopies
-from tissue_sim.environments.vector import spaces_of
+from tissue_sim.array_types import Floats, Pixels, Singles
+from tissue_sim.environments.cut_copies import copies_of
+from tissue_sim.environments.observations import Observer, camera_of
+from tissue_sim.environments.tasks import STEP
 from tissue_sim.organ.organ import Organ
 
 
@@ -19,33 +20,46 @@ class TissueEnv(gymnasium.Env):
     Parameters
     ----------
     task : str
-        Press, Palpate, Retract or Hold.
+        Press, Palpate, Retract, Hold or Cut.
     organ : Organ | str | None, optional
         Another organ, or the name of one that ships; None for the task's.
-    surface : bool, optional
-        Whether observations include where the surface is.
+    observation : str, optional
+        What is seen: pose, or beside it the surface, or an image.
+    render_mode : str | None, optional
+        rgb_array to have pictures of `render`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1.0 / STEP)}  # noqa: RUF012
 
-    def __init__(self, task: str, organ: Organ | str | None = None, surface: bool = False) -> None:
-        self.copies = TaskCopies(task, 1, organ, threads=1)
-        self.observation_space, self.action_space = spaces_of(self.copies, surface)
-        self._surface = surface
+    def __init__(
+        self,
+        task: str,
+        organ: Organ | str | None = None,
+        observation: str = "pose",
+        render_mode: str | None = None,
+    ) -> None:
+        self.copies = copies_of(task, 1, organ, threads=1)
+        self.render_mode, self._camera = render_mode, None if render_mode is None else camera_of(self.copies)
+        self._observer = Observer(self.copies, observation)
+        self.observation_space, self.action_space = self._observer.spaces()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Floats], dict[str, Any]]:
+    ) -> tuple[dict[str, Singles | Pixels], dict[str, Any]]:
         """Begin an episode."""
         super().reset(seed=seed)
         self.copies.begin(np.zeros(1, dtype=np.int64), [self.np_random])
         return self._observe(), {}
 
-    def step(self, action: Floats) -> tuple[dict[str, Floats], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Floats) -> tuple[dict[str, Singles | Pixels], float, bool, bool, dict[str, Any]]:
         """Do a step of 20 ms."""
         stepped = self.copies.step(np.asarray(action)[None])
         info = {"success": bool(stepped.succeeded[0])}
         return self._observe(), float(stepped.reward[0]), bool(stepped.terminated[0]), False, info
 
-    def _observe(self) -> dict[str, Floats]:
-        return {name: values[0] for name, values in self.copies.observe(self._surface).items()}
+    def render(self) -> Pixels | None:  # type: ignore[override]
+        """Return a picture (RENDERED, RENDERED, 3) of what is there; None without a render_mode."""
+        return None if self._camera is None else self._camera.pictures()[0]
+
+    def _observe(self) -> dict[str, Singles | Pixels]:
+        return {name: values[0] for name, values in self._observer.observe().items()}

@@ -21,7 +21,8 @@ NEAR, HELD = 0.003, 10  # m beside the place; steps in a row after which it is r
 PRECISION = 0.05  # of the force
 FOUND, TOUCH = 0.008, 0.05  # m from the tumour's nearest surface point; N that counts as touching
 LIFT = 0.004  # m by which tissue is to be lifted
-DECLARED = 10.0  # reward for the right place, and penalty for a wrong one
+DECLARED, WRONG = 10.0, 3.0  # reward for the right place, and penalty for a wrong one
+SEARCH = 0.01  # penalty of a step of a search at most: all 300 cost no more than giving up at once by a wrong answer
 
 
 class Draw(NamedTuple):
@@ -29,9 +30,10 @@ class Draw(NamedTuple):
 
     place: Floats  # (3,) on the surface
     outward: Floats  # (3,)
-    force: float  # N to be reached
+    wanted: float  # N of force, or of a cut m of depth
     start: Floats  # (3,) of the tool
     stiffness: float  # factor
+    half: Floats = np.zeros(3)  # (3,) from there to an end of the line of a cut
 
 
 class Now(NamedTuple):
@@ -39,7 +41,7 @@ class Now(NamedTuple):
 
     place: Floats  # (n, 3) m
     outward: Floats  # (n, 3)
-    force: Floats  # (n,) N to be reached
+    wanted: Floats  # (n,) N, the force to be reached
     tip: Floats  # (n, 3) m, where the tool is
     pushed: Floats  # (n,) N that pushes the hand out
     felt: Floats  # (n,) N, size of the force
@@ -59,6 +61,7 @@ class Task:
     """Press: reach a force at a place. Others change what differs."""
 
     organ, actions = "kidney", 3  # the shipped organ; velocity, and what else a step is told
+    has_jaws, declares = False, False  # whether the last action moves jaws, or says: here it is
     ends = True  # whether an episode ends where the goal is met for HELD steps
     shift = 0.005  # m by which the organ is moved at most, along each axis
     shows_goal = True
@@ -101,7 +104,7 @@ class Task:
         now : Now
             What there is after a step.
         """
-        off = np.abs(now.pushed - now.force) / now.force
+        off = np.abs(now.pushed - now.wanted) / now.wanted
         beside = distance_beside(now)
         reward = -np.minimum(off, 1.0) - np.minimum(beside / 0.01, 1.0)
         return Judged(reward, (off < PRECISION) & (beside < NEAR), np.zeros(len(off), dtype=np.bool_))
@@ -127,7 +130,7 @@ class Hold(Task):
 class Palpate(Task):
     """Find the tumour by touch: press, move on, and say where it is."""
 
-    organ, actions = "kidney_tumour", 4
+    organ, actions, declares = "kidney_tumour", 4, True
     ends = False
     shift = 0.015
     shows_goal = False
@@ -146,14 +149,14 @@ class Palpate(Task):
         """Return reward and success: the nearer the better, and the right or wrong place at the end."""
         beside = np.linalg.norm(now.tip - now.place - RADIUS * now.outward, axis=1)
         is_here = (beside < FOUND) & (now.felt > TOUCH)
-        final = np.where(now.declared, np.where(is_here, DECLARED, -DECLARED), 0.0)
-        return Judged(-np.minimum(beside / 0.05, 1.0) + final, is_here & now.declared, now.declared)
+        final = np.where(now.declared, np.where(is_here, DECLARED, -WRONG), 0.0)
+        return Judged(-SEARCH * np.minimum(beside / 0.05, 1.0) + final, is_here & now.declared, now.declared)
 
 
 class Retract(Task):
     """Grasp the tissue at a place and lift it, to expose what lies beside it."""
 
-    actions = 4
+    actions, has_jaws = 4, True
 
     def tool(self) -> Tool:
         """Return a gripper with round jaws."""
@@ -161,12 +164,35 @@ class Retract(Task):
 
     def judge(self, now: Now) -> Judged:
         """Return reward and success: the place's distance from LIFT, and the tool's from the place."""
-        short = np.clip((LIFT - now.lifted) / LIFT, 0.0, 2.0)
+        # A grasp has to press in first, which is no worse than nothing.
+        short = np.clip((LIFT - now.lifted) / LIFT, 0.0, 1.0)
         away = np.minimum(np.linalg.norm(now.tip - now.place, axis=1) / 0.02, 1.0)
         return Judged(-short - 0.2 * away, short == 0.0, np.zeros(len(short), dtype=np.bool_))
 
 
-TASKS: dict[str, type[Task]] = {"Press": Task, "Palpate": Palpate, "Retract": Retract, "Hold": Hold}
+class Cut(Task):
+    """Cut along a line to a depth: slide a guard over the tissue, below which a blade protrudes; see CutCopies."""
+
+    actions, declares = 5, True
+    ends = False
+
+    def tool(self) -> Tool:
+        """Return the guard, which slides on the tissue and is felt; the blade itself meets no resistance."""
+        return Tool("guard", radius=0.002)
+
+    def draw(self, random: np.random.Generator, organ: Organ) -> Draw:
+        """Return an episode: the middle of a line on the surface, its half, the depth, and where the guard begins."""
+        drawn = super().draw(random, organ)
+        across = np.cross(drawn.outward, random.normal(size=3))
+        half = random.uniform(0.008, 0.012) * across / np.linalg.norm(across)
+        return drawn._replace(half=half, wanted=random.uniform(0.008, 0.014))
+
+    def judge(self, now: Now) -> Judged:
+        """Raise NotImplementedError: a cut is judged by its whole way, as CutCopies does."""
+        raise NotImplementedError
+
+
+TASKS: dict[str, type[Task]] = {"Press": Task, "Palpate": Palpate, "Retract": Retract, "Hold": Hold, "Cut": Cut}
 
 
 def task_of(name: str) -> Task:

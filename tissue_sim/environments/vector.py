@@ -9,8 +9,9 @@ import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector.utils import batch_space
 
-from tissue_sim.array_types import Floats, Longs, Mask
-from tissue_sim.environments.copies import TaskCopies
+from tissue_sim.array_types import Floats, Longs, Mask, Pixels, Singles
+from tissue_sim.environments.cut_copies import copies_of
+from tissue_sim.environments.observations import Observer
 from tissue_sim.organ.organ import Organ
 
 
@@ -20,15 +21,15 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv):
     Parameters
     ----------
     task : str
-        Press, Palpate, Retract or Hold.
+        Press, Palpate, Retract, Hold or Cut.
     num_envs : int, optional
         Number of copies.
     max_episode_steps : int, optional
         Steps of 20 ms after which an episode is truncated; 0: never.
     organ : Organ | str | None, optional
         Another organ, or the name of one that ships; None for the task's.
-    surface : bool, optional
-        Whether observations include where the surface is.
+    observation : str, optional
+        What is seen: pose, or beside it the surface, or an image.
     threads : int, optional
         As in SceneBatch: 0 for one on each core.
     """
@@ -41,22 +42,23 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv):
         num_envs: int = 1,
         max_episode_steps: int = 0,
         organ: Organ | str | None = None,
-        surface: bool = False,
+        observation: str = "pose",
         threads: int = 0,
     ) -> None:
         self.num_envs, self.render_mode = num_envs, None
-        self.copies = TaskCopies(task, num_envs, organ, threads)
-        self.single_observation_space, self.single_action_space = spaces_of(self.copies, surface)
+        self.copies = copies_of(task, num_envs, organ, threads)
+        self._observer = Observer(self.copies, observation)
+        self.single_observation_space, self.single_action_space = self._observer.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._surface, self._longest = surface, max_episode_steps
+        self._longest = max_episode_steps
         self._elapsed = np.zeros(num_envs, dtype=np.int64)
         self._is_over = np.zeros(num_envs, dtype=np.bool_)
         self._randoms = [np.random.default_rng(one) for one in np.random.SeedSequence().spawn(num_envs)]
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Floats], dict[str, Any]]:
+    ) -> tuple[dict[str, Singles | Pixels], dict[str, Any]]:
         """Begin all episodes, or those of the mask `reset_mask` in options; copy i takes the seed plus i."""
         seeds = [seed + copy for copy in range(self.num_envs)] if isinstance(seed, int) else seed
         for copy, one in enumerate(seeds or []):
@@ -64,9 +66,9 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv):
                 self._randoms[copy] = seeding.np_random(one)[0]
         mask = (options or {}).get("reset_mask")
         self._begin(np.arange(self.num_envs) if mask is None else np.flatnonzero(mask))
-        return self.copies.observe(self._surface), {}
+        return self._observer.observe(), {}
 
-    def step(self, actions: Floats) -> tuple[dict[str, Floats], Floats, Mask, Mask, dict[str, Any]]:
+    def step(self, actions: Floats) -> tuple[dict[str, Singles | Pixels], Floats, Mask, Mask, dict[str, Any]]:
         """Do a step of 20 ms; a copy whose episode ended in the last one begins anew instead, without reward."""
         begins = self._is_over.copy()
         stepped = self.copies.step(actions)
@@ -77,32 +79,8 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv):
         truncated = truncated & ~begins & ~terminated
         self._is_over = terminated | truncated
         succeeded = stepped.succeeded & ~begins
-        return self.copies.observe(self._surface), reward, terminated, truncated, {"success": succeeded}
+        return self._observer.observe(), reward, terminated, truncated, {"success": succeeded}
 
     def _begin(self, copies: Longs) -> None:
         self.copies.begin(copies, [self._randoms[copy] for copy in copies.tolist()])
         self._elapsed[copies], self._is_over[copies] = 0, False
-
-
-def spaces_of(copies: TaskCopies, surface: bool) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Box]:
-    """Return the spaces of one copy's observations and actions.
-
-    Parameters
-    ----------
-    copies : TaskCopies
-        The copies.
-    surface : bool
-        Whether observations include where the surface is.
-    """
-
-    def box(*shape: int, most: float = np.inf) -> gymnasium.spaces.Box:
-        return gymnasium.spaces.Box(-most, most, shape, np.float32)
-
-    spaces: dict[str, gymnasium.spaces.Space[Any]] = {"pose": box(7), "wrench": box(6)}
-    if copies.batch.tools.tools[0].shape == "gripper":
-        spaces["angle"] = box(1)
-    if copies.task.shows_goal:
-        spaces["goal"] = box(7)
-    if surface:
-        spaces["surface"] = box(copies.organ.n_surface, 3)
-    return gymnasium.spaces.Dict(spaces), box(copies.task.actions, most=1.0)

@@ -1,1 +1,1 @@
-"""Pictures of organs and tools as an endoscope would show them, drawn off-screen with OpenGL; without ROS."""
+"""Pictures of organs and tools: off-screen with OpenGL, as an endoscope would show them, and in a browser."""

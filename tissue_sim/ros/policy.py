@@ -1,4 +1,4 @@
-"""Command `tissue_sim policy`: what DDS Security (sros2) has to allow a node, its bridge, its viewer and a camera."""
+"""Command `tissue_sim policy`: what DDS Security (sros2) has to allow a node and the programs beside it."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 VERSION = "0.2.0"  # of sros2's format
 WAIT = 15.0  # s for the node to answer with its parameters
 ABOUT = " Printed by `tissue_sim policy` for a running node; read by `ros2 security generate_artifacts -p`. "
+DRIVER = "drive"  # node of a learned policy
 PARAMETER_SERVICES = (
     *("describe_parameters", "get_parameter_types", "get_parameters", "list_parameters"),
     *("set_parameters", "set_parameters_atomically"),
@@ -131,6 +132,15 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
             [f"{namespace}/haptic_bridge", f"{namespace}/haptic_bridge_parameters"],
             [*poses, *forces],
             [*wrenches, *_of_organs(own, values, "mesh"), "/diagnostics"],
+            (),
+            [f"{own}/get_parameters"],
+        ),
+        f"{own}/drive": Allowed(
+            f"{namespace}/{DRIVER}",
+            [f"{namespace}/{DRIVER}", f"{namespace}/{DRIVER}_parameters"],
+            poses,  # of the tool that it is given
+            [*wrenches, *_of_organs(own, values, "mesh", "surface")]
+            + _below(own, *(f"{tool}/wrench" for tool in values["tools"])),
             (),
             [f"{own}/get_parameters"],
         ),

@@ -17,8 +17,8 @@ from visualization_msgs.msg import MarkerArray
 from helpers.paths import CONFIG
 from helpers.ros.clients import LATCHED, Client
 from helpers.ros.processes import poke_path, running_node, shipped, start_publisher
+from tissue_sim.rendering.appearance import MOVING, SHADES, TISSUE
 from tissue_sim.ros.node.output.markers import OrganMarkers
-from tissue_sim.ros.shared.appearance import MOVING, SHADES, TISSUE
 from tissue_sim.ros.shared.client import cloud_array
 from tissue_sim.ros.shared.shown_organ import ShownOrgan
 

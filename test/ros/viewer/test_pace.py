@@ -6,9 +6,9 @@ import pytest
 
 pytest.importorskip("viser")
 
+from tissue_sim.rendering.organ_view import LATER
 from tissue_sim.ros.viewer import pace as module
 from tissue_sim.ros.viewer.pace import LOOKS, Pace
-from tissue_sim.ros.viewer.scene import LATER
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ from tissue_sim.ros.viewer.poked_tool import ACCELERATION, TOP_SPEED, PokedTool,
 
 pytest.importorskip("viser")
 from helpers.ros import browser as browsers
+from tissue_sim.rendering.organ_view import FIELD_OF_VIEW, camera_for
 from tissue_sim.ros.viewer.poke import beside, pointing
-from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, camera_for
 
 RADIUS = 0.005
 SIZE = (900, 600)

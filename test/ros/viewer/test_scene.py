@@ -8,9 +8,10 @@ pytest.importorskip("viser")
 
 from helpers.ros.picture import Server
 from helpers.ros.stand_in import ball
-from tissue_sim.ros.shared.appearance import SCALE, TISSUE
-from tissue_sim.ros.viewer.coloured_surface import light_of
-from tissue_sim.ros.viewer.scene import LABEL_GAP, LATER, VIEW, InclusionView, LigamentView, OrganView, label_place
+from tissue_sim.rendering.appearance import SCALE, TISSUE
+from tissue_sim.rendering.coloured_surface import light_of
+from tissue_sim.rendering.organ_view import LABEL_GAP, LATER, VIEW, OrganView, label_place
+from tissue_sim.ros.viewer.scene import InclusionView, LigamentView
 
 
 def turn(view):

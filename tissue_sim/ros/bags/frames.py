@@ -17,11 +17,11 @@ from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.shapes import CAPSULE, SPHERE
 from tissue_sim.organ.meshes.mesh_formats import GLTF_TO_LPS
+from tissue_sim.rendering.appearance import shade_of, shades, tissue_colour
 from tissue_sim.ros.bags.comparison import Shown
 from tissue_sim.ros.bags.organ_player import ShownSurface
 from tissue_sim.ros.bags.player import Player
 from tissue_sim.ros.bags.reading import Bag
-from tissue_sim.ros.shared.appearance import shade_of, shades, tissue_colour
 
 STEEL = (190, 195, 200)  # a tool's colour
 MOST_FRAMES = 10_000

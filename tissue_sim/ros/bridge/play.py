@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
             values = client.wait_until(parameters.poll, args.wait, stop)
         if values is None:
             return 0 if stop else _not_there(args, f"answer from /{args.node}/get_parameters")
-        topic = f"/{args.node}/{_organ_of(values, args)}mesh"
+        topic = f"/{args.node}/{organ_of(values, args)}mesh"
         meshes = client.NewestMessage(node, Mesh, topic, client.latched_qos())
         with progress.task(f"waiting for {topic}"):
             mesh = client.wait_until(meshes.take, args.wait, stop)
@@ -102,8 +102,14 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _organ_of(values: Mapping[str, Any], args: argparse.Namespace) -> str:
-    """Return the prefix of the organ's topics below the node's name: in a scene its name."""
+def organ_of(values: Mapping[str, Any], args: argparse.Namespace) -> str:
+    """Return the prefix of the organ's topics below the node's name: in a scene its name.
+
+    Raises
+    ------
+    UserError
+        For an organ that the node doesn't have.
+    """
     from tissue_sim.ros.shared.parameters import TOLD
 
     names = list(values.get(TOLD, ()))  # a node without this parameter has one organ

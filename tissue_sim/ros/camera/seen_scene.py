@@ -13,11 +13,11 @@ from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.rendering.appearance import tissue_colour
 from tissue_sim.rendering.bodies import MOST_LABEL, Look
 from tissue_sim.rendering.offscreen import Offscreen
 from tissue_sim.rendering.primitives import ball, cylinder
 from tissue_sim.ros.shared import client
-from tissue_sim.ros.shared.appearance import tissue_colour
 from tissue_sim.ros.shared.organ_topics import path_of
 
 FIRST_ORGAN, FIRST_TOOL = 1, 101  # labels

@@ -21,7 +21,7 @@ from tissue_sim.contact.tools import SHAPE_NAMES, Tool
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS, Settings
 from tissue_sim.model.simulation import acceleration_of
-from tissue_sim.ros.shared.appearance import MARKER_COLOURS
+from tissue_sim.rendering.appearance import MARKER_COLOURS
 from tissue_sim.ros.shared.frames import IDENTITY, Frames, Placed, Transform
 from tissue_sim.ros.shared.priority import HIGHEST
 from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, POSE_TYPES, WRENCH_FRAMES, WRENCH_TYPES, ToolTopics

@@ -13,12 +13,13 @@ from rclpy.qos import QoSProfile
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tissue_sim.array_types import Floats
+from tissue_sim.rendering.organ_view import FIELD_OF_VIEW, camera_for, light
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.node_parameters import NodeParameters
 from tissue_sim.ros.shared.parameters import TOLD
 from tissue_sim.ros.viewer.pace import Pace
 from tissue_sim.ros.viewer.panel import SOLID, TRANSLUCENT, Panel, detail, headline
-from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, LigamentView, camera_for, light
+from tissue_sim.ros.viewer.scene import LigamentView
 from tissue_sim.ros.viewer.services import Services
 from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
 from tissue_sim.ros.viewer.viewed_organ import ViewedOrgan

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 import viser
 
-from tissue_sim.ros.viewer.scene import LATER
+from tissue_sim.rendering.organ_view import LATER
 
 PROBE_EVERY = 0.5  # s between two looks
 LOOKS = 8  # that count; a page answers when it draws, which a request comes sooner or later before

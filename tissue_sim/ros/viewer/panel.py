@@ -10,7 +10,7 @@ from typing import Any
 
 import viser
 
-from tissue_sim.ros.shared.appearance import SCALE, TISSUE, Colour, tissue_colour
+from tissue_sim.rendering.appearance import SCALE, TISSUE, Colour, tissue_colour
 
 NO_VALUE = "-"
 LINES = 3  # lines of the headline

@@ -13,10 +13,10 @@ from rclpy.node import Node
 from scipy.spatial.transform import Rotation
 
 from tissue_sim.array_types import Floats
+from tissue_sim.rendering.organ_view import picture_axes
 from tissue_sim.ros.shared.tool_link import ToolLink
 from tissue_sim.ros.viewer.jaws import JawSlider
 from tissue_sim.ros.viewer.poked_tool import PokedTool
-from tissue_sim.ros.viewer.scene import picture_axes
 from tissue_sim.ros.viewer.tool_view import ToolView
 
 CLEAR = 0.008  # m between a tool that is taken and the organ

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
 from tissue_sim.array_types import Floats
+from tissue_sim.rendering.appearance import Colour
 from tissue_sim.ros.node.output.markers import ARROW_LENGTH
-from tissue_sim.ros.shared.appearance import Colour
 
 TOOL_COLOURS: tuple[Colour, ...] = ((120, 150, 190), (130, 175, 150), (170, 150, 190), (180, 170, 140))
 FORCE: Colour = (0, 60, 220)

@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import errno
-import io
 import os
 import socket
 import sys
 import time
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from tissue_sim import progress
 from tissue_sim.errors import UserError
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.viewer.tokens import TOKEN_VARIABLE, chosen_token
-
-if TYPE_CHECKING:
-    import viser
 
 FRAME_TIME = 1.0 / 40.0  # s between two pictures: a few a second come late, and 30 must remain
 PATIENCE = 5.0  # s for the answer of a page that holds a tool
@@ -73,9 +66,13 @@ def run(args: argparse.Namespace) -> int:
         return write(args.layout, args.node)
     check_port(args.host, args.port)
     token = page_token(args)
+    try:
+        from tissue_sim.rendering.page_server import serving
+    except ImportError:
+        raise UserError("the viewer needs viser: pip install viser") from None
     with (
         client.Stop() as stop,
-        _server(args.host, args.port, token) as server,
+        serving(args.host, args.port, token) as server,
         client.client_node("viewer", args.node) as node,
     ):
         from tissue_sim.ros.viewer.loop import Viewer
@@ -128,28 +125,6 @@ def check_port(host: str, port: int) -> None:
         if error.errno == errno.EADDRINUSE:
             raise UserError(f"port {port} of {host} is taken; choose another with --port") from None
         raise UserError(f"cannot serve at {host}:{port}: {error.strerror}; choose another --host") from None
-
-
-@contextlib.contextmanager
-def _server(host: str, port: int, token: str | None) -> Iterator[viser.ViserServer]:
-    """Provide a viser server that is silent on the terminal, and serves at this port, guarded, or not at all."""
-    try:
-        import viser
-    except ImportError:
-        raise UserError("the viewer needs viser: pip install viser") from None
-    from tissue_sim.ros.viewer.guard import Guard, guarding
-
-    os.environ.pop("_VISER_PORT_OVERRIDE", None)
-    with contextlib.redirect_stdout(io.StringIO()), guarding(Guard(token, port)):
-        server = viser.ViserServer(host=host, port=port, label="tissue_sim", verbose=False)
-    try:
-        if server.get_port() != port:
-            raise UserError(f"port {port} of {host} is taken; choose another with --port")
-        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-        yield server
-    finally:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server.stop()
 
 
 def page_token(args: argparse.Namespace) -> str | None:

@@ -9,9 +9,10 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.rendering.organ_view import OrganView
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.organ_topics import path_of
-from tissue_sim.ros.viewer.scene import InclusionView, OrganView, SkeletonView
+from tissue_sim.ros.viewer.scene import InclusionView, SkeletonView
 
 TURNED = np.cos(np.radians(5.0))  # cosine of the angle from which on two viewpoints count as different
 

@@ -6,8 +6,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from helpers.ros.processes import shipped
+from tissue_sim.rendering.appearance import SHADES
 from tissue_sim.ros.node.output.markers import ARROW_LENGTH, OrganMarkers, all_finite, write_displacement
-from tissue_sim.ros.shared.appearance import SHADES
 from tissue_sim.ros.shared.shown_organ import ShownOrgan
 
 CENTRE = np.array([[0.1, 0.2, 0.3], [0.0, 0.0, 0.0]])

@@ -11,8 +11,8 @@ from visualization_msgs.msg import Marker
 from tissue_sim.array_types import Floats
 from tissue_sim.model.data.links import POINT
 from tissue_sim.model.joined import Joined
+from tissue_sim.rendering.appearance import LIGAMENT
 from tissue_sim.ros.node.output.markers import MarkerBytes, empty_marker
-from tissue_sim.ros.shared.appearance import LIGAMENT
 
 WIDTH = 0.0006  # m
 

@@ -21,7 +21,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from tissue_sim.array_types import Floats, Ints, Longs, Pixels, Singles
 from tissue_sim.jit import kernel
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.shared.appearance import SHADES, TISSUE
+from tissue_sim.rendering.appearance import SHADES, TISSUE
 from tissue_sim.ros.shared.cdr import CDR_HEADER
 from tissue_sim.ros.shared.shown_organ import ShownOrgan
 

@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from tissue_sim.array_types import Floats
+from tissue_sim.rendering.appearance import FULL_DISPLACEMENT, FULL_FORCE, MOVING
 from tissue_sim.ros.node.output.markers import OrganMarkers, all_finite, write_displacement
 from tissue_sim.ros.node.tools.tool_port import ToolPort
-from tissue_sim.ros.shared.appearance import FULL_DISPLACEMENT, FULL_FORCE, MOVING
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.shown_organ import ShownOrgan
 

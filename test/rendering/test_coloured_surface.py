@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tissue_sim.ros.viewer.coloured_surface import ColouredSurface, light_of
+from tissue_sim.rendering.coloured_surface import ColouredSurface, light_of
 
 
 def read(message):

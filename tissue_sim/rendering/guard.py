@@ -38,10 +38,13 @@ class Guard:
         The token, or None on loopback.
     port : int
         Port of the page.
+    frames : str, optional
+        Pages besides itself that may show it in a frame, as a Content-Security-Policy names them.
     """
 
-    def __init__(self, token: str | None, port: int) -> None:
+    def __init__(self, token: str | None, port: int, frames: str = "") -> None:
         self._token = token
+        self._frames = f"frame-ancestors 'self' {frames}".rstrip()
         self._cookie = f"tissue_sim_{port}"  # cookies of one host are shared by its ports
 
     def refusal(self, request: Request) -> str:
@@ -96,7 +99,7 @@ class Guard:
                 response.body = titled(bytes(response.body))
                 del response.headers["Content-Length"]
                 response.headers["Content-Length"] = str(len(response.body))
-                response.headers["Content-Security-Policy"] = "frame-ancestors 'self'"
+                response.headers["Content-Security-Policy"] = self._frames
                 response.headers["Referrer-Policy"] = "no-referrer"
                 if self._token is not None:
                     # The page opens its websocket without what follows the ? of its address.

@@ -1,0 +1,102 @@
+"""A learned policy moves a tool of a real node over DDS, and the force that it was to reach is felt."""
+
+import re
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+pytest.importorskip("gymnasium")
+
+from helpers.paths import CONFIG
+from helpers.ros.processes import UNHURRIED, Process, shipped, start_node
+from helpers.scenes import ball_of_cells
+from tissue_sim.contact.tools import Tool
+from tissue_sim.environments.copies import TaskCopies
+from tissue_sim.environments.policies import Learned
+from tissue_sim.environments.steering import observation_of
+from tissue_sim.environments.tasks import PRECISION, RADIUS, task_of
+from tissue_sim.errors import UserError
+from tissue_sim.ros.bridge.driven_tool import DrivenTool, Goal, check_tool
+
+FORCE = 0.25  # N
+
+
+def driven(folder, *words):
+    """What the command prints, and its exit code."""
+    process = Process(["-m", "tissue_sim", "drive", *words], folder / "drive.log", TISSUE_SIM_PROGRESS="0")
+    code = process.wait()
+    return process.text(), code
+
+
+@contextmanager
+def node_with_a_finger(folder):
+    node = start_node(folder, UNHURRIED, profile=CONFIG / "finger.yaml")
+    try:
+        yield node
+    finally:
+        assert node.stop() == 0, node.text()
+
+
+@pytest.mark.extended
+def test_a_learned_policy_reaches_the_force_over_dds(tmp_path):
+    surface = shipped().surface_positions
+    place = surface[np.argmax(surface[:, 0])]
+    given = ["--place", *map(str, place.tolist()), "--force", str(FORCE)]
+    with node_with_a_finger(tmp_path):
+        text, code = driven(tmp_path, "press", *given)
+        assert code == 0, text
+        found = re.search(r"goal met: ([\d.]+) N of 0.250 N, ([\d.]+) mm beside", text)
+        assert float(found[1]) == pytest.approx(FORCE, rel=PRECISION)
+        assert float(found[2]) < 3.0
+        # A policy that does nothing feels nothing: what was felt above came through the topics.
+        none = Learned("Press", np.zeros(3))
+        none.save(tmp_path / "none.json")
+        text, code = driven(tmp_path, str(tmp_path / "none.json"), *given, "--seconds", "0.5")
+        assert code == 1
+        assert "goal not met: 0.000 N" in text
+
+
+def test_what_is_seen_over_ros_is_what_the_environment_shows():
+    """The same tool, wrench and goal give the same observations, in an environment whose organ lies straight."""
+    copies = TaskCopies("Press", 1, ball_of_cells())
+    copies.begin(np.arange(1), [np.random.default_rng(1)])
+    copies._heading[:], copies._shift[:] = 0.0, 0.0
+    for _ in range(8):
+        copies.step(-copies._outward)
+    seen = copies.observe()
+    assert np.linalg.norm(seen["wrench"][0, :3]) > 0.01, "it touches"
+    driver = DrivenTool.__new__(DrivenTool)
+    driver.wrench, driver._turn, driver._angle = copies.batch.wrenches[0, 0], np.array([0.0, 0.0, 0.0, 1.0]), 0.0
+    goal = Goal(int(copies._node[0]), copies._place[0], copies._outward[0], float(copies._wanted[0]))
+    over_ros = observation_of(task_of("Press"), driver._sensed(copies._tip[0], goal))
+    assert list(over_ros) == list(seen)
+    for name, values in seen.items():
+        np.testing.assert_allclose(over_ros[name], values, atol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("tool", "task", "message"),
+    [
+        (Tool("left"), "Press", "radius of 5 mm; .* -p left.shape:=sphere -p left.radius:=0.008$"),
+        (Tool("left", radius=RADIUS), "Retract", "left.shape:=gripper -p left.radius:=0.003 -p left.length:=0.02"),
+    ],
+)
+def test_another_tool_than_the_one_that_was_learned_with_is_refused(tool, task, message):
+    with pytest.raises(UserError, match=message):
+        check_tool(task_of(task), tool, "tissue_sim")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nowhere.json"], "there is no policy 'nowhere.json'"),
+        (["press", "--place", "0", "nan", "0"], "--place has numbers that are not finite"),
+        (["press", "--force", "0"], "0 is outside 0.01..20 N"),
+        (["press", "--wait", "0.1", "--node", "nobody"], "no answer from /nobody/get_parameters within 0.1 s"),
+    ],
+)
+def test_what_cannot_be_driven_is_named(tmp_path, words, message):
+    text, code = driven(tmp_path, *words)
+    assert message in text
+    assert code == (1 if "--wait" in words else 2)

@@ -1,0 +1,239 @@
+"""Policies of few weights, one for each task: what an agent does, by its observations alone; and their files.
+
+Each is a controller whose gains and thresholds are weights. n agents act at once, each by weights of its own, so that
+candidates are compared in one vector environment. Lengths are counted in cm, as weights of about 1 are learned best.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.errors import UserError
+from tissue_sim.organ.shipped import shipped_file
+
+FORMAT = 1  # of a policy's file
+CM = 0.01  # m
+LEAK = 0.98  # of a sum over steps, from one to the next
+Seen = Mapping[str, Any]  # observations of n agents, by name
+
+
+class Policy:
+    """Press: keep above the place, and push by what the force lacks. Others change what differs."""
+
+    task = "Press"
+    weights: tuple[str, ...] = ("beside", "lack", "far")
+    start: tuple[float, ...] = (0.0, 0.0, 0.0)  # weights that learning begins with
+
+    def __init__(self, count: int = 1) -> None:
+        self.memory = np.zeros((count, 4))  # of each agent, zero when its episode begins
+
+    def forget(self, agents: Longs) -> None:
+        """Begin new episodes of some agents."""
+        self.memory[agents] = 0.0
+
+    def act(self, weights: Floats, seen: Seen) -> Floats:
+        """Return the actions (n, a) of n agents.
+
+        Parameters
+        ----------
+        weights : Floats, shape (n, w) or (w,)
+            Their weights.
+        seen : Seen
+            Their observations.
+        """
+        w = np.broadcast_to(weights, (len(seen["pose"]), len(self.weights))).T
+        beside, outward, along = places(seen)
+        push = self._push(w, np.clip(lacking(seen), -1.0, 1.0)) + w[2] * (along > 0.9 * CM)
+        return np.clip(w[0][:, None] * beside / CM + push[:, None] * outward, -1.0, 1.0)
+
+    def _push(self, w: Floats, lack: Floats) -> Floats:
+        """Return the speed outwards (n,), 1 for the fastest, by the part of the force that lacks."""
+        return np.asarray(w[1] * lack)
+
+
+class HoldPolicy(Policy):
+    """Hold: as Press, and by the sum and the change of what the force lacked: breathing doesn't end."""
+
+    task = "Hold"
+    weights = (*Policy.weights, "sum", "change")
+    start = (0.0,) * 5
+
+    def _push(self, w: Floats, lack: Floats) -> Floats:
+        """Return the speed outwards (n,), also by the sum and the change of what lacks once something is felt."""
+        changed = np.where(self.memory[:, 2] > 0.0, lack - self.memory[:, 1], 0.0)
+        self.memory[:, 0] = LEAK * self.memory[:, 0] + lack * (lack < 1.0)
+        self.memory[:, 1], self.memory[:, 2] = lack, 1.0
+        return np.asarray(w[1] * lack + w[3] * self.memory[:, 0] / 10.0 + w[4] * changed)
+
+
+class RetractPolicy(Policy):
+    """Retract: go to a depth at the place, close the jaws there, and lift once they are closed."""
+
+    task = "Retract"
+    weights = ("beside", "depth", "approach", "jaws", "open", "closed", "lift")
+    start = (-2.0, -1.0, -2.0, -1.0, 3.0, 0.0, 0.2)  # set by hand: by chance, tissue is never grasped and lifted
+
+    def act(self, weights: Floats, seen: Seen) -> Floats:
+        """Return the actions (n, 4)."""
+        w = np.broadcast_to(weights, (len(seen["pose"]), len(self.weights))).T
+        beside, outward, along = places(seen)
+        above = along / CM - w[1]
+        is_closed = seen["angle"][:, 0] < 0.05 + 0.6 * w[5]
+        rise = np.where(is_closed, w[6], w[2] * above)
+        jaws = np.where(is_closed, -1.0, w[3] + w[4] * np.maximum(above, 0.0))
+        velocity = w[0][:, None] * beside / CM + rise[:, None] * outward
+        return np.clip(np.column_stack([velocity, jaws]), -1.0, 1.0)
+
+
+class PalpatePolicy(Policy):
+    """Palpate: go to where tumours are, give way to the tissue, and say so when enough is felt near there."""
+
+    task = "Palpate"
+    weights = ("x", "y", "z", "speed", "yielding", "felt", "away", "bias")
+    # Set by hand: to where the tumour is in the mean, pressing in; by chance, it is never found.
+    start = (0.72, 0.22, 0.0, 1.0, 2.0, 1.0, -1.0, 1.5)
+
+    def act(self, weights: Floats, seen: Seen) -> Floats:
+        """Return the actions (n, 4)."""
+        w = np.broadcast_to(weights, (len(seen["pose"]), len(self.weights))).T
+        way = 10.0 * CM * w[:3].T - seen["pose"][:, :3]
+        away = np.linalg.norm(way, axis=1)
+        force = seen["wrench"][:, :3]
+        velocity = w[3][:, None] * way / CM / np.maximum(away / CM, 1.0)[:, None] + w[4][:, None] * force
+        says = w[5] * np.linalg.norm(force, axis=1) / 0.1 + w[6] * away / CM + w[7]
+        return np.clip(np.column_stack([velocity, says]), -1.0, 1.0)
+
+
+class CutPolicy(Policy):
+    """Cut: put the blade in at one end of the line, slide to the other one, and say that it is done there."""
+
+    task = "Cut"
+    weights = ("beside", "lack", "force", "blade", "overshoot", "slow")
+    start = (0.0,) * 6
+
+    def act(self, weights: Floats, seen: Seen) -> Floats:
+        """Return the actions (n, 5)."""
+        w = np.broadcast_to(weights, (len(seen["pose"]), len(self.weights))).T
+        goal, line = (np.asarray(seen[name], dtype=np.float64) for name in ("goal", "line"))
+        outward, slides = goal[:, 3:6], self.memory[:, 0] > 0.0
+        half = 0.5 * (line[:, 3:] - line[:, :3])
+        end = 1.0 + w[4] / 10.0
+        aim = goal[:, :3] + np.where(slides, end, -end)[:, None] * half
+        way = aim - seen["pose"][:, :3]
+        way = way - np.einsum("nx,nx->n", way, outward)[:, None] * outward
+        is_there = np.linalg.norm(way, axis=1) < 0.15 * CM
+        felt = np.linalg.norm(seen["wrench"][:, :3], axis=1)
+        short = goal[:, 6] * (1.0 + w[3] / 10.0) - seen["blade"][:, 0]
+        is_in = (np.abs(short) < 0.05 * CM) & (felt > 0.05)
+        push = -w[1] * np.clip(0.1 * (1.0 + w[2]) - felt, -0.3, 0.3)
+        speed = np.where(slides & (w[5] > 0.0), 1.0 / (1.0 + np.maximum(w[5], 0.0)), 1.0)
+        size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True) / CM, 1.0)
+        velocity = (w[0] * speed)[:, None] * way / CM / size + push[:, None] * outward
+        finished = np.where(slides & is_there, 1.0, -1.0)
+        self.memory[:, 0] = np.maximum(self.memory[:, 0], is_there & is_in)
+        return np.clip(np.column_stack([velocity, short / 0.1 / CM, finished]), -1.0, 1.0)
+
+
+POLICIES: dict[str, type[Policy]] = {
+    one.task: one for one in (Policy, PalpatePolicy, RetractPolicy, HoldPolicy, CutPolicy)
+}
+
+
+def places(seen: Seen) -> tuple[Floats, Floats, Floats]:
+    """Return the ways (n, 3) m beside the line outwards from the place to the tool, outward, and the way along it."""
+    goal = np.asarray(seen["goal"], dtype=np.float64)
+    outward, way = goal[:, 3:6], seen["pose"][:, :3] - goal[:, :3]
+    along = np.einsum("nx,nx->n", way, outward)
+    return way - along[:, None] * outward, outward, along
+
+
+def lacking(seen: Seen) -> Floats:
+    """Return the part (n,) of the wanted force that isn't felt."""
+    goal = np.asarray(seen["goal"], dtype=np.float64)
+    return np.asarray(1.0 - np.einsum("nx,nx->n", seen["wrench"][:, :3], goal[:, 3:6]) / goal[:, 6])
+
+
+def policy_class(task: str) -> type[Policy]:
+    """Return the policy of a task. Raises UserError for a task without one."""
+    if task not in POLICIES:
+        raise UserError(f"no policy for task '{task}'; choose one of {', '.join(POLICIES)}")
+    return POLICIES[task]
+
+
+class Learned:
+    """A policy of one agent, with weights that were learned.
+
+    Parameters
+    ----------
+    task : str
+        Its task.
+    weights : Floats, shape (w,)
+        Its weights.
+    about : dict[str, Any], optional
+        How it was learned, for its file.
+    """
+
+    def __init__(self, task: str, weights: Floats, about: dict[str, Any] | None = None) -> None:
+        self.task, self.weights, self.about = task, np.asarray(weights, dtype=np.float64), about or {}
+        self._policy = policy_class(task)(1)
+
+    def begin(self) -> None:
+        """Begin an episode."""
+        self._policy.forget(np.zeros(1, dtype=np.int64))
+
+    def act(self, seen: Seen) -> Floats:
+        """Return the action (a,) by the observations of a single environment, or of a tool over ROS."""
+        return self._policy.act(self.weights, {name: np.asarray(one)[None] for name, one in seen.items()})[0]
+
+    def save(self, path: str | Path) -> None:
+        """Write it to a JSON file.
+
+        Raises
+        ------
+        UserError
+            Where it can't be written.
+        """
+        names = type(self._policy).weights
+        named = dict(zip(names, self.weights.tolist(), strict=True))
+        told = {"format": FORMAT, "task": self.task, "weights": named, "about": self.about}
+        try:
+            Path(path).write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise UserError(f"cannot write {path}: {error.strerror}") from None
+
+    @classmethod
+    def load(cls, name: str | Path) -> Learned:
+        """Read a policy.
+
+        Parameters
+        ----------
+        name : str | Path
+            Its file, or the name of a task whose policy ships.
+
+        Raises
+        ------
+        UserError
+            Where there is none, or it isn't one.
+        """
+        path = Path(name) if Path(name).is_file() else shipped_file(f"config/policies/{str(name).lower()}.json")
+        if path is None:
+            raise UserError(f"there is no policy '{name}'; name a file that 'tissue_sim learn' has written")
+        try:
+            told = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise UserError(f"cannot read policy {name}: {error}") from None
+        if not isinstance(told, dict) or told.get("format") != FORMAT or not isinstance(told.get("weights"), dict):
+            raise UserError(f"{name} is not a policy of format {FORMAT}; learn it anew with 'tissue_sim learn'")
+        wanted = policy_class(str(told.get("task"))).weights
+        if tuple(told["weights"]) != wanted:
+            raise UserError(f"policy {name} has weights {', '.join(told['weights'])}; expected: {', '.join(wanted)}")
+        weights = np.array([told["weights"][one] for one in wanted], dtype=np.float64)
+        if not np.isfinite(weights).all():
+            raise UserError(f"policy {name} has weights that are not finite")
+        return cls(told["task"], weights, told.get("about"))

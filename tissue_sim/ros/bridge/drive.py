@@ -1,0 +1,142 @@
+"""Command `tissue_sim drive`: a learned policy moves a tool of a running node, as a bridge would."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissue_sim import progress
+from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
+from tissue_sim.ros.bridge.play import organ_of
+from tissue_sim.ros.shared import client
+from tissue_sim.unexpected_errors import write_error
+
+if TYPE_CHECKING:
+    from tissue_sim.environments.policies import Learned
+    from tissue_sim.environments.tasks import Task
+    from tissue_sim.ros.bridge.driven_tool import Done, Goal
+    from tissue_sim.ros.shared.tool_link import ToolLink
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add = parser.add_argument
+    add("policy", metavar="POLICY", help="file that `tissue_sim learn` has written, or a task whose policy ships")
+    add("--node", type=client.node_name, default="tissue_sim", help="name of the node")
+    add("--tool", metavar="NAME", help="its tool (default: the first one)")
+    add("--organ", metavar="NAME", help="organ of a scene (default: the first one)")
+    add(
+        "--place",
+        type=float,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="point in the organ's frame, m, to which the surface point of the goal is nearest (default: the middle of"
+        " the front)",
+    )
+    add("--force", type=client.number(0.01, 20.0, "N"), default=0.3, help="wanted force, N")
+    add("--seconds", type=client.number(0.1, 3600.0, "s"), help="longest time (default: that of the task's episodes)")
+    add("--wait", type=client.number(0.0, 3600.0, "s"), default=30.0, help="longest wait for the node, s")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Drive; return 0, or 1 where the goal isn't met or the node doesn't answer."""
+    if args.place is not None and not np.isfinite(args.place).all():
+        raise UserError("--place has numbers that are not finite")
+    try:
+        from tissue_sim.environments.policies import Learned
+        from tissue_sim.environments.registration import NAMES
+        from tissue_sim.environments.tasks import STEP, task_of
+    except ImportError as error:
+        raise UserError(f"policies need {error.name}: pip install 'tissue_sim[learn]'") from None
+    learned = Learned.load(args.policy)
+    task = task_of(learned.task)
+    if learned.task == "Cut":
+        raise UserError("a blade isn't a tool of a node, so that Cut can't be driven; cut by the service ~/cut")
+
+    from shape_msgs.msg import Mesh
+
+    from tissue_sim.ros.bridge.driven_tool import CLEAR, DrivenTool
+    from tissue_sim.ros.shared.node_parameters import NodeParameters
+
+    with client.Stop() as stop, client.client_node("drive", args.node) as node:
+        parameters = NodeParameters(node, args.node)
+        with progress.task(f"waiting for /{args.node}"):
+            values = client.wait_until(parameters.poll, args.wait, stop)
+        if values is None:
+            return 0 if stop else _not_there(args, f"answer from /{args.node}/get_parameters")
+        link = link_of(values, args, task)
+        below = f"/{args.node}/{organ_of(values, args)}"
+        meshes = client.NewestMessage(node, Mesh, f"{below}mesh", client.latched_qos())
+        with progress.task(f"waiting for {below}mesh"):
+            mesh = client.wait_until(meshes.take, args.wait, stop)
+        if mesh is None:
+            return 0 if stop else _not_there(args, f"mesh on {below}mesh")
+        goal = goal_of(*client.mesh_arrays(mesh), args)
+        start = goal.place + (task.tool().radius + CLEAR) * goal.outward
+        tool = DrivenTool(node, args.node, link, below)
+        with progress.task(f"waiting for wrenches of '{link.tool.name}'"):
+            is_there = tool.meet(start, goal, args.wait, stop)
+        if not is_there:
+            return 0 if stop else _not_there(args, f"wrench on /{args.node}/{link.tool.name}/wrench")
+        progress.tell_by(None)  # nothing of it runs beside the poses
+        steps = NAMES[learned.task] if args.seconds is None else round(args.seconds / STEP)
+        done = tool.drive(learned, goal, start, steps, stop)
+        tool.leave(done.tip, goal)
+    print(told(learned, goal, done, STEP))
+    return 0 if done.is_met or bool(stop) else 1
+
+
+def told(learned: Learned, goal: Goal, done: Done, step: float) -> str:
+    """Return the line about what an agent did."""
+    x, y, z = 1e3 * done.tip
+    after = (
+        f"after {step * done.steps:.2f} s, tool at {x:.1f}, {y:.1f}, {z:.1f} mm; {done.late} of {done.steps} steps late"
+    )
+    if learned.task == "Palpate":
+        return f"Palpate: {'says that it is here' if done.is_met else 'found nothing'} {after}"
+    way = done.tip - goal.place
+    beside = 1e3 * float(np.linalg.norm(way - (way @ goal.outward) * goal.outward))
+    force = float(done.force @ goal.outward)
+    wanted = "" if learned.task == "Retract" else f" of {goal.force:.3f} N"
+    share = f" in {100.0 * done.share:.0f} % of the steps" if learned.task == "Hold" else ""
+    met = f"goal {'' if done.is_met else 'not '}met{share}"
+    return f"{learned.task}: {met}: {force:.3f} N{wanted}, {beside:.1f} mm beside the place, {after}"
+
+
+def link_of(values: Mapping[str, Any], args: argparse.Namespace, task: Task) -> ToolLink:
+    """Return the link of the tool that is chosen. Raises UserError where the node has none, or another than learned."""
+    from tissue_sim.ros.bridge.driven_tool import check_tool
+    from tissue_sim.ros.shared.tool_link import ToolLink
+
+    there = tuple(values.get("tools", ()))
+    name = args.tool or (there[0] if there else "")
+    link = ToolLink.told(values, name, args.node)
+    if link is None:
+        raise UserError(f"/{args.node} has no tool '{name}'; it has {', '.join(there) or 'none'}: choose with --tool")
+    check_tool(task, link.tool, args.node)
+    return link
+
+
+def goal_of(vertices: Floats, triangles: Any, args: argparse.Namespace) -> Goal:
+    """Return the goal at the surface point nearest to the place that is chosen."""
+    from tissue_sim.organ.normals import surface_normals
+    from tissue_sim.ros.bridge.contact_locations import FRONT, Surface
+    from tissue_sim.ros.bridge.driven_tool import Goal
+
+    if args.place is None:
+        middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        touch = Surface(vertices, triangles, 1e-3).touch(middle, FRONT)
+        place = middle if touch is None else touch.place
+    else:
+        place = np.array(args.place)
+    node = int(np.argmin(np.linalg.norm(vertices - place, axis=1)))
+    return Goal(node, vertices[node], surface_normals(vertices, triangles)[node], args.force)
+
+
+def _not_there(args: argparse.Namespace, what: str) -> int:
+    write_error(f"tissue_sim drive: no {what} within {args.wait:g} s; start tissue_node, or name yours with --node\n")
+    return 1

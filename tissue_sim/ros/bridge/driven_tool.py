@@ -1,0 +1,180 @@
+"""A tool of a running node that an agent moves: as in the environment that it learned in, but in real time."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+from tissue_sim.array_types import Floats, Mask
+from tissue_sim.contact.tools import Tool
+from tissue_sim.environments.policies import Learned
+from tissue_sim.environments.steering import Sensed, clipped, declared, facing, moved_jaws, moved_tip, observation_of
+from tissue_sim.environments.tasks import HELD, OPEN, STEP, Judged, Now, Task, task_of
+from tissue_sim.errors import UserError
+from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.qos import RELIABLE
+from tissue_sim.ros.shared.tool_link import ToolLink
+
+POSES = 5  # of a step: a bridge sends more often than an agent decides
+CLEAR = 0.006  # m from the surface to the tool at the beginning
+AWAY = 0.03  # m outwards to which it goes in the end
+ANSWERED = 3  # poses outside that the node answers before it begins: a tool first heard inside is held off
+
+
+class Goal(NamedTuple):
+    """What an agent is to do."""
+
+    node: int  # of the surface, at the place
+    place: Floats  # (3,) m
+    outward: Floats  # (3,)
+    force: float  # N
+
+
+class Done(NamedTuple):
+    """What it did."""
+
+    is_met: bool  # the goal was met for as many steps as in the environment, or the agent said: here it is
+    steps: int
+    share: float  # of the steps in which the goal was met
+    late: int  # steps that began more than a tenth of a step late
+    tip: Floats  # (3,) m, where the tool was in the end
+    force: Floats  # (3,) N that the hand felt then
+
+
+class DrivenTool:
+    """A tool, its wrench in the organ's frame, and the surface.
+
+    Parameters
+    ----------
+    node : Node
+        The client's node.
+    target : str
+        Name of the other node.
+    link : ToolLink
+        The tool.
+    below : str
+        What comes before the topics of the organ.
+    """
+
+    def __init__(self, node: Node, target: str, link: ToolLink, below: str) -> None:
+        self._has_jaws = link.tool.has_jaws
+        self._tool = ScriptedTool(node, link, self._has_jaws)
+        topic = f"/{target}/{link.tool.name}/wrench"
+        self._wrenches = client.NewestMessage(node, WrenchStamped, topic, RELIABLE)
+        self._surface = client.NewestMessage(node, PointCloud2, f"{below}surface", client.stream_qos())
+        self.wrench, self.answers = np.zeros(6), 0
+        self._moved = np.zeros((0, 3))
+        self._turn, self._angle = np.array([0.0, 0.0, 0.0, 1.0]), 0.0
+
+    def meet(self, start: Floats, goal: Goal, longest: float, stop: client.Stop) -> bool:
+        """Hold the tool outside until the node answers; return whether it does within some s."""
+        if self._has_jaws:
+            self._turn, self._angle = facing(-goal.outward), OPEN
+
+        def is_heard() -> bool:
+            self._send(start)
+            return self.answers >= ANSWERED
+
+        return bool(client.wait_until(is_heard, longest, stop))
+
+    def drive(self, learned: Learned, goal: Goal, start: Floats, steps: int, stop: client.Stop) -> Done:
+        """Let an agent move the tool, until its goal is met as in its environment, or for so many steps.
+
+        Parameters
+        ----------
+        learned : Learned
+            The agent.
+        goal : Goal
+            What it is to do.
+        start : Floats, shape (3,), m
+            Where the tool is.
+        steps : int
+            Steps of 20 ms at most.
+        stop : client.Stop
+            Tells whether a signal has come.
+        """
+        task, tip, held, met, late, count = task_of(learned.task), start, 0, 0, 0, 0
+        learned.begin()
+        began = time.monotonic()
+        while count < steps and not stop:
+            late += time.monotonic() > began + (count + 0.1) * STEP
+            seen = observation_of(task, self._sensed(tip, goal))
+            given = clipped(learned.act({name: one[0] for name, one in seen.items()}))[None]
+            before, tip = tip, moved_tip(tip[None], start[None], given[:, :3])[0]
+            opened = moved_jaws(np.array([self._angle]), given)[0] if task.has_jaws else 0.0
+            before_angle = self._angle
+            for part in range(1, POSES + 1):
+                share = part / POSES
+                self._angle = before_angle + share * (opened - before_angle)
+                self._send(before + share * (tip - before), began + (count + share) * STEP)
+            count += 1
+            judged = self._judge(task, goal, tip, declared(task, given))
+            held = held + 1 if judged.is_good[0] else 0
+            met += bool(judged.is_good[0])
+            if judged.is_over[0] or (task.ends and held >= HELD):
+                return Done(True, count, met / count, late, tip, self.wrench[:3])
+        return Done(not task.ends and held >= HELD, count, met / max(count, 1), late, tip, self.wrench[:3])
+
+    def leave(self, tip: Floats, goal: Goal) -> None:
+        """Take the tool out of the tissue."""
+        began, count = time.monotonic(), 50 * POSES
+        for part in range(1, count + 1):
+            self._send(tip + part / count * AWAY * goal.outward, began + part / POSES * STEP)
+
+    def _send(self, tip: Floats, due: float = 0.0) -> None:
+        """Send a pose when it is due, and take what has come."""
+        if (ahead := due - time.monotonic()) > 0.0:
+            time.sleep(ahead)
+        stamp = time.time_ns()
+        self._tool.open(stamp, self._angle)
+        self._tool.publish(stamp, np.concatenate([tip, self._turn]))
+        for message in self._wrenches.take_all():
+            force, torque = message.wrench.force, message.wrench.torque
+            self.wrench = np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
+            self.answers += 1
+
+    def _sensed(self, tip: Floats, goal: Goal) -> Sensed:
+        return Sensed(
+            pose=np.concatenate([tip, self._turn])[None],
+            wrench=self.wrench[None],
+            angle=np.array([self._angle]),
+            place=goal.place[None],
+            outward=goal.outward[None],
+            wanted=np.array([goal.force]),
+        )
+
+    def _judge(self, task: Task, goal: Goal, tip: Floats, says: Mask) -> Judged:
+        if (surface := self._surface.take()) is not None:
+            self._moved = client.cloud_array(surface)[:, :3].astype(np.float64)
+        there = self._moved[goal.node] if goal.node < len(self._moved) else goal.place
+        force = self.wrench[:3]
+        return task.judge(
+            Now(
+                place=goal.place[None],
+                outward=goal.outward[None],
+                wanted=np.array([goal.force]),
+                tip=tip[None],
+                pushed=np.array([force @ goal.outward]),
+                felt=np.array([np.linalg.norm(force)]),
+                lifted=np.array([(there - goal.place) @ goal.outward]),
+                declared=says,
+            )
+        )
+
+
+def check_tool(task: Task, tool: Tool, node: str) -> None:
+    """Raise UserError where a node's tool isn't the one that a task was learned with."""
+    wanted = task.tool()
+    if tool.shape != wanted.shape or abs(tool.radius - wanted.radius) > 1e-6 or abs(tool.length - wanted.length) > 1e-6:
+        length = f" -p {tool.name}.length:={wanted.length:g}" if wanted.shape != "sphere" else ""
+        raise UserError(
+            f"tool '{tool.name}' of /{node} is a {tool.shape} with a radius of {1e3 * tool.radius:g} mm; the policy was"
+            f" learned with another one: start the node with -p {tool.name}.shape:={wanted.shape}"
+            f" -p {tool.name}.radius:={wanted.radius:g}{length}"
+        )
