@@ -104,6 +104,13 @@ class BodyStatus(Record):
     force_sequence: int  # which external force is in use
 
 
+class Relaxing(Record):
+    """What tissue that relaxes remembers besides its forces."""
+
+    step: float  # s, of the last substep; 0: the last elastic forces are unknown
+    energy: float  # J, that the unrelaxed forces have received and not given back
+
+
 class Results(NamedTuple):
     """Everything that is posted after every tick, with T rigid bodies."""
 
@@ -152,6 +159,9 @@ class State(NamedTuple):
     prescribed_to: Floats  # (n, 3) m
     is_turned: Longs  # (c,) 1 for cells of the inside that are inverted
     region_hop: Longs  # (n,) 0 loaded, 1, 2 hops away, -1 outside the local region
+    relaxing: Any  # (1,) of Relaxing; this and what follows is empty of elastic tissue
+    unrelaxed: Floats  # (n, 3) N that relaxes
+    last_elastic: Floats  # (n, 3) N, of the last substep
     contacts: ContactSet  # which points may touch
 
 
@@ -183,7 +193,7 @@ def results_in(words: Longs, n_bodies: int) -> Results:
     return Results(**carve(words, _result_fields(n_bodies)))
 
 
-def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> State:
+def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0, relaxes: bool = False) -> State:
     """Return a state of zeros.
 
     Parameters
@@ -196,6 +206,8 @@ def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> Sta
         Number of modes.
     n_cells : int, optional
         Number of cells.
+    relaxes : bool, optional
+        Whether the tissue relaxes.
     """
     real, whole = np.float64, np.int64
     fields: dict[str, Field] = _result_fields(n_bodies) | {
@@ -226,6 +238,9 @@ def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> Sta
         "prescribed_to": (real, (n, 3)),
         "is_turned": (whole, (n_cells,)),
         "region_hop": (whole, (n,)),
+        "relaxing": (Relaxing, 1 if relaxes else 0),
+        "unrelaxed": (real, (n if relaxes else 0, 3)),
+        "last_elastic": (real, (n if relaxes else 0, 3)),
     }
     size, first = size_of(fields), result_words(n_bodies)
     words = np.zeros(size + contact_set_words(n_bodies), dtype=np.int64)
@@ -246,7 +261,8 @@ def state_like(state: State) -> State:
     state : State
         The other one.
     """
-    return make_state(len(state.position), len(state.bodies), len(state.mode_position), len(state.is_turned))
+    sizes = len(state.position), len(state.bodies), len(state.mode_position), len(state.is_turned)
+    return make_state(*sizes, len(state.relaxing) > 0)
 
 
 _ONLY_HANDED_OUT = ("words", "results", "shape", "shape_tick")  # a tick doesn't start from these
@@ -295,6 +311,8 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
     state.contacts.header.points = points
     for name, target in fields_of(state).items():
         found = fields.get(name)
+        if found is None and target.size == 0:
+            continue  # a state from before it had this field
         if found is not None and name.startswith("contacts."):
             found = padded(name.removeprefix("contacts."), found)
         if found is None or found.shape != target.shape:

@@ -99,6 +99,16 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
     by_cells = model == "cells"
     if by_cells and not len(organ.cell_nodes):
         raise UserError(f"organ '{organ.name}' has no cells; add them with tissue_sim calibrate")
+    if organ.stiffening > 0.0 and not by_cells:
+        raise UserError(
+            f"organ '{organ.name}' stiffens (stiffening {organ.stiffening:g}), and springs have no such law; use model"
+            " cells, which tissue_sim calibrate gives an organ"
+        )
+    if organ.stiffening > 0.0 and np.any(shape_gravity):
+        raise UserError(
+            f"organ '{organ.name}' stiffens (stiffening {organ.stiffening:g}), and its unloaded shape is not computed;"
+            " use gravity 0, or shape_is_unloaded (shape_gravity [0, 0, 0])"
+        )
     if organ.n_virtual and not by_cells:
         raise UserError(f"organ '{organ.name}' was cut, and springs would join what is apart; use model cells")
     n, n_surface = organ.n_nodes, organ.n_surface
@@ -164,9 +174,12 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
             borne=np.zeros((0, 3)),
             shape_gravity=np.array(shape_gravity, dtype=np.float64),
             unloaded=rest,
-            tissue=tissue_of(rest, organ.cell_nodes, organ.cell_mu, organ.cell_lambda) if by_cells else None,
+            tissue=tissue_of(rest, organ.cell_nodes, organ.cell_mu, organ.cell_lambda, organ.stiffening)
+            if by_cells
+            else None,
             work=aligned(np.zeros(9 * BLOCK)),
             lips=make_lips(),
+            relaxation=_relaxation_of(organ),
         )
     )
     if made.tissue is None:
@@ -176,6 +189,12 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
     if not made.shape_gravity.any():
         return made
     return _bearing(made, organ.cell_nodes, Law(organ.cell_mu, organ.cell_lambda, penalty))
+
+
+def _relaxation_of(organ: Organ) -> Floats:
+    """Return the rate 1/T, 1/s, and g / (1 - g) of tissue that relaxes, (2,); (0,) of elastic tissue."""
+    fraction = organ.relaxation_fraction
+    return np.array([1.0 / organ.relaxation_time, fraction / (1.0 - fraction)]) if fraction > 0.0 else np.zeros(0)
 
 
 def _bearing(model: Model, cells: Ints, law: Law) -> Model:
