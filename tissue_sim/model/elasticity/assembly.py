@@ -16,6 +16,7 @@ from tissue_sim.model.data.model import Model, Reduction
 from tissue_sim.model.elasticity.cells import SLOPES, penalty_of, shapes_of, tissue_of, with_penalty
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.elasticity.frequency import largest_frequency
+from tissue_sim.model.elasticity.stiffening import set_step_limits
 from tissue_sim.model.elasticity.unloaded_shape import Law, unloaded_shape
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind
@@ -186,9 +187,18 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
         return made
     penalty = penalty_of(rest, organ.cell_nodes, inverse_mass, largest_frequency(made))
     made = made._replace(tissue=with_penalty(made.tissue, penalty))
+    set_step_limits(made.tissue.fans, _quickness(organ, inverse_mass))
     if not made.shape_gravity.any():
         return made
     return _bearing(made, organ.cell_nodes, Law(organ.cell_mu, organ.cell_lambda, penalty))
+
+
+def _quickness(organ: Organ, inverse_mass: Floats) -> Floats:
+    """Return the stiffness of the cells around each node over its mass (n,), over the largest of all."""
+    slope, volume = shapes_of(organ.rest_positions, organ.cell_nodes)
+    stiff = np.einsum("cax,cax->ca", slope, slope) * (volume * (4.0 * organ.cell_mu + organ.cell_lambda))[:, None]
+    rate: Floats = np.bincount(organ.cell_nodes.ravel(), stiff.ravel(), organ.n_nodes) * inverse_mass
+    return rate / max(float(rate.max()), 1e-300)
 
 
 def _relaxation_of(organ: Organ) -> Floats:

@@ -7,7 +7,9 @@ Fung's. Its second derivative is 0 at rest, so that frequencies, modes and the c
 neo-Hookean cells. In the kernel 3 J^(2/3) is a cubic polynomial, within 0.0002 from J = 0.8 to 1.2.
 
 The exponent stops at MOST: a group that is distorted further continues as a neo-Hookean one that is exp(MOST) times as
-stiff. Otherwise no substep would be short enough.
+stiff. Otherwise no substep would be short enough. From which exponent on a group needs shorter substeps depends on its
+nodes: where masses are large or cells soft, they vibrate so slowly at rest that they may stiffen before they become the
+fastest ones.
 
 References
 ----------
@@ -29,9 +31,14 @@ from tissue_sim.model.data.model import CellGroups, Model
 from tissue_sim.model.elasticity.cell_law import STIFF, minor, pressure_of
 from tissue_sim.model.elasticity.vectors import fused
 
-ROWS = 4  # constants of a group: b / M, 1/J, and b times each of its three cells' share of M
-MOST = 2.5  # largest exponent b z
-STEEP, STEEPER = 0.5, 1.3  # exponents from which on substeps must be half and a quarter as long
+# Constants of a group: b / M, 1/J, b times each of its three cells' share of M, and the exponents from which on
+# substeps must be half and a quarter as long.
+ROWS = 6
+MOST = 3.0  # largest exponent b z
+# Growth of a group's squared frequency is 1 + GROWTH (4 y exp(y) + exp(y) - 1); the bracket is that of its stiffness in
+# shear, in the direction of the strain, and GROWTH is measured on bars and balls that were strained as a whole.
+GROWTH = 0.03
+ALLOWED = (1.15, 3.6)  # times the largest squared frequency at rest, in steps as at rest, and half as long
 # Rows of a group's constants as cell_groups stores them: of each cell 1 / (6 V), and mu / 6.
 _INVERSE, _SHEAR = (12, 16, 20), (14, 18, 22)
 
@@ -57,8 +64,53 @@ def stiffening_rows(constants: Floats, stiffening: float) -> Floats:
     weight = rows[:, _SHEAR] / rows[:, _INVERSE]  # mu V, J
     whole = weight.sum(axis=1, keepdims=True)
     inverse = np.divide(stiffening, whole, out=np.zeros_like(whole), where=whole > 0.0)
-    found: Floats = aligned(np.concatenate([inverse, inverse * weight], axis=1).reshape(len(constants), -1))
+    limits = np.broadcast_to(exponents_for(np.array(ALLOWED))[:, None], (len(rows), 2, BLOCK))
+    found: Floats = aligned(np.concatenate([inverse, inverse * weight, limits], axis=1).reshape(len(constants), -1))
     return found
+
+
+def growth_of(exponent: Floats) -> Floats:
+    """Return the growth of a group's squared frequency by an exponent.
+
+    Parameters
+    ----------
+    exponent : Floats
+        The exponents, b z.
+    """
+    grown = np.exp(exponent)
+    found: Floats = 1.0 + GROWTH * (4.0 * exponent * grown + grown - 1.0)
+    return found
+
+
+def exponents_for(growth: Floats) -> Floats:
+    """Return the exponents at which the squared frequency has grown so, at most MOST.
+
+    Parameters
+    ----------
+    growth : Floats
+        The growth.
+    """
+    exponent = np.linspace(0.0, MOST, 1001)
+    found: Floats = np.interp(growth, growth_of(exponent), exponent)
+    return found
+
+
+def set_step_limits(fans: CellGroups, share: Floats) -> None:
+    """Set from which exponents on each group needs shorter substeps.
+
+    Parameters
+    ----------
+    fans : CellGroups
+        The groups; updated.
+    share : Floats, shape (n,)
+        Stiffness over mass around each node, over the largest of all: about the square of the frequency at which it
+        vibrates over that of the fastest mode.
+    """
+    if len(fans.stiffening):
+        own = np.maximum(share[fans.nodes].max(axis=2), 1e-9)  # (f, BLOCK)
+        rows = fans.stiffening.reshape(len(fans.stiffening), ROWS, BLOCK)
+        for row, allowed in zip((4, 5), ALLOWED, strict=True):
+            rows[:, row] = exponents_for(allowed / own)
 
 
 @kernel
@@ -89,7 +141,7 @@ def undistorted_slope(volume: float) -> float:
 
 @kernel
 def exponential(exponent: float) -> float:
-    """Return exp(exponent), for 0 to MOST to twelve digits: the 16th power of a polynomial, which vectors can compute.
+    """Return exp(exponent), for 0 to MOST to ten digits: the 16th power of a polynomial, which vectors can compute.
 
     Parameters
     ----------
@@ -122,8 +174,8 @@ def _sum(f: float, x: float, g: float, y: float, h: float, z: float, k: float, w
 def resist_stiffening(work: Floats, constant: Floats, law: Floats) -> tuple[int, int, int]:
     """Turn the arms of a block of groups into the forces of their last five nodes on the first.
 
-    As `cell_groups._resist`, with the factor exp(b z) on the forces of the quadratic form. The numbers of stiff cells
-    and of groups with exponents above STEEP and STEEPER are returned.
+    As `cell_groups._resist`, with the factor exp(b z) on the forces of the quadratic form. The numbers of stiff cells,
+    and of groups that need substeps half and a quarter as long are returned.
 
     Parameters
     ----------
@@ -195,8 +247,8 @@ def resist_stiffening(work: Floats, constant: Floats, law: Floats) -> tuple[int,
         y = fused(law[c], form, -fused(law[3 * BLOCK + c], undistorted(cd), same))
         y = y if y > 0.0 else 0.0
         y = y if y < MOST else MOST
-        steep += y > STEEP
-        steeper += y > STEEPER
+        steep += y > law[4 * BLOCK + c]
+        steeper += y > law[5 * BLOCK + c]
         grown = exponential(y)
         half = 0.5 - 0.5 * grown
         p = pressure_of(ab, constant[13 * BLOCK + c], constant[14 * BLOCK + c], constant[15 * BLOCK + c])
@@ -225,7 +277,7 @@ def resist_stiffening(work: Floats, constant: Floats, law: Floats) -> tuple[int,
 
 @kernel
 def needed_shortening(steep: int, steeper: int) -> int:
-    """Return the factor on the substeps, from the numbers of groups above STEEP and STEEPER.
+    """Return the factor on the substeps, from the numbers of groups that need them half and a quarter as long.
 
     Parameters
     ----------
