@@ -83,7 +83,7 @@ def describe(organ: Organ) -> dict[str, Any]:
 
 
 def _relaxation(organ: Organ) -> dict[str, float]:
-    return {"percent_of_the_first_force": 100.0 * organ.relaxation_fraction, "time_s": organ.relaxation_time}
+    return {"percent_of_the_first_force": 100.0 * organ.relaxation_fraction, "seconds": organ.relaxation_time}
 
 
 def _skeleton(organ: Organ) -> dict[str, Any]:
