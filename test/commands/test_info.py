@@ -53,7 +53,8 @@ def test_a_law_is_told(egg, tmp_path, capsys):
     assert main(["info", str(tmp_path / "law.npz")]) == 0
     lines = capsys.readouterr().out.splitlines()
     at = lines.index("  stiffening (b of Demiray's law): 8")
-    assert lines[at + 1 : at + 4] == ["  relaxation:", "    percent of the first force: 30", "    seconds: 1.5"]
+    assert lines[at + 1] == "  of the cells, times that: 1"
+    assert lines[at + 2 : at + 5] == ["  relaxation:", "    percent of the first force: 30", "    seconds: 1.5"]
 
 
 def test_json_reads_back_with_the_same_figures(path, egg, capsys):

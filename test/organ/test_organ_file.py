@@ -58,7 +58,7 @@ def test_organ_comes_back_as_it_was(path):
 
 
 def test_a_law_comes_back_and_only_then_the_file_needs_the_newest_schema(path):
-    organ = replace(ball(), stiffening=8.0, relaxation_fraction=0.3, relaxation_time=1.5)
+    organ = replace(ball(), stiffening=8.0, cell_stiffening=1.7, relaxation_fraction=0.3, relaxation_time=1.5)
     assert ball().schema_version < organ.schema_version == SCHEMA_VERSION
     assert (
         len({replace(organ, **change).digest() for change in ({}, {"stiffening": 9.0}, {"relaxation_time": 2.0})}) == 3
@@ -66,7 +66,8 @@ def test_a_law_comes_back_and_only_then_the_file_needs_the_newest_schema(path):
     assert organ.digest() != ball().digest() == Organ.load(path).digest()
     organ.save(path)
     back = Organ.load(path)
-    assert (back.stiffening, back.relaxation_fraction, back.relaxation_time) == (8.0, 0.3, 1.5)
+    law = ("stiffening", "cell_stiffening", "relaxation_fraction", "relaxation_time")
+    assert [getattr(back, name) for name in law] == [8.0, 1.7, 0.3, 1.5]
     assert back.digest() == organ.digest()
     like = assemble_like(back, name="like")
     assert (like.stiffening, like.relaxation_fraction, like.relaxation_time) == (8.0, 0.3, 1.5)

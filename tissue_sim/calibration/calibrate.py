@@ -31,6 +31,7 @@ from tissue_sim.calibration.inertia import damping_rate, fit_mass, frequencies_o
 from tissue_sim.calibration.joint_fit import TICK, Together, fit_together, for_one_substep
 from tissue_sim.calibration.reference import Refined, corrected_answers, made_good, samples_of
 from tissue_sim.calibration.reference_process import Poke, Reference
+from tissue_sim.calibration.stiffening_fit import STEPS, fit_stiffening
 from tissue_sim.calibration.stiffness import ONE_STEP, Settings, first_stiffness, prepared, with_stiffness
 from tissue_sim.errors import UserError
 from tissue_sim.model.elasticity.assembly import assemble
@@ -161,6 +162,13 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
                 found_error = misfit.evaluate(stiffness).error
                 done(f"{100.0 * found_error.mean():.2f} %")
         made = replace(with_stiffness(start, model, stiffness), mass=mass, damping=rate * mass)
+        if stiffens:
+            with progress.stage("stiffening", STEPS) as done:
+                factor = checkpoint.remember(
+                    "stiffening", lambda: {"factor": np.array([fit_stiffening(made, body, settings.seed, done)])}
+                )["factor"]
+                made = replace(made, cell_stiffening=float(factor[0]))
+                done(f"the cells' b is {made.cell_stiffening:.2f} times the tissue's")
         # This comes before the reference, on which the other process is still working.
         with progress.stage("held-out", len(judged)) as done:
             found = settled_answers(made, judged, done)
@@ -206,6 +214,8 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
     if group is not None:
         factors = {GROUPS[k]: float(np.median((stiffness / first)[group == k])) for k in np.unique(group)}
         figures["fit"]["factors"] = factors
+    if stiffens:
+        figures["fit"]["stiffening_of_cells"] = round(made.cell_stiffening, 3)
     provenance = {**made.provenance, "calibration": figures}
     return Calibrated(replace(made, provenance=provenance), figures, judged, wanted, judged_linear, found, motion)
 

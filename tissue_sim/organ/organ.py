@@ -31,8 +31,13 @@ SCHEMA_VERSION = 7
 
 # Fields of the header, with their types.
 _TOLD = {"name": str, "youngs_modulus": float, "poisson_ratio": float, "density": float, "provenance": dict}
-# Those that only tissue has which stiffens or relaxes, with their ranges; 0 where the header says nothing.
-_LAW = {"stiffening": (0.0, 100.0), "relaxation_fraction": (0.0, 0.9), "relaxation_time": (0.01, 60.0)}
+# Those of tissue that stiffens or relaxes: the value that other tissue has, which the header leaves out, and the range.
+_LAW = {
+    "stiffening": (0.0, 0.0, 100.0),
+    "cell_stiffening": (1.0, 0.1, 10.0),
+    "relaxation_fraction": (0.0, 0.0, 0.9),
+    "relaxation_time": (0.0, 0.01, 60.0),
+}
 _SHOWN, _LONGEST_NAME = 40, 200  # characters of an array's name in a message, of an organ's at all
 _FARTHEST = 1e3  # m, from the origin: farther out a double resolves the organ poorly, and squares overflow
 # Range of every other number, in SI units: what lies outside is a mistake, and computing with it gives no number.
@@ -115,6 +120,7 @@ class Organ:
     virtual_of: Ints = _ints("n_virtual", empty=(0,))
     # Of tissue that stiffens with strain or relaxes; 0: neo-Hookean, elastic.
     stiffening: float = 0.0  # b of Demiray's law
+    cell_stiffening: float = 1.0  # the cells' b over that of the tissue, of a calibration
     relaxation_fraction: float = 0.0  # of the first force that relaxes
     relaxation_time: float = 0.0  # s
 
@@ -240,7 +246,7 @@ class Organ:
 
     def _law(self) -> dict[str, float]:
         """Return what makes tissue stiffen or relax; nothing of neo-Hookean, elastic tissue."""
-        return {name: float(getattr(self, name)) for name in _LAW if getattr(self, name) != 0.0}
+        return {name: float(getattr(self, name)) for name, usual in _LAW.items() if getattr(self, name) != usual[0]}
 
     def _check_law(self) -> None:
         """Refuse a law out of range."""
@@ -395,37 +401,26 @@ class Organ:
         return {name: getattr(self, name) for name in names if not name.startswith(without)}
 
 
-def check_law(
-    whose: str, stiffening: float = 0.0, relaxation_fraction: float = 0.0, relaxation_time: float = 0.0
-) -> None:
+def check_law(whose: str, **law: float) -> None:
     """Raise UserError unless a tissue can stiffen and relax so.
 
     Parameters
     ----------
     whose : str
         Beginning of the message.
-    stiffening : float, optional
-        Demiray's b; 0 for neo-Hookean tissue.
-    relaxation_fraction : float, optional
-        Fraction of the first force that relaxes; 0 for elastic tissue.
-    relaxation_time : float, s, optional
-        Time in which this part decreases to 1/e; 0 for elastic tissue.
+    law : float
+        Fields of the law by name, as Organ has them; others are those of neo-Hookean, elastic tissue.
 
     Raises
     ------
     UserError
         Where a number is out of range, or a relaxation lacks one.
     """
-    given = {
-        "stiffening": stiffening,
-        "relaxation_fraction": relaxation_fraction,
-        "relaxation_time": relaxation_time,
-    }
-    for name, value in given.items():
-        least, most = _LAW[name]
-        if value != 0.0 and not least <= value <= most:
+    for name, value in law.items():
+        usual, least, most = _LAW[name]
+        if value != usual and not least <= value <= most:
             raise UserError(f"{whose}{name.replace('_', ' ')} {value:g} is outside {least:g}..{most:g}")
-    if (relaxation_fraction == 0.0) != (relaxation_time == 0.0):
+    if bool(law.get("relaxation_fraction")) != bool(law.get("relaxation_time")):
         raise UserError(f"{whose}relaxation needs a fraction and a time, or neither")
 
 

@@ -12,7 +12,7 @@ from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.blocks import BLOCK, aligned, empty_blocks, pack
 from tissue_sim.model.data.lips import make_lips
-from tissue_sim.model.data.model import Model, Reduction
+from tissue_sim.model.data.model import Model, Reduction, Tissue
 from tissue_sim.model.elasticity.cells import SLOPES, penalty_of, shapes_of, tissue_of, with_penalty
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.elasticity.frequency import largest_frequency
@@ -175,9 +175,7 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
             borne=np.zeros((0, 3)),
             shape_gravity=np.array(shape_gravity, dtype=np.float64),
             unloaded=rest,
-            tissue=tissue_of(rest, organ.cell_nodes, organ.cell_mu, organ.cell_lambda, organ.stiffening)
-            if by_cells
-            else None,
+            tissue=_tissue_of(organ, rest) if by_cells else None,
             work=aligned(np.zeros(9 * BLOCK)),
             lips=make_lips(),
             relaxation=_relaxation_of(organ),
@@ -191,6 +189,12 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
     if not made.shape_gravity.any():
         return made
     return _bearing(made, organ.cell_nodes, Law(organ.cell_mu, organ.cell_lambda, penalty))
+
+
+def _tissue_of(organ: Organ, rest: Floats) -> Tissue:
+    """Return the organ's cells with their own law."""
+    stiffening = organ.stiffening * organ.cell_stiffening
+    return tissue_of(rest, organ.cell_nodes, organ.cell_mu, organ.cell_lambda, stiffening)
 
 
 def _quickness(organ: Organ, inverse_mass: Floats) -> Floats:

@@ -75,7 +75,7 @@ def describe(organ: Organ) -> dict[str, Any]:
             "youngs_modulus_pa": organ.youngs_modulus,
             "poisson_ratio": organ.poisson_ratio,
             "density_kg_m3": organ.density,
-            **({"stiffening": organ.stiffening} if organ.stiffening else {}),
+            **({"stiffening": organ.stiffening, "of_the_cells": organ.cell_stiffening} if organ.stiffening else {}),
             **({"relaxation": _relaxation(organ)} if organ.relaxation_fraction else {}),
         },
         "provenance": dict(organ.provenance),
@@ -201,6 +201,7 @@ _NAMES = {
     "youngs_modulus_pa": "Young's modulus (Pa)",
     "poisson_ratio": "Poisson's ratio",
     "stiffening": "stiffening (b of Demiray's law)",
+    "of_the_cells": "of the cells, times that",
     "source_sha256": "source's SHA-256",
 }
 
