@@ -539,10 +539,9 @@ class Simulation:
 
     @property
     def energy(self) -> Energy:
-        """Kinetic and elastic energy, and that of forces that relax, J."""
+        """Kinetic and elastic energy, J, the latter with what forces that relax have received."""
         energy, scale = energy_of(self.model, self.positions, self.velocities), float(self.settings.stiffness_scale)
-        unrelaxed = float(self.state.relaxing.energy.sum())
-        return energy._replace(elastic=energy.elastic * scale, unrelaxed=unrelaxed)
+        return energy._replace(elastic=energy.elastic * scale + float(self.state.relaxing.energy.sum()))
 
     def set_substeps(self) -> None:
         """Compute the substeps from the critical step, after the stiffness, the damping or the rate changed."""

@@ -15,16 +15,15 @@ from tissue_sim.model.elasticity.forces import stored
 
 
 class Energy(NamedTuple):
-    """Kinetic and elastic energy, and that of forces that relax, J."""
+    """Kinetic and elastic energy, J."""
 
     kinetic: float
     elastic: float  # of springs, angular springs and return springs, or of cells; 0 without load
-    unrelaxed: float = 0.0  # of forces that relax
 
     @property
     def total(self) -> float:
-        """Sum of all, J."""
-        return self.kinetic + self.elastic + self.unrelaxed
+        """Sum of both, J."""
+        return self.kinetic + self.elastic
 
 
 def energy_of(model: Model, position: Floats, velocity: Floats) -> Energy:
