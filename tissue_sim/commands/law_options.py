@@ -83,5 +83,5 @@ def with_law(organ: Organ, args: argparse.Namespace) -> Organ:
     UserError
         As `law_of` and `Organ` do.
     """
-    law = law_of(args)
+    law: dict[str, Any] = {**law_of(args)}
     return replace(organ, **law) if law else organ
