@@ -28,7 +28,7 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (3, 3), (4, 4), (0, 1), (0, 2), (0, 3), (0, 4),
 # Rows of the first cell: 1 / (6 V), lambda / 12, mu / 6 and the penalty by six; the others' follow.
 OWN, OWN_ROWS = len(PAIRS), 4
 CONSTANTS = OWN + CELLS * OWN_ROWS
-ROOM = 3 * ARMS + CELLS  # rows of the buffer: arms, then volumes over those at rest
+ROOM = 3 * ARMS + CELLS + 1  # rows of the buffer: arms, volumes over those at rest, exponents of groups that stiffen
 CHUNK = 16  # blocks within which groups that share nodes are separated, without leaving the cache
 
 
@@ -265,15 +265,16 @@ def cell_forces(position: Floats, tissue: Tissue, force: Floats) -> None:
 def _push_stiffening(tissue: Tissue) -> int:
     """Scatter the forces of groups that stiffen; return how many squeezed cells are listed."""
     rows, work, fans = tissue.rows, tissue.work, tissue.fans
-    listed = steep = steeper = 0
+    listed, shortening = 0, 1
     for block in range(len(fans.nodes)):
         gather_fan(rows, fans.nodes[block], work)
-        stiff, more, most = resist_stiffening(work, fans.constants[block], fans.stiffening[block])
+        stiff, steep = resist_stiffening(work, fans.constants[block], fans.stiffening[block])
         if stiff > 0:
             listed = _list_squeezed(work, fans.constants[block], block, tissue.squeezed_cells, listed)
-        steep, steeper = steep + more, steeper + most
+        if steep > 0:
+            shortening = max(shortening, needed_shortening(work, fans.stiffening[block]))
         scatter_fan(rows, fans.nodes[block], work)
-    tissue.shortening[0] = needed_shortening(steep, steeper)
+    tissue.shortening[0] = shortening
     return listed
 
 

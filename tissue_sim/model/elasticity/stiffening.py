@@ -4,7 +4,7 @@ To the neo-Hookean energy of cell_law, a group of cells adds M/2 ((exp(b z) - 1)
 modulus times volume, and z the mean, weighted by these, of F:F - 3 J^(2/3): the distortion, which is 0 under any change
 of volume alone. At constant volume this is the energy M/(2b) (exp(b (I1 - 3)) - 1) of Demiray, the isotropic form of
 Fung's. Its second derivative is 0 at rest, so that frequencies, modes and the compliance about rest are those of
-neo-Hookean cells. In the kernel 3 J^(2/3) is a cubic polynomial, within 0.0002 from J = 0.8 to 1.2.
+neo-Hookean cells. In the kernel 3 J^(2/3) is a parabola, within 0.0014 from J = 0.8 to 1.2.
 
 The exponent stops at MOST: a group that is distorted further continues as a neo-Hookean one that is exp(MOST) times as
 stiff. Otherwise no substep would be short enough. From which exponent on a group needs shorter substeps depends on its
@@ -115,15 +115,14 @@ def set_step_limits(fans: CellGroups, share: Floats) -> None:
 
 @kernel
 def undistorted(volume: float) -> float:
-    """Return 3 J^(2/3) to the third order: F:F of a cell that has changed its volume without distortion.
+    """Return 3 J^(2/3) to the second order: F:F of a cell that has changed its volume without distortion.
 
     Parameters
     ----------
     volume : float
         Volume over that at rest, J.
     """
-    away = volume - 1.0
-    return fused(away, fused(away, fused(away, 4.0 / 27.0, -1.0 / 3.0), 2.0), 3.0)
+    return fused(volume, fused(volume, -1.0 / 3.0, 8.0 / 3.0), 2.0 / 3.0)
 
 
 @kernel
@@ -135,13 +134,12 @@ def undistorted_slope(volume: float) -> float:
     volume : float
         Volume over that at rest, J.
     """
-    away = volume - 1.0
-    return fused(away, fused(away, 4.0 / 9.0, -2.0 / 3.0), 2.0)
+    return fused(volume, -2.0 / 3.0, 8.0 / 3.0)
 
 
 @kernel
 def exponential(exponent: float) -> float:
-    """Return exp(exponent), for 0 to MOST to ten digits: the 16th power of a polynomial, which vectors can compute.
+    """Return exp(exponent), for 0 to MOST to seven digits: the 16th power of a polynomial, which vectors can compute.
 
     Parameters
     ----------
@@ -149,8 +147,8 @@ def exponential(exponent: float) -> float:
         The exponent.
     """
     x = 0.0625 * exponent
-    tail = fused(x, fused(x, fused(x, 1.0 / 40320.0, 1.0 / 5040.0), 1.0 / 720.0), 1.0 / 120.0)
-    part = fused(x, fused(x, fused(x, fused(x, tail, 1.0 / 24.0), 1.0 / 6.0), 0.5), 1.0)
+    tail = fused(x, fused(x, 1.0 / 720.0, 1.0 / 120.0), 1.0 / 24.0)
+    part = fused(x, fused(x, fused(x, tail, 1.0 / 6.0), 0.5), 1.0)
     part = fused(x, part, 1.0)
     part *= part
     part *= part
@@ -171,16 +169,16 @@ def _sum(f: float, x: float, g: float, y: float, h: float, z: float, k: float, w
 
 
 @kernel
-def resist_stiffening(work: Floats, constant: Floats, law: Floats) -> tuple[int, int, int]:
+def resist_stiffening(work: Floats, constant: Floats, law: Floats) -> tuple[int, int]:
     """Turn the arms of a block of groups into the forces of their last five nodes on the first.
 
     As `cell_groups._resist`, with the factor exp(b z) on the forces of the quadratic form. The numbers of stiff cells,
-    and of groups that need substeps half and a quarter as long are returned.
+    and of groups that need substeps half as long are returned.
 
     Parameters
     ----------
     work : Floats
-        Arms, then forces; the cells' volume ratios stay in the last rows.
+        Arms, then forces; the cells' volume ratios and the groups' exponents stay in the last rows.
     constant : Floats, shape (CONSTANTS BLOCK,)
         Constants of the block.
     law : Floats, shape (ROWS BLOCK,)
@@ -188,10 +186,10 @@ def resist_stiffening(work: Floats, constant: Floats, law: Floats) -> tuple[int,
 
     Returns
     -------
-    tuple[int, int, int]
+    tuple[int, int]
         Numbers of cells and groups.
     """
-    stiff = steep = steeper = 0
+    stiff = steep = 0
     for c in range(BLOCK):
         ex, ey, ez = work[c], work[BLOCK + c], work[2 * BLOCK + c]
         ax, ay, az = work[3 * BLOCK + c], work[4 * BLOCK + c], work[5 * BLOCK + c]
@@ -243,12 +241,12 @@ def resist_stiffening(work: Floats, constant: Floats, law: Floats) -> tuple[int,
         )
         form = _dot(ex, fex, ey, fey, ez, fez, _dot(ax, fax, ay, fay, az, faz, _dot(bx, fbx, by, fby, bz, fbz, 0.0)))
         form = _dot(cx, fcx, cy, fcy, cz, fcz, _dot(dx, fdx, dy, fdy, dz, fdz, form))
-        same = law[BLOCK + c] * undistorted(ab) + law[2 * BLOCK + c] * undistorted(bc)
+        same = fused(law[BLOCK + c], undistorted(ab), law[2 * BLOCK + c] * undistorted(bc))
         y = fused(law[c], form, -fused(law[3 * BLOCK + c], undistorted(cd), same))
         y = y if y > 0.0 else 0.0
         y = y if y < MOST else MOST
         steep += y > law[4 * BLOCK + c]
-        steeper += y > law[5 * BLOCK + c]
+        work[18 * BLOCK + c] = y
         grown = exponential(y)
         half = 0.5 - 0.5 * grown
         p = pressure_of(ab, constant[13 * BLOCK + c], constant[14 * BLOCK + c], constant[15 * BLOCK + c])
@@ -272,23 +270,24 @@ def resist_stiffening(work: Floats, constant: Floats, law: Floats) -> tuple[int,
         work[12 * BLOCK + c] = fused(grown, fdx, r * ecx)
         work[13 * BLOCK + c] = fused(grown, fdy, r * ecy)
         work[14 * BLOCK + c] = fused(grown, fdz, r * ecz)
-    return stiff, steep, steeper
+    return stiff, steep
 
 
 @kernel
-def needed_shortening(steep: int, steeper: int) -> int:
-    """Return the factor on the substeps, from the numbers of groups that need them half and a quarter as long.
+def needed_shortening(work: Floats, law: Floats) -> int:
+    """Return the factor on the substeps that a block needs which has a group that needs shorter ones: 2 or 4.
 
     Parameters
     ----------
-    steep : int
-        Number of groups.
-    steeper : int
-        Number of groups.
+    work : Floats
+        What `resist_stiffening` left.
+    law : Floats, shape (ROWS BLOCK,)
+        Constants of `stiffening_rows`.
     """
-    if steeper > 0:
-        return 4
-    return 2 if steep > 0 else 1
+    for c in range(BLOCK):
+        if work[18 * BLOCK + c] > law[5 * BLOCK + c]:
+            return 4
+    return 2
 
 
 @kernel
@@ -338,7 +337,7 @@ def stiffening_energy(fans: CellGroups, square: Floats, swollen: Floats, weight:
     there, own = fans.cells >= 0, fans.cells.clip(0)
     real = there.any(axis=1)
     away = swollen - 1.0
-    distortion = weight * (square - (3.0 + away * (2.0 - away * (1.0 / 3.0 - away * 4.0 / 27.0))))
+    distortion = weight * (square - (3.0 + away * (2.0 - away / 3.0)))
     exponent = np.maximum(rows[:, 0] * np.where(there, distortion[own], 0.0).sum(axis=1), 0.0)[real]
     bounded = np.minimum(exponent, MOST)
     grown = np.exp(bounded)
