@@ -27,8 +27,8 @@ from tissue_sim.organ.shipped import shipped_organ
 FORCE = 0.1  # N on the patch
 SUBSTEPS = 16  # of the tick in which a substep is timed, so that what is done once per tick counts little
 TOOL_RADIUS = 0.02  # m
-STIFFENS = {"stiffening": 8.0}
-RELAXES = {"relaxation_fraction": 0.3, "relaxation_time": 1.0}
+STIFFENS: dict[str, Any] = {"stiffening": 8.0}
+RELAXES: dict[str, Any] = {"relaxation_fraction": 0.3, "relaxation_time": 1.0}
 TOOL_STEP = 1e-4  # m, by which it is pressed deeper every 4 ticks
 
 # Names of rows that bounds refer to.

@@ -184,8 +184,9 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
     if made.tissue is None:
         return made
     penalty = penalty_of(rest, organ.cell_nodes, inverse_mass, largest_frequency(made))
-    made = made._replace(tissue=with_penalty(made.tissue, penalty))
-    set_step_limits(made.tissue.fans, _quickness(organ, inverse_mass))
+    tissue = with_penalty(made.tissue, penalty)
+    set_step_limits(tissue.fans, _quickness(organ, inverse_mass))
+    made = made._replace(tissue=tissue)
     if not made.shape_gravity.any():
         return made
     return _bearing(made, organ.cell_nodes, Law(organ.cell_mu, organ.cell_lambda, penalty))
