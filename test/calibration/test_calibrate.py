@@ -18,8 +18,9 @@ def test_loads_near_buckling_are_named_with_how_far_they_go():
     cases = Cases(np.random.default_rng(0).normal(size=(5, 3, 3)), [np.array([node]) for node in range(10, 15)], kinds)
     found = _near_buckling(cases, linear, wanted)
     assert list(found) == [1, 2]  # the last one's finite elements did not settle
-    assert found[1] == "bump at node 11, 10.0 mm linear, 30.3 mm neo-Hookean"
-    assert found[2] == "pulling bump at node 12, 10.0 mm linear, 3.3 mm neo-Hookean"
+    assert found[1] == "bump at node 11, 10.0 mm linear, 30.3 mm nonlinear"
+    assert found[2] == "pulling bump at node 12, 10.0 mm linear, 3.3 mm nonlinear"
+    assert list(_near_buckling(cases, linear, wanted, stiffens=True)) == [1]
     kept = _telling(cases, linear, wanted)
     np.testing.assert_array_equal(kept, [0, 3])
     wanted.displacement[0, 1, 2] = 0.008

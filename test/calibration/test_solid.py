@@ -1,4 +1,4 @@
-"""Quadratic elements against closed forms, linear and neo-Hookean."""
+"""Quadratic elements against closed forms, linear, neo-Hookean and of Demiray's law."""
 
 import numpy as np
 import pytest
@@ -14,9 +14,12 @@ from tissue_sim.calibration.solid import Material, Solid, shape_functions
 E, NU = 10e3, 0.3
 
 
-def small_box(bend=0.05):
+STIFFENING = 6.0
+
+
+def small_box(bend=0.05, stiffening=0.0):
     cut = np.linspace(0.0, 1.0, 3)
-    return box(cut, cut, cut, bend=bend)
+    return box(cut, cut, cut, bend=bend, stiffening=stiffening)
 
 
 def test_stiffness_is_that_of_skfem():
@@ -103,8 +106,9 @@ def test_uniform_strain_is_kept_in_any_mesh():
     assert (~solid.held).any()
 
 
-def pulled_bar():
-    solid = box(np.linspace(0.0, 0.1, 6), np.linspace(0.0, 0.02, 3), np.linspace(0.0, 0.02, 3), E, NU)
+def pulled_bar(stiffening=0.0):
+    across = np.linspace(0.0, 0.02, 3)
+    solid = box(np.linspace(0.0, 0.1, 6), across, across, E, NU, stiffening=stiffening)
     for axis in range(3):
         solid.held[np.abs(solid.nodes[:, axis]) < 1e-12, axis] = True
     return solid
@@ -132,6 +136,48 @@ def test_bar_in_tension_neo_hookean(traction):
     assert settled.converged
     assert abs(along - 1.0) > 0.05
     np.testing.assert_allclose(settled.displacement, solid.nodes * ([along, across, across] - np.ones(3)), atol=1e-8)
+
+
+@pytest.mark.parametrize("traction", [6000.0, 800.0, -3000.0])
+def test_bar_in_tension_that_stiffens(traction):
+    solid = pulled_bar(STIFFENING)
+    settled = solid.settle(pressed(solid, faces(solid, 0, 0.1), [traction, 0.0, 0.0]))
+    mu, lam = solid.moduli.mu, solid.moduli.lam
+
+    def density(stretch):
+        along, across = stretch
+        square, volume = along**2 + 2.0 * across**2, along * across**2
+        z = square - 3.0 * volume ** (2.0 / 3.0)
+        added = np.expm1(STIFFENING * z) / STIFFENING - z
+        return 0.5 * mu * (square - 3.0 - 2.0 * np.log(volume) + added) + 0.5 * lam * np.log(volume) ** 2
+
+    def stresses(stretch):
+        step = 1e-6 * np.eye(2)
+        slope = [(density(stretch + way) - density(stretch - way)) / 2e-6 for way in step]
+        return slope[0] - traction, slope[1]
+
+    along, across = fsolve(stresses, [1.0 + traction / E / 2.0, 1.0], xtol=1e-12)
+    assert settled.converged
+    assert abs(along - 1.0) > 0.04
+    np.testing.assert_allclose(settled.displacement, solid.nodes * ([along, across, across] - np.ones(3)), atol=1e-7)
+    # It is neo-Hookean about rest, and stiffer under a load.
+    assert abs(stiffness_of(pulled_bar(STIFFENING)) - stiffness_of(pulled_bar())).max() == 0.0
+    soft = pulled_bar().settle(pressed(solid, faces(solid, 0, 0.1), [traction, 0.0, 0.0]))
+    assert abs(along - 1.0) < 0.97 * np.abs(soft.displacement[:, 0]).max() / 0.1
+
+
+def stiffness_of(solid):
+    return solid.stiffness.tocsr()
+
+
+def test_any_even_deformation_is_kept_by_tissue_that_stiffens():
+    """Patch test: walls moved by a large linear field, and the inside follows it."""
+    solid = small_box(0.08, STIFFENING)
+    solid.held[np.any((solid.nodes < 1e-9) | (solid.nodes > 1.0 - 1e-9), axis=1)] = True
+    moved = solid.nodes @ (0.1 * np.random.default_rng(5).normal(size=(3, 3))).T
+    _, forces, _ = solid.energy(moved)
+    assert np.abs(np.where(solid.held, 0.0, forces)).max() < 1e-12 * np.abs(forces).max()
+    assert np.linalg.norm(forces) > 1.02 * np.linalg.norm(small_box(0.08).energy(moved)[1])
 
 
 def test_bar_hanging_by_its_own_weight():
@@ -199,16 +245,18 @@ def bent(solid, size=0.04):
     return size * np.sin(3.0 * solid.nodes[:, [1, 2, 0]] + [0.0, 1.0, 2.0])
 
 
-def test_forces_are_the_slope_of_the_energy():
-    solid = small_box()
+@pytest.mark.parametrize("stiffening", [0.0, STIFFENING, 60.0])
+def test_forces_are_the_slope_of_the_energy(stiffening):
+    solid = small_box(stiffening=stiffening)
     moved, way = bent(solid), np.random.default_rng(0).normal(size=solid.nodes.shape)
     h = 1e-6
     ahead, behind = (solid.energy(moved + sign * h * way)[0] for sign in (1.0, -1.0))
     assert (ahead - behind) / (2.0 * h) == pytest.approx(np.vdot(solid.energy(moved)[1], way), rel=1e-7)
 
 
-def test_tangent_is_the_slope_of_the_forces():
-    solid = small_box()
+@pytest.mark.parametrize("stiffening", [0.0, STIFFENING, 60.0])
+def test_tangent_is_the_slope_of_the_forces(stiffening):
+    solid = small_box(stiffening=stiffening)
     moved, way = bent(solid), np.random.default_rng(0).normal(size=solid.nodes.shape)
     h = 1e-6
     ahead, behind = (solid.energy(moved + sign * h * way)[1] for sign in (1.0, -1.0))

@@ -62,6 +62,19 @@ def test_the_organ_is_better_and_says_so(calibrated, folder, capsys):
 
 @pytest.mark.slow
 @needs_finite_elements
+def test_tissue_that_stiffens_is_fitted_too(folder, capsys):
+    out = folder / "stiffens.npz"
+    options = (*SMALL, "--stiffening=8", "--relaxation=0.3,1.5")
+    assert main(["calibrate", str(folder / "ball.npz"), "--out", str(out), *options]) == 0
+    made = Organ.load(out)
+    assert (made.stiffening, made.relaxation_fraction) == (8.0, 0.3)
+    assert 1.2 < made.cell_stiffening < 3.0
+    assert made.provenance["calibration"]["held_out"]["smooth"]["mean_percent"] < 8.0
+    assert f"the cells' b is {made.cell_stiffening:.2f} times the tissue's" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@needs_finite_elements
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(calibrated, folder, monkeypatch, capsys):
     out = folder / "again.npz"
     command = ["calibrate", str(folder / "ball.npz"), "--out", str(out), *SMALL]

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,15 @@ def test_text_says_it_all(path, egg, capsys):
         "        mm: 0.5",
     ):
         assert line in lines
+
+
+def test_a_law_is_told(egg, tmp_path, capsys):
+    replace(egg, stiffening=8.0, relaxation_fraction=0.3, relaxation_time=1.5).save(tmp_path / "law.npz")
+    assert main(["info", str(tmp_path / "law.npz")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    at = lines.index("  stiffening (b of Demiray's law): 8")
+    assert lines[at + 1] == "  of the cells, times that: 1"
+    assert lines[at + 2 : at + 5] == ["  relaxation:", "    percent of the first force: 30", "    seconds: 1.5"]
 
 
 def test_json_reads_back_with_the_same_figures(path, egg, capsys):

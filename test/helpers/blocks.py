@@ -18,6 +18,7 @@ def box(
     density: float = 1000.0,
     bend: float = 0.0,
     stiffness=None,
+    stiffening: float = 0.0,
 ) -> Solid:
     """A box between coordinates x, y, z (each (k,), m), nothing held; `bend` moves inner corners by so much of 1 m."""
     mesh = skfem.MeshTet.init_tensor(*(np.asarray(axis, dtype=np.float64) for axis in (x, y, z)))
@@ -25,7 +26,7 @@ def box(
     inner = np.setdiff1d(np.arange(points.shape[1]), mesh.boundary_nodes())
     points[:, inner] += bend * np.random.default_rng(3).uniform(-1.0, 1.0, (3, len(inner)))
     nodes, elements = quadratic(skfem.MeshTet(points, mesh.t))
-    material = Material(youngs_modulus, poisson_ratio, density)
+    material = Material(youngs_modulus, poisson_ratio, density, stiffening)
     return Solid(nodes, elements, np.zeros(nodes.shape, dtype=bool), material, stiffness)
 
 

@@ -14,7 +14,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.inclusions import Inclusion, with_inclusions
 from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, check_surface, content_digest, signed_volume
 from tissue_sim.organ.shipped import shipped_organ
-from tissue_sim.organ.topology import assemble_organ
+from tissue_sim.organ.topology import assemble_like, assemble_organ
 
 ARRAYS = [item.name for item in fields(Organ) if "dtype" in item.metadata]
 
@@ -55,6 +55,34 @@ def test_organ_comes_back_as_it_was(path):
     for name in ("name", "youngs_modulus", "poisson_ratio", "density", "provenance"):
         assert getattr(back, name) == getattr(organ, name)
     assert back.digest() == organ.digest()
+
+
+def test_a_law_comes_back_and_only_then_the_file_needs_the_newest_schema(path):
+    organ = replace(ball(), stiffening=8.0, cell_stiffening=1.7, relaxation_fraction=0.3, relaxation_time=1.5)
+    assert ball().schema_version < organ.schema_version == SCHEMA_VERSION
+    assert (
+        len({replace(organ, **change).digest() for change in ({}, {"stiffening": 9.0}, {"relaxation_time": 2.0})}) == 3
+    )
+    assert organ.digest() != ball().digest() == Organ.load(path).digest()
+    organ.save(path)
+    back = Organ.load(path)
+    law = ("stiffening", "cell_stiffening", "relaxation_fraction", "relaxation_time")
+    assert [getattr(back, name) for name in law] == [8.0, 1.7, 0.3, 1.5]
+    assert back.digest() == organ.digest()
+    like = assemble_like(back, name="like")
+    assert (like.stiffening, like.relaxation_fraction, like.relaxation_time) == (8.0, 0.3, 1.5)
+
+
+@pytest.mark.parametrize("value", [float("inf"), "8,0", None, 1e3])
+def test_a_damaged_law_is_refused(path, value):
+    replace(ball(), stiffening=8.0).save(path)
+    with np.load(path) as stored:
+        content = {key: stored[key] for key in stored.files}
+    text = json.dumps(json.loads(str(content.pop("header"))) | {"stiffening": value}, sort_keys=True)
+    del content["sha256"]
+    np.savez_compressed(path, header=np.array(text), sha256=np.array(content_digest(text, content)), **content)
+    with pytest.raises(UserError, match=r"damaged header; build it again|stiffening 1000 is outside 0..100"):
+        Organ.load(path)
 
 
 @pytest.mark.parametrize(("hardening", "read"), [(0.0, True), (1.6, False)])

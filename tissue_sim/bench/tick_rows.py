@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -26,6 +27,8 @@ from tissue_sim.organ.shipped import shipped_organ
 FORCE = 0.1  # N on the patch
 SUBSTEPS = 16  # of the tick in which a substep is timed, so that what is done once per tick counts little
 TOOL_RADIUS = 0.02  # m
+STIFFENS: dict[str, Any] = {"stiffening": 8.0}
+RELAXES: dict[str, Any] = {"relaxation_fraction": 0.3, "relaxation_time": 1.0}
 TOOL_STEP = 1e-4  # m, by which it is pressed deeper every 4 ticks
 
 # Names of rows that bounds refer to.
@@ -34,6 +37,8 @@ CELLS = "cells of the calibrated kidney"
 GUARD = "guard of the hybrid tick"
 SUBSTEP = "substep of the hybrid tick"
 C_PLAIN, C_NATIVE = "the same substep in C, -O3", "the same substep in C, for this processor"
+STIFFENING, RELAXING = "these cells, of tissue that stiffens", "these cells, of tissue that relaxes"
+STIFFENING_SUBSTEP, RELAXING_SUBSTEP = "substep of cells that stiffen", "substep of cells that relax"
 CELL_SUBSTEP, CELL_C = "substep of these cells", "the same cells in C, for this processor"
 MODAL, MODAL_TOOL = "modal, 19-node patch", "modal, sphere tool"
 MODAL_CELLS = "modal region of these cells"
@@ -87,6 +92,10 @@ def makers_of(organ: Organ) -> dict[str, Maker]:
     makers |= {
         CELLS: partial(_ticks, cells),
         CELL_SUBSTEP: partial(_substep, cells),
+        STIFFENING: partial(_ticks, replace(cells, **STIFFENS)),
+        STIFFENING_SUBSTEP: partial(_substep, replace(cells, **STIFFENS)),
+        RELAXING: partial(_ticks, replace(cells, **RELAXES)),
+        RELAXING_SUBSTEP: partial(_substep, replace(cells, **RELAXES)),
         CELL_C: partial(_c_substep, cells, NATIVE),
         MODAL_CELLS: partial(_ticks, cells, local_region="modal"),
     }

@@ -31,6 +31,7 @@ from tissue_sim.calibration.inertia import damping_rate, fit_mass, frequencies_o
 from tissue_sim.calibration.joint_fit import TICK, Together, fit_together, for_one_substep
 from tissue_sim.calibration.reference import Refined, corrected_answers, made_good, samples_of
 from tissue_sim.calibration.reference_process import Poke, Reference
+from tissue_sim.calibration.stiffening_fit import STEPS, fit_stiffening
 from tissue_sim.calibration.stiffness import ONE_STEP, Settings, first_stiffness, prepared, with_stiffness
 from tissue_sim.errors import UserError
 from tissue_sim.model.elasticity.assembly import assemble
@@ -110,6 +111,7 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
 def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress: Progress) -> Calibrated:
     check_coarseness(organ)
     start = prepared(organ, settings)
+    stiffens = start.stiffening > 0.0
     held_out = held_out_cases(start, settings.smooth, settings.sharp)
     reference = Reference(start, checkpoint, held_out.force)
     try:
@@ -125,7 +127,7 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
         rate = damping_rate(linear["frequencies"])
 
         def poke(wanted: Answer) -> Poke:
-            return _poke(judged, wanted, _telling(judged, judged_linear, wanted), POKE * size_of(start))
+            return _poke(judged, wanted, _telling(judged, judged_linear, wanted, stiffens), POKE * size_of(start))
 
         reference.settle(judged, poke, rate)
         some = samples_of(len(pushes))
@@ -160,6 +162,13 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
                 found_error = misfit.evaluate(stiffness).error
                 done(f"{100.0 * found_error.mean():.2f} %")
         made = replace(with_stiffness(start, model, stiffness), mass=mass, damping=rate * mass)
+        if stiffens:
+            with progress.stage("stiffening", STEPS) as done:
+                factor = checkpoint.remember(
+                    "stiffening", lambda: {"factor": np.array([fit_stiffening(made, body, settings.seed, done)])}
+                )["factor"]
+                made = replace(made, cell_stiffening=float(factor[0]))
+                done(f"the cells' b is {made.cell_stiffening:.2f} times the tissue's")
         # This comes before the reference, on which the other process is still working.
         with progress.stage("held-out", len(judged)) as done:
             found = settled_answers(made, judged, done)
@@ -170,9 +179,9 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
             theirs = reference.motion()
             motion = released(made, *poke(settled), theirs["time"], theirs["displacement"])
             done()
-        bent = list(_near_buckling(judged, judged_linear, wanted).values())
+        bent = list(_near_buckling(judged, judged_linear, wanted, stiffens).values())
         unsettled = int(np.count_nonzero(wanted.converged == 0.0))
-        kept = _telling(judged, judged_linear, wanted)
+        kept = _telling(judged, judged_linear, wanted, stiffens)
         judged, judged_linear = judged.chosen(kept), finer["answers"][kept]
         wanted, found = (Answer(*(part[kept] for part in answer)) for answer in (wanted, found))
     finally:
@@ -205,6 +214,8 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
     if group is not None:
         factors = {GROUPS[k]: float(np.median((stiffness / first)[group == k])) for k in np.unique(group)}
         figures["fit"]["factors"] = factors
+    if stiffens:
+        figures["fit"]["stiffening_of_cells"] = round(made.cell_stiffening, 3)
     provenance = {**made.provenance, "calibration": figures}
     return Calibrated(replace(made, provenance=provenance), figures, judged, wanted, judged_linear, found, motion)
 
@@ -251,14 +262,18 @@ def _both(together: Together, stiffness: Floats, mass: Floats, settings: Setting
     return {"stiffness": stiffness, "mass": mass}
 
 
-def _near_buckling(cases: Cases, linear: Floats, wanted: Answer) -> dict[int, str]:
-    """Return the cases that move several times as far under one law of elasticity as the other, and their names."""
+def _near_buckling(cases: Cases, linear: Floats, wanted: Answer, stiffens: bool = False) -> dict[int, str]:
+    """Return the cases that move several times as far under one law of elasticity as the other, and their names.
+
+    Tissue that stiffens may move much less than a linear body without any buckling.
+    """
     sizes = [np.linalg.norm(moved, axis=(1, 2)) for moved in (linear, wanted.displacement)]
     deepest = [1e3 * np.linalg.norm(moved, axis=2).max(axis=1) for moved in (linear, wanted.displacement)]
     found = {}
     for case in np.flatnonzero(wanted.converged):
-        if max(sizes[0][case], sizes[1][case]) > BUCKLING * min(sizes[0][case], sizes[1][case]):
-            depth = f"{deepest[0][case]:.1f} mm linear, {deepest[1][case]:.1f} mm neo-Hookean"
+        straight, bent = sizes[0][case], sizes[1][case]
+        if bent > BUCKLING * straight or (not stiffens and straight > BUCKLING * bent):
+            depth = f"{deepest[0][case]:.1f} mm linear, {deepest[1][case]:.1f} mm nonlinear"
             found[int(case)] = f"{cases.kind[case]} at node {int(cases.centre[case][0])}, {depth}"
     return found
 
@@ -307,9 +322,9 @@ def _signed_range(volume: Floats) -> list[float]:
     return [round(float(100.0 * value), 4) for value in (volume.min(), volume.mean(), volume.max())]
 
 
-def _telling(cases: Cases, linear: Floats, wanted: Answer) -> Longs:
+def _telling(cases: Cases, linear: Floats, wanted: Answer, stiffens: bool = False) -> Longs:
     """Return the cases that settle and are not near buckling."""
-    return np.setdiff1d(np.flatnonzero(wanted.converged), list(_near_buckling(cases, linear, wanted)))
+    return np.setdiff1d(np.flatnonzero(wanted.converged), list(_near_buckling(cases, linear, wanted, stiffens)))
 
 
 def _poke(cases: Cases, wanted: Answer, kept: Longs, deep: float) -> Poke:

@@ -39,6 +39,8 @@ def lines(figures: dict[str, Any]) -> Iterator[str]:
     if "error" in reference:
         yield reference["error"]
     yield f"fitted: {fitted['mean_percent']:.2f} % mean, {fitted['worst_percent']:.2f} % worst (linear)"
+    if "stiffening_of_cells" in fitted:
+        yield f"the cells' b is {fitted['stiffening_of_cells']:.2f} times the tissue's"
     for name, found in figures["held_out"].items():
         volume, least = found["volume_change_percent"], found["least_volume"]
         yield (

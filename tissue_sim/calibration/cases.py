@@ -202,7 +202,9 @@ def principal(force: Floats, answer: Floats) -> tuple[Floats, Floats]:
     return (axes @ forces).reshape(force.shape), (axes @ answers).reshape(answer.shape)
 
 
-def held_out_cases(organ: Organ, smooth: int, sharp: int, seed: int = HELD_OUT_SEED) -> Cases:
+def held_out_cases(
+    organ: Organ, smooth: int, sharp: int, seed: int = HELD_OUT_SEED, centres: Longs | None = None
+) -> Cases:
     """Return cases of 1 N for the assessment: smooth bumps, then sharp loads on a node and its neighbours.
 
     A bump's traction is (1 - (r/R)^2)^2 within R of 9-13 mm and leans away from the normal by up to 75 degrees; every
@@ -218,13 +220,16 @@ def held_out_cases(organ: Organ, smooth: int, sharp: int, seed: int = HELD_OUT_S
         Number of sharp loads.
     seed : int, optional
         Seed of the random choices.
+    centres : Longs | None, shape (k,), optional
+        Nodes to load; None for the held-out ones.
 
     Returns
     -------
     Cases
         The cases.
     """
-    surface, centres = surface_of(organ), split_centres(organ)[1]
+    surface = surface_of(organ)
+    centres = split_centres(organ)[1] if centres is None else centres
     random = np.random.default_rng([seed, 2])
     spread = _spread(surface.positions, centres, smooth + sharp, random)
     force, centre, kind = np.zeros((smooth + sharp, organ.n_surface, 3)), [], []

@@ -57,7 +57,7 @@ class Body:
         self.filling = fill(organ, near, grading)
         held = np.zeros((len(self.filling.nodes), 3), dtype=bool)
         held[self.filling.facets[self.filling.clamped].ravel()] = True
-        material = Material(organ.youngs_modulus, organ.poisson_ratio, organ.density)
+        material = Material(organ.youngs_modulus, organ.poisson_ratio, organ.density, organ.stiffening)
         inclusions = inclusions_of(organ)
         stiffness = partial(stiffness_at, inclusions) if inclusions else None
         self.solid = Solid(self.filling.nodes, self.filling.elements, held, material, stiffness)

@@ -2,6 +2,9 @@
 
 W = mu/2 (I1 - 3 - 2 ln J) + lambda/2 (ln J)^2 (Bonet & Wood, Nonlinear Continuum Mechanics for Finite Element
 Analysis, 2nd ed. 2008, equation 6.27), whose tangent at rest is linear elasticity with Lame's constants mu, lambda.
+
+Tissue that stiffens has mu/2 ((exp(b z) - 1)/b - z) in addition, z = I1 - 3 J^(2/3), as the cells of an organ do
+(model/elasticity/stiffening.py): Demiray's law. Its tangent at rest is the same. The exponent stops at MOST.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel, part
 
 NODES = 10  # of a quadratic tetrahedron
+MOST = 15.0  # largest exponent b z; beyond, the slope of the energy by z is constant
 
 
 class Elements(NamedTuple):
@@ -27,10 +31,11 @@ class Elements(NamedTuple):
 
 
 class Moduli(NamedTuple):
-    """Shear modulus and Lame's first constant."""
+    """Shear modulus, Lame's first constant, and Demiray's b."""
 
     mu: float  # Pa
     lam: float  # Pa
+    stiffening: float = 0.0  # 0: neo-Hookean
 
 
 @part
@@ -58,6 +63,16 @@ def _deformation(gradients: Floats, moved: Floats, nodes: Ints, f: Floats, back:
     return f[0, 0] * back[0, 0] + f[0, 1] * back[0, 1] + f[0, 2] * back[0, 2]
 
 
+@part
+def _stiffened(first: float, det: float, stiffening: float) -> tuple[float, float, float]:
+    """Return twice the added energy over mu, its slope by z, and the slope of that."""
+    wanted = stiffening * (first - 3.0 * det ** (2.0 / 3.0))
+    exponent = min(wanted, MOST)
+    grown = math.exp(exponent)
+    energy = (grown - 1.0 - exponent + (grown - 1.0) * (wanted - exponent)) / stiffening
+    return energy, grown - 1.0, stiffening * grown if wanted < MOST else 0.0
+
+
 @kernel
 def energy_and_forces(moved: Floats, elements: Elements, moduli: Moduli, forces: Floats) -> tuple[float, float]:
     """Compute the elastic energy and its gradient.
@@ -81,7 +96,7 @@ def energy_and_forces(moved: Floats, elements: Elements, moduli: Moduli, forces:
         Energy, J, and the least det F.
     """
     all_nodes, slopes, inverse, weight = elements
-    mu, lam = moduli
+    mu, lam, stiffening = moduli
     f, back, gradients = np.empty((3, 3)), np.empty((3, 3)), np.empty((NODES, 3))
     stress = np.empty((3, 3))
     forces[:] = 0.0
@@ -101,6 +116,13 @@ def energy_and_forces(moved: Floats, elements: Elements, moduli: Moduli, forces:
                     first += f[i, j] * f[i, j]
                     stress[i, j] = weight[e, q] * (mu * f[i, j] + (lam * logarithm - mu) / det * back[i, j])
             energy += weight[e, q] * (0.5 * mu * (first - 3.0 - 2.0 * logarithm) + 0.5 * lam * logarithm * logarithm)
+            if stiffening > 0.0:
+                added, slope, _ = _stiffened(first, det, stiffening)
+                energy += 0.5 * weight[e, q] * mu * added
+                root = det ** (-1.0 / 3.0)
+                for i in range(3):
+                    for j in range(3):
+                        stress[i, j] += weight[e, q] * mu * slope * (f[i, j] - root * back[i, j])
             for a in range(NODES):
                 for i in range(3):
                     forces[nodes[a], i] += (
@@ -127,9 +149,9 @@ def tangent(moved: Floats, elements: Elements, moduli: Moduli, slots: Ints, bloc
         Receives the sum.
     """
     all_nodes, slopes, inverse, weight = elements
-    mu, lam = moduli
+    mu, lam, stiffening = moduli
     f, back, gradients = np.empty((3, 3)), np.empty((3, 3)), np.empty((NODES, 3))
-    pushed = np.empty((NODES, 3))
+    pushed, distorted = np.empty((NODES, 3)), np.empty((NODES, 3))
     local = np.empty((NODES, NODES, 3, 3))
     blocks[:] = 0.0
     for e in range(len(all_nodes)):
@@ -146,6 +168,17 @@ def tangent(moved: Floats, elements: Elements, moduli: Moduli, slots: Ints, bloc
             w = weight[e, q]
             crossed = w * (mu - lam * math.log(det))
             along, straight = w * lam, w * mu
+            steep = 0.0
+            if stiffening > 0.0:
+                root = det ** (2.0 / 3.0)
+                _, slope, steeper = _stiffened((f * f).sum(), det, stiffening)
+                grown = w * mu * slope
+                straight, crossed = straight + grown, crossed + grown * root
+                along, steep = along - grown * root * (2.0 / 3.0), 2.0 * w * mu * steeper
+                for a in range(NODES):
+                    for i in range(3):
+                        distorted[a, i] = f[i, 0] * gradients[a, 0] + f[i, 1] * gradients[a, 1]
+                        distorted[a, i] += f[i, 2] * gradients[a, 2] - root * pushed[a, i]
             for a in range(NODES):
                 for b in range(a + 1):
                     same = straight * (
@@ -159,6 +192,10 @@ def tangent(moved: Floats, elements: Elements, moduli: Moduli, slots: Ints, bloc
                                 crossed * pushed[b, i] * pushed[a, k] + along * pushed[a, i] * pushed[b, k]
                             )
                         local[a, b, i, i] += same
+                    if steep > 0.0:
+                        for i in range(3):
+                            for k in range(3):
+                                local[a, b, i, k] += steep * distorted[a, i] * distorted[b, k]
         for a in range(NODES):
             for b in range(a + 1):
                 one, other = slots[e, a, b], slots[e, b, a]

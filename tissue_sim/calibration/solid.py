@@ -1,4 +1,4 @@
-"""Solid of quadratic tetrahedra: stiffness, mass, and its answers to loads, linear and neo-Hookean."""
+"""Solid of quadratic tetrahedra: stiffness, mass, and its answers to loads, linear and hyperelastic."""
 
 from __future__ import annotations
 
@@ -39,12 +39,14 @@ class Material(NamedTuple):
     youngs_modulus: float  # Pa
     poisson_ratio: float
     density: float  # kg/m^3
+    stiffening: float = 0.0  # Demiray's b; 0: neo-Hookean
 
     @property
     def moduli(self) -> Moduli:
-        """Its shear modulus and Lame's first constant."""
+        """Its shear modulus, Lame's first constant and Demiray's b."""
         modulus, ratio = self.youngs_modulus, self.poisson_ratio
-        return Moduli(modulus / (2.0 * (1.0 + ratio)), modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio)))
+        lam = modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio))
+        return Moduli(modulus / (2.0 * (1.0 + ratio)), lam, self.stiffening)
 
 
 class Equilibrium(NamedTuple):

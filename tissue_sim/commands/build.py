@@ -20,6 +20,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.commands.build_inclusions import parse_inclusions
 from tissue_sim.commands.build_refine import HELP as REFINE_HELP
 from tissue_sim.commands.build_refine import parse_refine
+from tissue_sim.commands.law_options import add_law, law_of, with_law
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build import EXTRA, digest_of, make, stem_of
 from tissue_sim.organ.build_record import STAGES, Progress
@@ -124,6 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     organ.add_argument("--youngs-modulus", type=float, default=10_000.0, metavar="PA", help="Pa (default: %(default)g)")
     organ.add_argument("--poisson-ratio", type=float, default=0.45, metavar="NU", help="default: %(default)g")
     organ.add_argument("--density", type=float, default=1060.0, metavar="KG_M3", help="kg/m^3 (default: %(default)g)")
+    add_law(organ)
     _add_stages(parser)
 
 
@@ -182,7 +184,7 @@ def _run(args: argparse.Namespace) -> int:
     )
     kind, given = _given(args)
     with _under_way(_stages_of(args)) as progress:
-        organ = make(kind, source, request, given, progress)
+        organ = with_law(make(kind, source, request, given, progress), args)
         organ.save(out)
         if report:
             from tissue_sim.organ.reporting.page import write_report
@@ -249,6 +251,7 @@ def _parameters(args: argparse.Namespace) -> SegmentationParameters:
 def _check_counts(args: argparse.Namespace) -> None:
     """Refuse at once what would otherwise be refused after the segmentation."""
     from tissue_sim.organ.interior import check_interior
+    from tissue_sim.organ.organ import check_law
     from tissue_sim.organ.skeletons.skeleton import check_atoms
     from tissue_sim.organ.surfaces.balloon import check_points
     from tissue_sim.organ.topology import check_tissue
@@ -258,6 +261,7 @@ def _check_counts(args: argparse.Namespace) -> None:
     if args.atoms is not None:
         check_atoms(args.atoms)
     check_tissue(args.youngs_modulus, args.poisson_ratio, args.density)
+    check_law("--", **law_of(args))
     check_interior(args.interior)
     parse_inclusions(args.inclusion, args.label)
     if args.refine and args.keep_points:

@@ -25,6 +25,7 @@ from tissue_sim.commands.calibrate_many import (
     write_figures,
     write_whole,
 )
+from tissue_sim.commands.law_options import add_law, law_of, with_law
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.version import __version__
@@ -66,6 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f" ({', '.join(f'{aim}: {100 * share:g}' for aim, share in INTERIOR_FRACTION.items())} for 100 surface"
         f" points; default: {_DEFAULT.aim})",
     )
+    add_law(parser)
     parser.add_argument("--seed", type=int, default=_DEFAULT.seed, help="seed of the loads that are fitted")
     parser.add_argument(
         "--cases", type=int, default=_DEFAULT.cases, metavar="N", help="loads to fit, three at each point"
@@ -107,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"folder {out.parent} for the organ file does not exist; make it first")
     if args.report and importlib.util.find_spec("matplotlib") is None:
         raise UserError("--report needs matplotlib: pip install 'tissue_sim[calibration]'")
-    organ = Organ.load(args.organ[0])
+    organ = with_law(Organ.load(args.organ[0]), args)
     if warning := accuracy_warning(organ):
         print(f"warning: {warning}")
     started = time.perf_counter()
@@ -138,6 +140,8 @@ def _run_many(args: argparse.Namespace, settings: Settings) -> int:
     """Calibrate several organs into a folder."""
     if args.report:
         raise UserError("--report is for a single organ")
+    if law_of(args):
+        raise UserError("--stiffening and --relaxation are for a single organ; build the others with them")
     check_cluster(args)
     folder = Path(args.out)
     if folder.suffix == ".npz":

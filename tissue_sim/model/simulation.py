@@ -36,6 +36,7 @@ from tissue_sim.model.elasticity.hop_distances import hop_table
 from tissue_sim.model.regions.reduction import reduce_model
 from tissue_sim.model.stepping.critical_step import LONGEST_OF_CELLS, SAFETY, model_step, substeps_for
 from tissue_sim.model.stepping.equilibrium import residuals, settle
+from tissue_sim.model.stepping.relaxation import stiffest
 from tissue_sim.model.stepping.scratch import make_scratch
 from tissue_sim.model.stepping.state_check import check_state
 from tissue_sim.model.stepping.tick import tick
@@ -130,8 +131,10 @@ class Simulation:
             raise UserError(
                 "a frozen region supports springs only; use local region off, modal or auto, or model hybrid"
             )
-        if model == "cells" and local_region == "auto" and moves_whole(organ):
+        if local_region == "auto" and ((model == "cells" and moves_whole(organ)) or stiffens_or_relaxes(organ)):
             local_region = "off"
+        if local_region != "off" and stiffens_or_relaxes(organ):
+            raise UserError("tissue that stiffens or relaxes moves as a whole; use local_region off or auto")
         self.organ = organ
         self.cut_organ: CutOrgan | None = None  # its cuts and its surface, after `cut`
         self.carry_plan: CarryPlan = NO_PLAN  # how it continues the simulation that it was cut from
@@ -164,8 +167,10 @@ class Simulation:
         # Nothing that a tool can do moves tissue by more than the organ's own size.
         self.settings.runaway_span = float(np.linalg.norm(np.ptp(self.model.rest, axis=0)))
         n_bodies, n_modes = len(shapes.kind), len(self.model.reduction.frequency)
-        self.state: State = make_state(organ.n_nodes, n_bodies, n_modes, len(self.model.cells), len(shapes.blades.body))
-        self.frequency = largest_frequency(self.model)
+        relaxes = len(self.model.relaxation) > 0
+        sizes = n_modes, len(self.model.cells), len(shapes.blades.body)
+        self.state: State = make_state(organ.n_nodes, n_bodies, *sizes, relaxes)
+        self.frequency = largest_frequency(self.model) * math.sqrt(stiffest(self.model))
         self.set_substeps()
         self.scratch = make_scratch(self.model, n_bodies, len(shapes.blades.body))
         if len(shapes.blades.body) and model == "cells" and local_region == "off":
@@ -329,11 +334,12 @@ class Simulation:
         )
         made.open_cuts(after.surface, sides_of(after))
         made.take_settings(self.settings)
-        made.frequency = max(made.frequency, fastest_mode(after.organ))
+        made.frequency = max(made.frequency, fastest_mode(after.organ) * math.sqrt(stiffest(made.model)))
         made.set_substeps()
         made.plan_from(self, after.origin(before))
         # That of an organ that was cut before is Lanczos' already.
-        frequency = self.frequency if self.cut_organ else max(self.frequency, before.frequency)
+        own = before.frequency * math.sqrt(stiffest(self.model))
+        frequency = self.frequency if self.cut_organ else max(self.frequency, own)
         report = after.reports[-1]._replace(
             critical_step_before=self._critical_step(frequency),
             critical_step_after=made.critical_step,
@@ -375,6 +381,7 @@ class Simulation:
         self.scratch = make_scratch(self.model, len(self.shapes.kind), len(self.shapes.blades.body))
         if self.model.tissue is not None:
             self.model.tissue.stiff[:] = 0
+            self.model.tissue.shortening[:] = 1
         self.refer()
         self.reset()
 
@@ -485,6 +492,8 @@ class Simulation:
             shape (n, 3), N
         """
         force = residuals(self)
+        if len(self.state.relaxing):
+            force += self.state.unrelaxed
         held = np.ones(len(force), dtype=bool)
         held[self.model.moving] = False
         held[self.state.prescribed_node[: self.state.status.prescribed]] = True
@@ -567,9 +576,9 @@ class Simulation:
 
     @property
     def energy(self) -> Energy:
-        """Kinetic and elastic energy, J."""
-        energy = energy_of(self.model, self.positions, self.velocities)
-        return energy._replace(elastic=energy.elastic * float(self.settings.stiffness_scale))
+        """Kinetic and elastic energy, J, the latter with what forces that relax have received."""
+        energy, scale = energy_of(self.model, self.positions, self.velocities), float(self.settings.stiffness_scale)
+        return energy._replace(elastic=energy.elastic * scale + float(self.state.relaxing.energy.sum()))
 
     def set_substeps(self) -> None:
         """Compute the substeps from the critical step, after the stiffness, the damping or the rate changed."""
@@ -677,6 +686,17 @@ def moves_whole(organ: Organ) -> bool:
         The organ.
     """
     return len(organ.cell_nodes) <= MOST_WHOLE
+
+
+def stiffens_or_relaxes(organ: Organ) -> bool:
+    """Return whether an organ's tissue stiffens or relaxes, which is computed for the whole organ only.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    """
+    return organ.stiffening > 0.0 or organ.relaxation_fraction > 0.0
 
 
 def sphere_tools(radius: ArrayLike) -> Shapes:

@@ -24,11 +24,20 @@ from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.shipped import shipped_organ
 
-SCHEMA_VERSION = 6  # 2: interior_spoke; 3: springs that harden, gone; 4: cells; 5: inclusions; 6: virtual nodes
+# 2: interior_spoke; 3: springs that harden, gone; 4: cells; 5: inclusions; 6: virtual nodes; 7: tissue that stiffens or
+# relaxes
+SCHEMA_VERSION = 7
 
 
 # Fields of the header, with their types.
 _TOLD = {"name": str, "youngs_modulus": float, "poisson_ratio": float, "density": float, "provenance": dict}
+# Those of tissue that stiffens or relaxes: the value that other tissue has, which the header leaves out, and the range.
+_LAW = {
+    "stiffening": (0.0, 0.0, 100.0),
+    "cell_stiffening": (1.0, 0.1, 10.0),
+    "relaxation_fraction": (0.0, 0.0, 0.9),
+    "relaxation_time": (0.0, 0.01, 60.0),
+}
 _SHOWN, _LONGEST_NAME = 40, 200  # characters of an array's name in a message, of an organ's at all
 _FARTHEST = 1e3  # m, from the origin: farther out a double resolves the organ poorly, and squares overflow
 # Range of every other number, in SI units: what lies outside is a mistake, and computing with it gives no number.
@@ -109,6 +118,11 @@ class Organ:
     inclusion_stiffness: Floats = _floats("n_inclusions", empty=(0,))  # times the tissue's moduli
     # Of cut tissue: the node that each virtual node copies, at the same rest position.
     virtual_of: Ints = _ints("n_virtual", empty=(0,))
+    # Of tissue that stiffens with strain or relaxes; 0: neo-Hookean, elastic.
+    stiffening: float = 0.0  # b of Demiray's law
+    cell_stiffening: float = 1.0  # the cells' b over that of the tissue, of a calibration
+    relaxation_fraction: float = 0.0  # of the first force that relaxes
+    relaxation_time: float = 0.0  # s
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -119,6 +133,7 @@ class Organ:
             _check_shape(item.name, array, item.metadata["shape"], sizes)
             object.__setattr__(self, item.name, array)
         self._check_numbers()
+        self._check_law()
         self._check(sizes)
 
     def __repr__(self) -> str:
@@ -174,8 +189,10 @@ class Organ:
     @property
     def schema_version(self) -> int:
         """Schema version of its file: the oldest that can hold it, so that older packages can read it."""
-        if self.n_virtual:
+        if self._law():
             return SCHEMA_VERSION
+        if self.n_virtual:
+            return 6
         return 5 if len(self.inclusion_stiffness) else 4
 
     @property
@@ -227,6 +244,14 @@ class Organ:
             name = f"inclusion {number} of organ '{self.name}'"
             check_surface(self.inclusion_positions[used], own.reshape(-1, 3).astype(np.int32), name)
 
+    def _law(self) -> dict[str, float]:
+        """Return what makes tissue stiffen or relax; nothing of neo-Hookean, elastic tissue."""
+        return {name: float(getattr(self, name)) for name, usual in _LAW.items() if getattr(self, name) != usual[0]}
+
+    def _check_law(self) -> None:
+        """Refuse a law out of range."""
+        check_law(f"organ '{self.name}': ", **self._law())
+
     def _check_numbers(self) -> None:
         """Refuse numbers out of range, with which arithmetic would overflow."""
         for item in fields(self):
@@ -267,6 +292,7 @@ class Organ:
             "youngs_modulus": float(self.youngs_modulus),
             "poisson_ratio": float(self.poisson_ratio),
             "density": float(self.density),
+            **self._law(),
             "provenance": dict(self.provenance),
         }
         text, stream = json.dumps(header, sort_keys=True), io.BytesIO()
@@ -356,12 +382,14 @@ class Organ:
                 " calibrate it again, with cells, which harden as tissue does"
             )
         content.setdefault("interior_spoke", np.empty((0, 2)))  # version 1 had no interior atoms
-        whole: dict[str, Any] = {**{key: header[key] for key in _TOLD}, **content}
+        whole: dict[str, Any] = {**{key: header[key] for key in (*_TOLD, *_LAW) if key in header}, **content}
         return cls(**whole)
 
     def digest(self) -> str:
         """Return the SHA-256 (hex) of the arrays: two organs with the same digest simulate alike."""
-        return content_digest("", self._arrays(without=() if len(self.cell_nodes) else ("cell_",)))
+        law = self._law()
+        text = json.dumps(law, sort_keys=True) if law else ""
+        return content_digest(text, self._arrays(without=() if len(self.cell_nodes) else ("cell_",)))
 
     def _arrays(self, without: tuple[str, ...] = ()) -> dict[str, Any]:
         """Return all arrays except those whose names start so, and those that its schema version doesn't have."""
@@ -371,6 +399,29 @@ class Organ:
             without = (*without, "virtual_")
         names = (item.name for item in fields(self) if "dtype" in item.metadata)
         return {name: getattr(self, name) for name in names if not name.startswith(without)}
+
+
+def check_law(whose: str, **law: float) -> None:
+    """Raise UserError unless a tissue can stiffen and relax so.
+
+    Parameters
+    ----------
+    whose : str
+        Beginning of the message.
+    law : float
+        Fields of the law by name, as Organ has them; others are those of neo-Hookean, elastic tissue.
+
+    Raises
+    ------
+    UserError
+        Where a number is out of range, or a relaxation lacks one.
+    """
+    for name, value in law.items():
+        usual, least, most = _LAW[name]
+        if value != usual and not least <= value <= most:
+            raise UserError(f"{whose}{name.replace('_', ' ')} {value:g} is outside {least:g}..{most:g}")
+    if bool(law.get("relaxation_fraction")) != bool(law.get("relaxation_time")):
+        raise UserError(f"{whose}relaxation needs a fraction and a time, or neither")
 
 
 def signed_volume(positions: Floats, triangles: Ints) -> float:
@@ -468,9 +519,11 @@ def _header(text: str) -> dict[str, Any] | None:
             return dict(header)
         for key, kind in _TOLD.items():
             header[key] = kind(header[key])
+        for key in _LAW.keys() & header.keys():
+            header[key] = float(header[key])
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
-    numbers = [header[key] for key, kind in _TOLD.items() if kind is float]
+    numbers = [header[key] for key in (*_TOLD, *_LAW) if isinstance(header.get(key), float)]
     if len(header["name"]) > _LONGEST_NAME or not np.all(np.isfinite(numbers)):
         return None
     return dict(header)

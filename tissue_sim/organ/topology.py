@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -220,7 +221,8 @@ def assemble_like(organ: Organ, **changes: Any) -> Organ:
         "inclusions": inclusions_of(organ),
         "provenance": organ.provenance,
     }
-    return assemble_organ(**{**same, **changes})
+    law = {name: getattr(organ, name) for name in ("stiffening", "relaxation_fraction", "relaxation_time")}
+    return replace(assemble_organ(**{**same, **changes}), **law)
 
 
 class _Springs(NamedTuple):

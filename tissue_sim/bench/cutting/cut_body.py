@@ -100,7 +100,7 @@ class CutBody:
         held[self.filling.facets[clamped].ravel()] = True
         inclusions = inclusions_of(organ)
         stiffness = partial(stiffness_at, inclusions) if inclusions else None
-        material = Material(organ.youngs_modulus, organ.poisson_ratio, organ.density)
+        material = Material(organ.youngs_modulus, organ.poisson_ratio, organ.density, organ.stiffening)
         self.solid = TouchingSolid(nodes, elements, held, material, stiffness)
         self.load_matrix = load_matrix(organ, self.filling, self._shut() if parted else None)
         self.lips = _lips(made, pairs, n) if parted else None

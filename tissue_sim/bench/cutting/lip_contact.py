@@ -138,7 +138,7 @@ class Lips:
         if self.penetration(solid.nodes, start) > DEEP * self._edge:
             start = np.zeros_like(start)
         moved, factor, settled = start, _Factor(solid, start), False
-        mu, lam = solid.moduli
+        mu, lam = solid.moduli.mu, solid.moduli.lam
         youngs_modulus = mu * (3.0 * lam + 2.0 * mu) / (lam + mu)
         stiffness = STIFF * youngs_modulus / self._edge * self._area
         try:

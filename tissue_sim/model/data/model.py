@@ -18,6 +18,7 @@ class CellGroups(NamedTuple):
 
     nodes: Ints  # (f, BLOCK, 6)
     constants: Floats  # (f, fans.CONSTANTS BLOCK)
+    stiffening: Floats  # (f, stiffening.ROWS BLOCK) of groups that stiffen; (0, stiffening.ROWS BLOCK): neo-Hookean
     cells: Longs  # (f BLOCK, CELLS) which cell each is, -1 where one only fills up
 
 
@@ -33,6 +34,7 @@ class Tissue(NamedTuple):
     # forces of the whole organ found them; and (1,) how many, of some cells not 0 where these forces found stiff ones.
     squeezed_cells: Longs
     stiff: Longs
+    shortening: Longs  # (1,) factor on the substeps that groups which have stiffened require, by these forces
 
 
 class Adjacency(NamedTuple):
@@ -95,3 +97,4 @@ class Model(NamedTuple):
     work: Floats  # (9 BLOCK,) room for the force kernels
     lips: Lips  # of cuts
     cut_cells: CutCells  # in which blades find their places; none where no blade can be
+    relaxation: Floats  # (2,) rate 1/T, 1/s, and g / (1 - g) of tissue that relaxes; (0,): elastic

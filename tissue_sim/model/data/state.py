@@ -106,6 +106,13 @@ class BodyStatus(Record):
     force_sequence: int  # which external force is in use
 
 
+class Relaxing(Record):
+    """What tissue that relaxes remembers besides its forces."""
+
+    step: float  # s, of the last substep; 0: the last elastic forces are unknown
+    energy: float  # J, that the unrelaxed forces have received and not given back
+
+
 class Results(NamedTuple):
     """Everything that is posted after every tick, with T rigid bodies."""
 
@@ -155,6 +162,9 @@ class State(NamedTuple):
     is_turned: Longs  # (c,) 1 for cells of the inside that are inverted
     region_hop: Longs  # (n,) 0 loaded, 1, 2 hops away, -1 outside the local region
     blades: Any  # (S,) of BladeSample
+    relaxing: Any  # (1,) of Relaxing; this and what follows is empty of elastic tissue
+    unrelaxed: Floats  # (n, 3) N that relaxes
+    last_elastic: Floats  # (n, 3) N, of the last substep
     contacts: ContactSet  # which points may touch
 
 
@@ -186,7 +196,9 @@ def results_in(words: Longs, n_bodies: int) -> Results:
     return Results(**carve(words, _result_fields(n_bodies)))
 
 
-def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0, n_samples: int = 0) -> State:
+def make_state(
+    n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0, n_samples: int = 0, relaxes: bool = False
+) -> State:
     """Return a state of zeros.
 
     Parameters
@@ -201,6 +213,8 @@ def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0, n_samp
         Number of cells.
     n_samples : int, optional
         Number of places of blades.
+    relaxes : bool, optional
+        Whether the tissue relaxes.
     """
     real, whole = np.float64, np.int64
     fields: dict[str, Field] = _result_fields(n_bodies) | {
@@ -232,6 +246,9 @@ def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0, n_samp
         "is_turned": (whole, (n_cells,)),
         "region_hop": (whole, (n,)),
         "blades": (BladeSample, n_samples),
+        "relaxing": (Relaxing, 1 if relaxes else 0),
+        "unrelaxed": (real, (n if relaxes else 0, 3)),
+        "last_elastic": (real, (n if relaxes else 0, 3)),
     }
     size, first = size_of(fields), result_words(n_bodies)
     words = np.zeros(size + contact_set_words(n_bodies), dtype=np.int64)
@@ -252,11 +269,11 @@ def state_like(state: State) -> State:
     state : State
         The other one.
     """
-    sizes = len(state.mode_position), len(state.is_turned), len(state.blades)
-    return make_state(len(state.position), len(state.bodies), *sizes)
+    sizes = len(state.position), len(state.bodies), len(state.mode_position), len(state.is_turned)
+    return make_state(*sizes, len(state.blades), len(state.relaxing) > 0)
 
 
-_ADDED = ("blades", "bodies.cutting")  # 0 in older bags, whose tools are no blades
+_ADDED = ("bodies.cutting",)  # fields of records that older bags lack, and that are 0 there
 _ONLY_HANDED_OUT = ("words", "results", "shape", "shape_tick")  # a tick doesn't start from these
 
 
@@ -303,10 +320,10 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
     state.contacts.header.points = points
     for name, target in fields_of(state).items():
         found = fields.get(name)
+        if found is None and target.size == 0:
+            continue  # a state from before it had this field
         if found is not None and name.startswith("contacts."):
             found = padded(name.removeprefix("contacts."), found)
-        if found is None and name in _ADDED and target.size == 0:
-            continue
         if found is None or found.shape != target.shape:
             raise ValueError(f"its state has a different '{name}': it belongs to another organ or to other tools")
         if target.dtype.names is None:

@@ -13,10 +13,11 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.data.blades import no_cut_cells
 from tissue_sim.model.data.blocks import BLOCK, aligned, empty_blocks, pack
 from tissue_sim.model.data.lips import make_lips
-from tissue_sim.model.data.model import Model, Reduction
+from tissue_sim.model.data.model import Model, Reduction, Tissue
 from tissue_sim.model.elasticity.cells import SLOPES, penalty_of, shapes_of, tissue_of, with_penalty
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.elasticity.frequency import largest_frequency
+from tissue_sim.model.elasticity.stiffening import set_step_limits
 from tissue_sim.model.elasticity.unloaded_shape import Law, unloaded_shape
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind
@@ -100,6 +101,16 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
     by_cells = model == "cells"
     if by_cells and not len(organ.cell_nodes):
         raise UserError(f"organ '{organ.name}' has no cells; add them with tissue_sim calibrate")
+    if organ.stiffening > 0.0 and not by_cells:
+        raise UserError(
+            f"organ '{organ.name}' stiffens (stiffening {organ.stiffening:g}), and springs have no such law; use model"
+            " cells, which tissue_sim calibrate gives an organ"
+        )
+    if organ.stiffening > 0.0 and np.any(shape_gravity):
+        raise UserError(
+            f"organ '{organ.name}' stiffens (stiffening {organ.stiffening:g}), and its unloaded shape is not computed;"
+            " use gravity 0, or shape_is_unloaded (shape_gravity [0, 0, 0])"
+        )
     if organ.n_virtual and not by_cells:
         raise UserError(f"organ '{organ.name}' was cut, and springs would join what is apart; use model cells")
     n, n_surface = organ.n_nodes, organ.n_surface
@@ -165,19 +176,42 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
             borne=np.zeros((0, 3)),
             shape_gravity=np.array(shape_gravity, dtype=np.float64),
             unloaded=rest,
-            tissue=tissue_of(rest, organ.cell_nodes, organ.cell_mu, organ.cell_lambda) if by_cells else None,
+            tissue=_tissue_of(organ, rest) if by_cells else None,
             work=aligned(np.zeros(9 * BLOCK)),
             lips=make_lips(),
             cut_cells=no_cut_cells(),
+            relaxation=_relaxation_of(organ),
         )
     )
     if made.tissue is None:
         return made
     penalty = penalty_of(rest, organ.cell_nodes, inverse_mass, largest_frequency(made))
-    made = made._replace(tissue=with_penalty(made.tissue, penalty))
+    tissue = with_penalty(made.tissue, penalty)
+    set_step_limits(tissue.fans, _quickness(organ, inverse_mass))
+    made = made._replace(tissue=tissue)
     if not made.shape_gravity.any():
         return made
     return _bearing(made, organ.cell_nodes, Law(organ.cell_mu, organ.cell_lambda, penalty))
+
+
+def _tissue_of(organ: Organ, rest: Floats) -> Tissue:
+    """Return the organ's cells with their own law."""
+    stiffening = organ.stiffening * organ.cell_stiffening
+    return tissue_of(rest, organ.cell_nodes, organ.cell_mu, organ.cell_lambda, stiffening)
+
+
+def _quickness(organ: Organ, inverse_mass: Floats) -> Floats:
+    """Return the stiffness of the cells around each node over its mass (n,), over the largest of all."""
+    slope, volume = shapes_of(organ.rest_positions, organ.cell_nodes)
+    stiff = np.einsum("cax,cax->ca", slope, slope) * (volume * (4.0 * organ.cell_mu + organ.cell_lambda))[:, None]
+    rate: Floats = np.bincount(organ.cell_nodes.ravel(), stiff.ravel(), organ.n_nodes) * inverse_mass
+    return rate / max(float(rate.max()), 1e-300)
+
+
+def _relaxation_of(organ: Organ) -> Floats:
+    """Return the rate 1/T, 1/s, and g / (1 - g) of tissue that relaxes, (2,); (0,) of elastic tissue."""
+    fraction = organ.relaxation_fraction
+    return np.array([1.0 / organ.relaxation_time, fraction / (1.0 - fraction)]) if fraction > 0.0 else np.zeros(0)
 
 
 def _bearing(model: Model, cells: Ints, law: Law) -> Model:

@@ -16,6 +16,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.data.blocks import BLOCK, pack
 from tissue_sim.model.data.model import CellGroups, Tissue
 from tissue_sim.model.elasticity.cell_law import SQUEEZED, STIFF, minor, pressure_of
+from tissue_sim.model.elasticity.stiffening import needed_shortening, resist_stiffening, stiffening_rows
 from tissue_sim.model.elasticity.vectors import WIDTH, fused, gather_fan, put_node, scatter_fan
 from tissue_sim.model.elasticity.volumes import triple_product
 
@@ -27,11 +28,13 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (3, 3), (4, 4), (0, 1), (0, 2), (0, 3), (0, 4),
 # Rows of the first cell: 1 / (6 V), lambda / 12, mu / 6 and the penalty by six; the others' follow.
 OWN, OWN_ROWS = len(PAIRS), 4
 CONSTANTS = OWN + CELLS * OWN_ROWS
-ROOM = 3 * ARMS + CELLS  # rows of the buffer: arms, then volumes over those at rest
+ROOM = 3 * ARMS + CELLS + 1  # rows of the buffer: arms, volumes over those at rest, exponents of groups that stiffen
 CHUNK = 16  # blocks within which groups that share nodes are separated, without leaving the cache
 
 
-def cell_groups_of(rest: Floats, cells: Ints | Longs, slope: Floats, mu: Floats, lam: Floats) -> CellGroups:
+def cell_groups_of(
+    rest: Floats, cells: Ints | Longs, slope: Floats, mu: Floats, lam: Floats, stiffening: float = 0.0
+) -> CellGroups:
     """Return the groups of cells.
 
     Parameters
@@ -46,6 +49,8 @@ def cell_groups_of(rest: Floats, cells: Ints | Longs, slope: Floats, mu: Floats,
         Shear modulus of each cell.
     lam : Floats, shape (c,), Pa
         Lame's first constant of each cell.
+    stiffening : float, optional
+        Demiray's b; 0 for neo-Hookean cells.
 
     Returns
     -------
@@ -79,7 +84,7 @@ def cell_groups_of(rest: Floats, cells: Ints | Longs, slope: Floats, mu: Floats,
     members = np.concatenate([members, np.full((spare, CELLS), -1)])
     apart = _apart(len(members))
     packed = pack(nodes[apart].astype(np.int32), constants[apart], filling)
-    return CellGroups(packed.nodes, packed.constants, members[apart])
+    return CellGroups(packed.nodes, packed.constants, stiffening_rows(packed.constants, stiffening), members[apart])
 
 
 def set_penalty(fans: CellGroups, penalty: Floats) -> None:
@@ -242,15 +247,35 @@ def cell_forces(position: Floats, tissue: Tissue, force: Floats) -> None:
     stiff = 0
     for node in range(len(position)):
         put_node(position, node, rows)
-    for block in range(len(fans.nodes)):
-        gather_fan(rows, fans.nodes[block], work)
-        if _resist(work, fans.constants[block]) > 0:
-            stiff = _list_squeezed(work, fans.constants[block], block, tissue.squeezed_cells, stiff)
-        scatter_fan(rows, fans.nodes[block], work)
+    if len(fans.stiffening) > 0:
+        stiff = _push_stiffening(tissue)
+    else:
+        for block in range(len(fans.nodes)):
+            gather_fan(rows, fans.nodes[block], work)
+            if _resist(work, fans.constants[block]) > 0:
+                stiff = _list_squeezed(work, fans.constants[block], block, tissue.squeezed_cells, stiff)
+            scatter_fan(rows, fans.nodes[block], work)
     for node in range(len(force)):
         for axis in range(3):
             force[node, axis] += rows[node, WIDTH + axis]
     tissue.stiff[0] = stiff
+
+
+@kernel
+def _push_stiffening(tissue: Tissue) -> int:
+    """Scatter the forces of groups that stiffen; return how many squeezed cells are listed."""
+    rows, work, fans = tissue.rows, tissue.work, tissue.fans
+    listed, shortening = 0, 1
+    for block in range(len(fans.nodes)):
+        gather_fan(rows, fans.nodes[block], work)
+        stiff, steep = resist_stiffening(work, fans.constants[block], fans.stiffening[block])
+        if stiff > 0:
+            listed = _list_squeezed(work, fans.constants[block], block, tissue.squeezed_cells, listed)
+        if steep > 0:
+            shortening = max(shortening, needed_shortening(work, fans.stiffening[block]))
+        scatter_fan(rows, fans.nodes[block], work)
+    tissue.shortening[0] = shortening
+    return listed
 
 
 @kernel

@@ -14,6 +14,7 @@ from tissue_sim.model.data.blocks import BLOCK, aligned, pack
 from tissue_sim.model.data.model import Model, Tissue
 from tissue_sim.model.elasticity.cell_groups import ROOM, cell_groups_of, set_penalty
 from tissue_sim.model.elasticity.cell_law import SQUEEZED, STEEPEST, STIFF, minor, pressure_of
+from tissue_sim.model.elasticity.stiffening import stiffening_energy
 from tissue_sim.model.elasticity.vectors import ROW, WIDTH, fused, gather_arms, put_node, scatter_arms
 from tissue_sim.model.elasticity.volumes import triple_product
 
@@ -24,7 +25,7 @@ CONSTANTS = 10
 SLOPES = 20  # constants of a cell that is linear about rest
 
 
-def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
+def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats, stiffening: float = 0.0) -> Tissue:
     """Return cells as kernels read them; the penalty is left out, see `with_penalty`.
 
     Parameters
@@ -37,6 +38,8 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
         Shear modulus of each cell.
     lam : Floats, shape (c,), Pa
         Lame's first constant of each cell.
+    stiffening : float, optional
+        Demiray's b; 0 for neo-Hookean cells.
 
     Returns
     -------
@@ -57,7 +60,7 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
     packed = pack(
         np.concatenate([cells, cells[:1].repeat(spare, axis=0)]), np.concatenate([constants, filling]), constants[0]
     )
-    fans = cell_groups_of(rest, cells, slope, mu, lam)
+    fans = cell_groups_of(rest, cells, slope, mu, lam, stiffening)
     return Tissue(
         packed.nodes,
         packed.constants,
@@ -66,6 +69,7 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
         aligned(np.zeros(ROOM * BLOCK)),
         np.zeros(fans.cells.size, dtype=np.int64),
         np.zeros(1, dtype=np.int64),
+        np.ones(1, dtype=np.int64),
     )
 
 
@@ -432,4 +436,5 @@ def cell_energy(position: Floats, rest: Floats, tissue: Tissue) -> float:
     density = 0.5 * mu * (square - 3.0 - 2.0 * np.log(bounded))
     density += 0.25 * lam * (bounded**2 - 1.0 - 2.0 * np.log(bounded)) + pressure * under + 0.5 * steep * under**2
     pushed = np.minimum(swollen - SQUEEZED, 0.0)
-    return float(volume @ (density + 0.5 * penalty * pushed**2))
+    stored = float(volume @ (density + 0.5 * penalty * pushed**2))
+    return stored + stiffening_energy(tissue.fans, square, swollen, mu * volume)

@@ -28,6 +28,7 @@ from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.data.world import World
 from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
+from tissue_sim.model.elasticity.stiffening import shortening_of
 from tissue_sim.model.stepping.critical_step import LONGEST_OF_CELLS, SAFETY
 from tissue_sim.model.stepping.wake_threshold import rounded_up
 
@@ -66,13 +67,14 @@ def coarse_masses(model: Model, settings: Settings, added: float) -> tuple[Float
     -------
     tuple[Floats, float]
         Factors (n,) on the nodes' masses, and the largest frequency with these, rad/s; 0 where there are no coarse
-        steps: for springs, other integrators than the symplectic one, links that are too stiff, and where half of the
-        substeps is no smaller number.
+        steps: for springs, tissue that relaxes, other integrators than the symplectic one, links that are too stiff,
+        and where half of the substeps is no smaller number.
     """
     factor = np.ones(len(model.rest))
     tick_time, substeps = float(settings.tick_time), int(settings.substeps)
     fewer = max(math.ceil(substeps / 2), least_of(tick_time))
-    if fewer >= substeps or model.tissue is None or settings.integrator != Integrator.SYMPLECTIC:
+    elastic = model.tissue is not None and len(model.relaxation) == 0
+    if fewer >= substeps or not elastic or settings.integrator != Integrator.SYMPLECTIC:
         return factor, 0.0
     allowed = (2.0 * SAFETY * fewer / tick_time) ** 2
     if added > MOST_OF_LINKS * allowed:
@@ -146,7 +148,7 @@ def may_be_coarse(world: World) -> bool:
     status = world.state.status
     sound = status.region == Region.WHOLE and status.turned == 0 and status.backoff <= 1 and status.shivering == 0
     symplectic = world.settings.integrator == Integrator.SYMPLECTIC
-    return symplectic and sound and not has_compressed_cells(world.model)
+    return symplectic and sound and not has_compressed_cells(world.model) and shortening_of(world.model) == 1
 
 
 @kernel

@@ -22,6 +22,7 @@ from tissue_sim.model.stepping.world import (
     load_world,
     pace_of_world,
     prescribe_world,
+    relax_world,
     weigh_world,
 )
 
@@ -99,6 +100,8 @@ def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: flo
         for tick in range(first, first + 20):
             load_world(simulation.world, loaded, min(1.0, tick / raised) * pushes)
             simulation.step()
+        if len(state.relaxing):
+            relax_world(simulation.world)  # the equilibrium is that of held tissue
         if first + 19 < raised:
             continue
         if state.count.faults > faults and not np.any(state.velocity):

@@ -15,6 +15,7 @@ from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import Fault, Region, State
 from tissue_sim.model.regions.active_region import are_placed, checked_nodes, modes_are_finite, restore_shape
 from tissue_sim.model.stepping.inputs import MAX_BACKOFF
+from tissue_sim.model.stepping.relaxation import forget_relaxation
 
 RUNAWAY_RATE = 100.0  # 1/s, largest speed over the organ's size of all nodes together
 RETURN_RATE = 20.0  # 1/s, rate of the recovery to rest
@@ -68,9 +69,11 @@ def guard(model: Model, state: State, settings: Settings, scratch: Scratch) -> N
     if fault == 0:
         if collapsing:
             move_towards_rest(model, state, settings)
+            forget_relaxation(state)
         keep(model, state, scratch)
         return
     restore_shape(model, state, scratch)
+    forget_relaxation(state)
     restore_bodies(state, span)
     forget_blades(state)
     state.contact_pressed[:] = 0.0

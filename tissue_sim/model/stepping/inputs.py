@@ -14,6 +14,7 @@ from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
 from tissue_sim.model.regions.active_region import drop_region
 from tissue_sim.model.stepping.prescribed import forget_prescribed
+from tissue_sim.model.stepping.relaxation import forget_relaxation
 
 CATCH_UP = 0.03  # s in which a tool catches up most of its lag behind its poses, where these were that fast
 RESUMED = 1.0  # s without poses after which a returning hand counts as new
@@ -288,6 +289,7 @@ def reset_state(model: Model, state: State) -> None:
     state.contact_held[:] = 0.0
     forget_blades(state)
     drop_region(state)
+    forget_relaxation(state)
     state.body_goal[:] = 0.0
     state.body_goal[:, 6] = 1.0
     copy(state.body_goal, state.held_pose)

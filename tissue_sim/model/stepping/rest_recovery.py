@@ -12,6 +12,7 @@ from tissue_sim.model.data.state import State
 from tissue_sim.model.elasticity.gravity import is_out_of_balance
 from tissue_sim.model.regions.active_region import largest_motion, leave_region
 from tissue_sim.model.stepping.guard import move_towards_rest
+from tissue_sim.model.stepping.relaxation import creep_rate, forget_relaxation
 
 QUIET_SPEED = 2e-5  # m/s
 QUIET_DISPLACEMENT = 5e-6  # m
@@ -119,7 +120,8 @@ def pace(model: Model, settings: Settings) -> float:
         The rate.
     """
     softer, tougher = min(1.0, settings.stiffness_scale), max(1.0, settings.damping_scale)
-    return max(SLOWEST, model.damping_rate * softer / tougher)
+    own = max(SLOWEST, model.damping_rate * softer / tougher)
+    return own if len(model.relaxation) == 0 else min(own, creep_rate(model))
 
 
 @kernel
@@ -139,12 +141,14 @@ def fall_asleep(model: Model, state: State) -> None:
                     state.position[node, c] = model.rest[node, c]
     copy(state.position, state.good_position)
     state.velocity[:] = 0.0
+    forget_relaxation(state)
 
 
 @kernel
 def snap(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Start the recovery from a false rest shape."""
     leave_region(model, state, settings, scratch)
+    forget_relaxation(state)
     state.status.snapped = True
     state.status.alone = 0
     state.count.snaps += 1

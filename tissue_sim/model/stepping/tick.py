@@ -31,6 +31,7 @@ from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.data.world import World
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.elasticity.gravity import add_weight, is_out_of_balance
+from tissue_sim.model.elasticity.stiffening import shortening_of
 from tissue_sim.model.regions.active_region import (
     absorb_load,
     change_region,
@@ -46,6 +47,7 @@ from tissue_sim.model.stepping.inputs import unload_nodes
 from tissue_sim.model.stepping.integrators import explicit_euler, symplectic_euler, symplectic_euler_whole
 from tissue_sim.model.stepping.oscillation import begin_oscillation_check, end_oscillation_check, is_oscillation_checked
 from tissue_sim.model.stepping.prescribed import count_prescribed, move_prescribed
+from tissue_sim.model.stepping.relaxation import relax
 from tissue_sim.model.stepping.rest_recovery import sleep_if_at_rest, sleep_or_recover, step_recovery
 
 CRUMPLED = 0.02  # fraction of inverted cells from which on a tick takes four times its substeps
@@ -153,6 +155,8 @@ def take_substep(world: World, substep: int) -> None:
             region_forces(model, state, settings, scratch, substep == substeps - 1)
         else:
             whole_forces(model, state.position, settings, scratch)
+    if len(state.relaxing) > 0:
+        relax(model, state, scratch.force, step)
     add_loads(model, state, settings, scratch.force)
     integrate(world, step)
     move_prescribed(state, substep, substeps, step)
@@ -206,13 +210,14 @@ def is_region_of_cells(model: Model, state: State) -> Any:
 
 @kernel
 def caution(model: Model, state: State, begun: bool) -> int:
-    """Return the factor on the substeps while cells are squeezed or inverted, or nodes oscillate, which stiffens them.
+    """Return the factor on the substeps while cells are stretched, squeezed or inverted, or nodes oscillate.
 
-    begun: the forces of this tick's first substep are known.
+    All of these stiffen them. begun: the forces of this tick's first substep are known.
     """
+    least = shortening_of(model) if begun else 1
     if state.status.turned == 0:
-        return 2 if (begun and has_compressed_cells(model)) or state.status.shivering > 0 else 1
-    return 4 if state.status.turned > CRUMPLED * len(model.cells) else 2
+        return max(least, 2 if (begun and has_compressed_cells(model)) or state.status.shivering > 0 else 1)
+    return max(least, 4 if state.status.turned > CRUMPLED * len(model.cells) else 2)
 
 
 @kernel

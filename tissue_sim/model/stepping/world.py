@@ -10,6 +10,7 @@ from tissue_sim.model.elasticity.gravity import add_weight, is_out_of_balance
 from tissue_sim.model.regions.active_region import leave_region, show_region
 from tissue_sim.model.stepping.inputs import load_nodes, reset_state, take_contacts, take_force, take_pose
 from tissue_sim.model.stepping.prescribed import free_nodes, prescribe_nodes
+from tissue_sim.model.stepping.relaxation import forget_relaxation
 from tissue_sim.model.stepping.rest_recovery import pace
 
 
@@ -23,6 +24,18 @@ def reset_world(world: World) -> None:
         World of the organ; updated.
     """
     reset_state(world.model, world.state)
+
+
+@kernel
+def relax_world(world: World) -> None:
+    """Let tissue that relaxes do so at once.
+
+    Parameters
+    ----------
+    world : World
+        World of the organ; updated.
+    """
+    forget_relaxation(world.state)
 
 
 @kernel

@@ -75,9 +75,15 @@ def describe(organ: Organ) -> dict[str, Any]:
             "youngs_modulus_pa": organ.youngs_modulus,
             "poisson_ratio": organ.poisson_ratio,
             "density_kg_m3": organ.density,
+            **({"stiffening": organ.stiffening, "of_the_cells": organ.cell_stiffening} if organ.stiffening else {}),
+            **({"relaxation": _relaxation(organ)} if organ.relaxation_fraction else {}),
         },
         "provenance": dict(organ.provenance),
     }
+
+
+def _relaxation(organ: Organ) -> dict[str, float]:
+    return {"percent_of_the_first_force": 100.0 * organ.relaxation_fraction, "seconds": organ.relaxation_time}
 
 
 def _skeleton(organ: Organ) -> dict[str, Any]:
@@ -194,6 +200,8 @@ _NAMES = {
     "tissue_sim": "tissue_sim",
     "youngs_modulus_pa": "Young's modulus (Pa)",
     "poisson_ratio": "Poisson's ratio",
+    "stiffening": "stiffening (b of Demiray's law)",
+    "of_the_cells": "of the cells, times that",
     "source_sha256": "source's SHA-256",
 }
 
