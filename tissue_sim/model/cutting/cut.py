@@ -14,10 +14,10 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.crossing import Crossing, crossing_of
 from tissue_sim.model.cutting.cut_surface import CutSurface, cut_surface, uncut_surface
 from tissue_sim.model.cutting.masses import fastest_mode, shared_masses
-from tissue_sim.model.cutting.sheet import RESOLVED_DEPTH, Sheet
+from tissue_sim.model.cutting.sheet import Sheet, finer_organ
 from tissue_sim.model.cutting.virtual_nodes import Copies, copies_of
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.surfaces.sizing import mean_edge
+from tissue_sim.organ.tool_resolution import CUT_EDGES
 from tissue_sim.organ.topology import cell_pieces
 
 
@@ -38,6 +38,7 @@ class CutReport(NamedTuple):
     free_pieces: int  # those of them that no fixed node holds
     critical_step_before: float = math.nan  # s
     critical_step_after: float = math.nan  # s
+    finer: str = ""  # what resolves a cut that is not, and what that costs
 
     def __str__(self) -> str:
         text = (
@@ -48,7 +49,10 @@ class CutReport(NamedTuple):
         if self.pieces > 1:
             text += f"; {self.pieces} pieces, {self.free_pieces} of them free"
         if not self.resolved:
-            text += f"; not resolved: a cut is from {1e3 * self.resolved_from:.1f} mm on, two edges of the surface"
+            text += (
+                f"; not resolved: a cut is from {1e3 * self.resolved_from:.1f} mm on, two edges of the surface there"
+            )
+            text += f"; {self.finer}" if self.finer else ""
         return text
 
 
@@ -158,15 +162,15 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     parts = _put_together(organ, crossings, made)
     after = _organ_of(organ, parts, before.frequency)
     pieces, free = _pieces(organ, parts)
-    edge = mean_edge(organ.surface_positions, organ.surface_triangles)
+    resolved_from = CUT_EDGES * sheet.edge_at(organ)
     crossing, front = crossings[-1], int(np.count_nonzero(crossings[-1].share < 1.0))
     x, y, z = rest[organ.cell_nodes[crossing.cells]].mean(axis=(0, 1)).tolist()
     report = CutReport(
         centre=(x, y, z),
         area=crossing.area,
         depth=sheet.reached,
-        resolved=sheet.reached >= RESOLVED_DEPTH * edge,
-        resolved_from=RESOLVED_DEPTH * edge,
+        resolved=sheet.reached >= resolved_from,
+        resolved_from=resolved_from,
         advance=crossing.advance,
         cells_cut=len(crossing.cells),
         front_cells=front,
@@ -174,6 +178,7 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
         new_nodes=len(made[-1].virtual_of),
         pieces=pieces,
         free_pieces=free,
+        finer="" if sheet.reached >= resolved_from else finer_organ(organ, sheet),
     )
     earlier = [report for report, one in zip(before.reports, before.sheets, strict=True) if not sheet.deepens(one)]
     surface = cut_surface(organ, list(zip(crossings, made, strict=True)))
