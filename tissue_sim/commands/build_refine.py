@@ -13,9 +13,8 @@ from tissue_sim.organ.refinement import Along, Ball, Painted, Refinement
 HELP = (
     "more points in some places, beside --points; may be given several times. 'thin': where the body is thin; 'clamp':"
     " near the edge of what is held; 'auto': both, as 'tissue_sim calibrate' asks for. X,Y,Z:RADIUS[:EDGE]: around a"
-    " point that will be touched, mm in the organ's frame; X,Y,Z/X,Y,Z/...:RADIUS[:EDGE]: along a line that will be cut;"
-    " MASK[:EDGE]: within a mask image, such as a painted region;"
-    " EDGE: mm, the edges' length there (default: half the usual)"
+    " point that will be touched, mm in the organ's frame; X,Y,Z/X,Y,Z/...:RADIUS[:EDGE]: along a line that will be"
+    " cut; MASK[:EDGE]: within a mask image, such as a painted region; EDGE: mm, the edges' length there (default: half the usual)"
 )
 _WORDS = {"thin": (True, False), "clamp": (False, True), "auto": (True, True)}
 _FORMS = "thin, clamp, auto, X,Y,Z:RADIUS[:EDGE] or X,Y,Z/X,Y,Z:RADIUS[:EDGE] in mm, or MASK[:EDGE]"
@@ -34,7 +33,7 @@ def parse_refine(given: Sequence[str]) -> Refinement:
 
 
 def _marked(text: str) -> Ball | Along | None:
-    """Return the ball that X,Y,Z:RADIUS[:EDGE] names, or the line of X,Y,Z/X,Y,Z:RADIUS[:EDGE]; None for other texts."""
+    """Return the ball of X,Y,Z:RADIUS[:EDGE], or the line of X,Y,Z/X,Y,Z:RADIUS[:EDGE]; None for other texts."""
     parts = text.split(":")
     points = [_numbers(point.split(",")) for point in parts[0].split("/")]
     given = [point for point in points if point is not None and len(point) == 3]

@@ -22,6 +22,7 @@ from tissue_sim.organ.organ import Organ
 
 MOST_MEAN, MOST_WORST, MOST_GAP, MOST_FORCE = 4.0, 15.0, 20.0, 10.0  # %
 _HEAD = ("apart", "uncut", "cut", "gap", "left out", "touch", "cut", "free")
+_OWN = ("edges", "force", "energy", "+-", "points", "cells", "step, us")
 CHANGES = 5.0  # %, by which the cut changes the displacement under a load whose released energy is compared
 
 
@@ -247,12 +248,7 @@ def text(found: dict[str, Any]) -> str:
         "by 5 mm, and of the energy that the cut releases; edges: depth in mean edges of the surface, * not resolved;",
         "+-: error of the finite elements, at most; points of the surface, cells after the cut, critical step",
         "",
-        *aligned(
-            [
-                ["cut, mm", *_HEAD, "edges", "force", "energy", "+-", "points", "cells", "step, us"],
-                *map(_cells, found["rows"]),
-            ]
-        ),
+        *aligned([["cut, mm", *_HEAD, *_OWN], *map(_cells, found["rows"])]),
         "",
         *aligned([["load", *_HEAD], *(_cells(row)[: len(_HEAD) + 1] for row in found["loads"])]),
         "",
