@@ -14,7 +14,8 @@ HELP = (
     "more points in some places, beside --points; may be given several times. 'thin': where the body is thin; 'clamp':"
     " near the edge of what is held; 'auto': both, as 'tissue_sim calibrate' asks for. X,Y,Z:RADIUS[:EDGE]: around a"
     " point that will be touched, mm in the organ's frame; X,Y,Z/X,Y,Z/...:RADIUS[:EDGE]: along a line that will be"
-    " cut; MASK[:EDGE]: within a mask image, such as a painted region; EDGE: mm, the edges' length there (default: half the usual)"
+    " cut; MASK[:EDGE]: within a mask image, such as a painted region; EDGE: mm, the edges'"
+    " length there (default: half the usual)"
 )
 _WORDS = {"thin": (True, False), "clamp": (False, True), "auto": (True, True)}
 _FORMS = "thin, clamp, auto, X,Y,Z:RADIUS[:EDGE] or X,Y,Z/X,Y,Z:RADIUS[:EDGE] in mm, or MASK[:EDGE]"

@@ -1,4 +1,4 @@
-"""An organ whose surface has more points in some places, of exactly the same shape: edges are split in their middles."""
+"""An organ whose surface has more points in some places, and exactly the same shape: edges are halved."""
 
 from __future__ import annotations
 
