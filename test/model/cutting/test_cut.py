@@ -246,12 +246,6 @@ def test_a_cut_is_continued_deeper():
     assert np.all(np.flatnonzero(there) >= bar().n_nodes)
 
 
-def test_cuts_that_meet_are_refused():
-    first = Simulation(bar()).cut(*FIRST)
-    with pytest.raises(UserError, match="within a cell of cut 1"):
-        first.cut([[0.036, -0.01, 0.021], [0.036, 0.03, 0.021]], DOWN, 0.012)
-
-
 # what is told and refused --------------------------------------------------------------------------
 def test_a_shallow_cut_is_told_as_not_resolved():
     organ = ball_of_cells(2, 60)

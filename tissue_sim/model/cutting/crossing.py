@@ -20,6 +20,7 @@ LEAST_SHARE = 0.02
 LEAST_HEIGHT = 0.02
 # Edges of a cell that its section may be off the sheet, where that turns; farther, the cell lies between two parts.
 MOST_BENT = 0.5
+MARGIN = 0.1  # of the front's advance, within which it counts as ending at another cut
 GRID = 12  # samples along each side of a section
 _EDGES = [(a, b) for a in range(4) for b in range(a + 1, 4)]
 
@@ -169,7 +170,7 @@ def crossing_among(
     bare = (weight * sheet.covers(place).reshape(weight.shape)).sum(axis=1)
     cut = bare > 0.0
     advance = ADVANCE * float(size[cut].mean()) if cut.any() else 0.0
-    covered = (sheet.covers(place, advance) & ~_beyond(points, place, sheet, others)).reshape(weight.shape)
+    covered = (sheet.covers(place, advance) & ~_beyond(points, place, sheet, others, MARGIN * advance)).reshape(weight.shape)
     share = rounded((weight * covered).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300))
     kept = np.flatnonzero(share > 0.0) if cut.any() else np.zeros(0, dtype=np.int64)
     chosen = crossed[kept]
@@ -183,13 +184,14 @@ def rounded(share: Floats) -> Floats:
     return found
 
 
-def _beyond(points: Floats, place: Place, sheet: Sheet, others: Sequence[Sheet]) -> Mask:
+def _beyond(points: Floats, place: Place, sheet: Sheet, others: Sequence[Sheet], margin: float) -> Mask:
     """Return which points (k,) on the continuation of a sheet lie beyond another one, seen from its front."""
     beyond = np.zeros(len(points), dtype=bool)
     ask = np.flatnonzero(~sheet.covers(place)) if others else np.zeros(0, dtype=np.int64)
     if not len(ask):
         return beyond
-    start = sheet.nearest(Place(*(part[ask] for part in place)))
+    # From a little before the front, which may lie on the other sheet.
+    start = sheet.nearest(Place(*(part[ask] for part in place)), margin)
     for other in others:
         here, there = other.place(points[ask]), other.place(start)
         parted = (here.across < 0.0) != (there.across < 0.0)

@@ -14,6 +14,7 @@ from tissue_sim.model.cutting.crossing import Crossing, Samples, rounded
 from tissue_sim.model.cutting.virtual_nodes import copies_of
 from tissue_sim.organ.organ import Organ
 
+LEAST_PIECE = 1e-9  # of a cell, below which a piece is rounding
 SCARCE = 1e-6  # of a section: less of it in a copy's part, and its share is that of the whole section
 # Tetrahedra that fill what is left of one below a plane, by how many of its corners are; each corner is a pair of
 # corners of the whole one, the same twice for a corner itself, and a crossed edge otherwise.
@@ -173,7 +174,10 @@ def _shares(sample: Samples, share: Floats, row: Longs, sides: Longs, height: Fl
 
 
 def _volumes(height: Floats, sides: Longs) -> Floats:
-    """Return the fractions (k,) of cells where linear functions (k, s, 4) have the signs (k, s), of which 0 is any."""
+    """Return the fractions (k,) of cells where linear functions (k, s, 4) have the signs (k, s), of which 0 is any.
+
+    What is next to nothing is 0.
+    """
     corner = np.broadcast_to(np.eye(4), (len(height), 4, 4))
     owner = np.arange(len(height))
     for number in range(sides.shape[1]):
@@ -181,8 +185,9 @@ def _volumes(height: Floats, sides: Longs) -> Floats:
         at = np.einsum("kab,kb->ka", corner, height[owner, number]) * sides[owner, number][:, None]
         at[~asked] = 1.0
         corner, owner = _clipped(corner, owner, at)
-    found: Floats = np.bincount(owner, np.abs(np.linalg.det(corner)), len(height))
-    return found
+    found = np.bincount(owner, np.abs(np.linalg.det(corner)), len(height))
+    real: Floats = np.where(found < LEAST_PIECE, 0.0, found)
+    return real
 
 
 def _clipped(corner: Floats, owner: Longs, at: Floats) -> tuple[Floats, Longs]:

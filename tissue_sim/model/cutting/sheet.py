@@ -101,18 +101,20 @@ class Sheet(NamedTuple):
         covered: Mask = within & (place.below >= -self.rise) & (place.below <= self.depth + more)
         return covered
 
-    def nearest(self, place: Place) -> Floats:
+    def nearest(self, place: Place, margin: float) -> Floats:
         """Return the points (k, 3) m of the sheet that are nearest along it to places on its continuation.
 
         Parameters
         ----------
         place : Place
             The places.
+        margin : float, m
+            How far from the sheet's edge they are.
         """
         begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.flat, axis=0), axis=1))])
-        along = np.clip(place.along, 0.0, begins[-1])
+        along = np.clip(place.along, min(margin, 0.5 * begins[-1]), max(begins[-1] - margin, 0.5 * begins[-1]))
         top = np.stack([np.interp(along, begins, self.polyline[:, axis]) for axis in range(3)], axis=1)
-        found: Floats = top + np.clip(place.below, -self.rise, self.depth)[:, None] * self.direction
+        found: Floats = top + np.clip(place.below, -self.rise, max(self.depth - margin, 0.0))[:, None] * self.direction
         return found
 
     def edge_at(self, organ: Organ) -> float:
