@@ -259,9 +259,7 @@ def random_cuts(organ, seed, count=2):
         yield np.array([point - way + bend, point, point + way + bend]) + aside, direction, rng.uniform(0.01, 0.04)
 
 
-@pytest.mark.parametrize(
-    "seed", [0, 1, 2, *(pytest.param(seed, marks=pytest.mark.extended) for seed in range(3, 40))]
-)
+@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(seed, marks=pytest.mark.extended) for seed in range(3, 40))])
 def test_random_cuts_of_the_kidney_that_meet_are_closed(seed):
     organ = Organ.shipped()
     assert_whole(cut(organ, *random_cuts(organ, seed, 2 + (seed % 4 == 0))), organ, volume=1e-6)

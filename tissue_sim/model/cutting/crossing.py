@@ -170,7 +170,8 @@ def crossing_among(
     bare = (weight * sheet.covers(place).reshape(weight.shape)).sum(axis=1)
     cut = bare > 0.0
     advance = ADVANCE * float(size[cut].mean()) if cut.any() else 0.0
-    covered = (sheet.covers(place, advance) & ~_beyond(points, place, sheet, others, MARGIN * advance)).reshape(weight.shape)
+    reached = sheet.covers(place, advance) & ~_beyond(points, place, sheet, others, MARGIN * advance)
+    covered = reached.reshape(weight.shape)
     share = rounded((weight * covered).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300))
     kept = np.flatnonzero(share > 0.0) if cut.any() else np.zeros(0, dtype=np.int64)
     chosen = crossed[kept]
