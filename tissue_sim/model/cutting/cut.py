@@ -160,7 +160,8 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     surface = cut_surface(organ, cuts)
     # Pieces are counted as if fixed nodes had virtual ones too.
     free_parts = put_together(organ, len(sheets), together(organ, found, organ.fixed[:0]))
-    report = _report(organ, sheet, crossing)._replace(**_count(organ, free_parts))
+    pieces, free = _count(organ, free_parts)
+    report = _report(organ, sheet, crossing)._replace(pieces=pieces, free_pieces=free)
     if any(len(sheets) - 1 in cut.numbers and len(cut.numbers) > 1 for cut in cuts):
         report = report._replace(
             new_cells=len(parts.nodes) - len(before.organ.cell_nodes),
@@ -225,10 +226,10 @@ def _organ_of(organ: Organ, parts: Parts, frequency: float) -> Organ:
     )
 
 
-def _count(organ: Organ, parts: Parts) -> dict[str, int]:
+def _count(organ: Organ, parts: Parts) -> tuple[int, int]:
     """Return how many pieces the cells make, and how many of them no fixed node holds; 0 where none is fixed."""
     source = np.concatenate([np.arange(organ.n_nodes), parts.virtual_of])
     label = cell_pieces(parts.nodes, len(source))
     used = np.unique(label[parts.nodes[:, 0]])
     held = np.isin(source, organ.fixed)
-    return {"pieces": len(used), "free_pieces": len(np.setdiff1d(used, label[held]))}
+    return len(used), len(np.setdiff1d(used, label[held]))

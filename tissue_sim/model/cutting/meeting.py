@@ -128,7 +128,8 @@ def _divided(
     cell, sides = before.cell[chosen], before.sides[chosen]
     row = place[cell]
     share = _shares(sample, crossing.share[row], row, sides, height[cell])
-    chosen, cell, sides, share = (part[share > 0.0] for part in (chosen, cell, sides, share))
+    torn = share > 0.0
+    chosen, cell, sides, share = chosen[torn], cell[torn], sides[torn], share[torn]
     above, below = sides.copy(), sides.copy()
     above[:, number], below[:, number] = 1, -1
     up, down = (_volumes(height[cell], one) for one in (above, below))

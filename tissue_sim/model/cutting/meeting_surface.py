@@ -182,7 +182,8 @@ class _FlatCells:
             builder.place(name, nodes, builder.names.weights(name).tolist(), {})
             return
         own = [node for node in nodes if all(builder.is_on(node, sheet, sides[sheet]) for sheet in sheets)] or nodes
-        where, best = np.array(builder.names.place(name)), (-np.inf, (), [0.0])
+        where = np.array(builder.names.place(name))
+        best: tuple[float, list[int], list[float]] = (-np.inf, [], [])
         organ = builder.organ
         for cell in np.flatnonzero(np.isin(organ.cell_nodes, own).any(axis=1)).tolist():
             corner = organ.rest_positions[organ.cell_nodes[cell]]

@@ -109,20 +109,20 @@ def put_together(organ: Organ, count: int, cuts: Sequence[CutCells]) -> Parts:
         The cells.
     """
     own = len(organ.cell_nodes)
-    nodes, sides, fraction = (
-        [organ.cell_nodes.astype(np.int64)],
-        [np.zeros((own, count), dtype=np.int64)],
-        [np.ones(own)],
-    )
-    cell_of = [np.arange(own)]
+    nodes: list[Longs] = [organ.cell_nodes.astype(np.int64)]
+    sides: list[Longs] = [np.zeros((own, count), dtype=np.int64)]
+    fraction: list[Floats] = [np.ones(own)]
+    cell_of: list[Longs] = [np.arange(own)]
     for cut in cuts:
         pieces = cut.pieces
         signs = np.zeros((len(pieces.cell), count), dtype=np.int64)
         signs[:, list(cut.numbers)] = pieces.sides
         touched = np.unique(np.concatenate([crossing.cells for crossing in cut.crossings]))
-        for all_, own_ in ((nodes, pieces.nodes), (sides, signs), (fraction, pieces.fraction)):
-            all_[0][touched] = own_[touched]
-            all_.append(own_[own:])
+        nodes[0][touched], sides[0][touched] = pieces.nodes[touched], signs[touched]
+        fraction[0][touched] = pieces.fraction[touched]
+        nodes.append(pieces.nodes[own:])
+        sides.append(signs[own:])
+        fraction.append(pieces.fraction[own:])
         cell_of.append(pieces.cell[own:])
     signs = np.concatenate(sides)
     side = np.zeros(len(signs), dtype=np.int64)
