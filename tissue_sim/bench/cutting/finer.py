@@ -100,5 +100,6 @@ def finer_organ(organ: Organ, cut: Cut) -> Organ:
         folder.mkdir(parents=True, exist_ok=True)
         checkpoint = Checkpoint(folder / f".{path.stem}.calibration", inputs)
         calibrate(start, SETTINGS, checkpoint, progress.Stages()).organ.save(path)
+        checkpoint.remove()
     print(f"organ: {path}", file=sys.stderr)
     return Organ.load(path)
