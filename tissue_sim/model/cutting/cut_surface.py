@@ -16,7 +16,7 @@ from tissue_sim.model.cutting.parts import CutCells
 from tissue_sim.model.cutting.virtual_nodes import Copies
 from tissue_sim.organ.organ import Organ, signed_volume
 
-MOST_LOST = 1e-6  # of the volume, by holes that are filled where cuts meet
+MOST_LOST = 1e-4  # of the volume, by holes that are filled where cuts meet
 _FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
