@@ -65,7 +65,7 @@ def meeting_surface(organ: Organ, crossings: Sequence[Crossing], pieces: Pieces,
 
     for polygon in builder.polygons:
         write(polygon)
-    for polygon in [*_FlatCells(builder, owner, lines).polygons(), *_beside(builder, owner, lines)]:
+    for polygon in [*_FlatCells(builder, owner, lines).polygons(), *_beside(builder, lines)]:
         write(polygon)
     kept = _apart(triangles)
     partner, side = builder.partners()
@@ -94,7 +94,7 @@ def _apart(triangles: list[list[int]]) -> list[int]:
     return sorted(number for numbers in found.values() for number in numbers)
 
 
-def _beside(builder: SurfaceBuilder, owner: Longs, lines: dict[Line, set[Name]]) -> list[Polygon]:
+def _beside(builder: SurfaceBuilder, lines: dict[Line, set[Name]]) -> list[Polygon]:
     """Return the triangles of undivided cells that have points of cuts on their edges."""
     gone, found = set(builder.gone), []
     ends = {nodes for nodes, sheets in lines if not sheets}
