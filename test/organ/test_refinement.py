@@ -10,13 +10,16 @@ from tissue_sim.organ.refinement import (
     SHORTEST,
     THROUGH,
     TOUCHED,
+    Along,
     Ball,
     Painted,
     Refinement,
     clamp_rim,
+    points_with,
     wanted_edges,
 )
 from tissue_sim.organ.surfaces.balloon import fibonacci_sphere
+from tissue_sim.organ.surfaces.grading import split_in_place
 from tissue_sim.organ.surfaces.sizing import GROWTH, local_edges
 from tissue_sim.organ.tool_resolution import KIDNEY, relative_size
 
@@ -63,6 +66,23 @@ def test_edges_go_by_the_distance_from_a_ball():
     assert beyond == pytest.approx(0.002 + GROWTH * 0.02)
     usual = wanted(Refinement(places=(Ball(ball.centre, 0.01),)), ball.centre)
     assert usual == pytest.approx(TOUCHED * EDGE)
+
+
+def test_edges_go_by_the_distance_from_a_line():
+    corners = np.array([[0.0, -0.02, 0.01], [0.0, 0.0, 0.01], [0.02, 0.0, 0.01]])
+    line = Refinement(places=(Along(corners, 0.004, 0.002),))
+    on, beside, past = wanted(line, [[0.0, -0.01, 0.01], [0.01, 0.009, 0.01], [0.027, 0.0, 0.01]])
+    assert on == pytest.approx(0.002)
+    assert beside == pytest.approx(0.002 + GROWTH * 0.005)
+    assert past == pytest.approx(0.002 + GROWTH * 0.003)
+
+
+def test_the_number_of_points_of_a_refined_surface_is_foretold():
+    line = Refinement(places=(Along(np.array([[-0.02, 0.0, 0.01], [0.02, 0.0, 0.01]]), 0.01, 0.5 * EDGE),))
+    told = points_with(line, POSITIONS, TRIANGLES, HELD)
+    made = split_in_place(POSITIONS, TRIANGLES, wanted_edges(line, POSITIONS, TRIANGLES, HELD), 20_000)[0]
+    assert len(POSITIONS) < told
+    assert told - len(POSITIONS) == pytest.approx(len(made) - len(POSITIONS), rel=0.4)
 
 
 def test_edges_go_by_the_distance_from_a_mask_also_outside_its_image():

@@ -12,10 +12,9 @@ from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import CLEARANCE, size_of
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.refinement import NEAREST, Refinement, wanted_edges
+from tissue_sim.organ.refinement import NEAREST, Refinement, points_with
 from tissue_sim.organ.surfaces.sizing import local_edges, thickness
 from tissue_sim.organ.tool_resolution import MOST_POINTS
-from tissue_sim.organ.topology import node_area
 
 THIN = 0.1  # the fraction of the medial atoms that may lie in thinner tissue
 # Edges of the surface over the medial radius there. Organs that calibrate well have up to 0.78; a colon of 1.2, held
@@ -56,7 +55,9 @@ def coarseness(organ: Organ) -> str | None:
         return None
     worst = max(found, key=lambda one: one.times)
     points = math.ceil(organ.n_surface * worst.times**2 / 100.0) * 100
-    refined = math.ceil(_refined_points(organ) / 100.0) * 100
+    auto = Refinement(thin=True, clamp=True)
+    count = points_with(auto, organ.surface_positions, organ.surface_triangles, organ.fixed)
+    refined = math.ceil(count / 100.0) * 100
     remedies = [f"--refine auto (about {refined} points)"] if refined <= MOST_POINTS else []
     remedies += [f"--points {points}"] if points <= MOST_POINTS else []
     told = " or ".join(remedies) or f"another --fixed: more than {MOST_POINTS} points would be needed"
@@ -131,12 +132,3 @@ def _edges_at(organ: Organ, points: Floats) -> Floats:
     count = min(12, len(positions))
     near = cKDTree(positions).query(points, k=count)[1].reshape(len(points), count)
     return local_edges(positions, triangles)[near].mean(axis=1)
-
-
-def _refined_points(organ: Organ) -> float:
-    """About how many points the surface would have with --refine auto."""
-    positions, triangles = organ.surface_positions, organ.surface_triangles
-    wanted = wanted_edges(Refinement(thin=True, clamp=True), positions, triangles, organ.fixed)(positions)
-    times = np.maximum(local_edges(positions, triangles) / wanted, 1.0)
-    area = node_area(positions, triangles)
-    return organ.n_surface * float((area * times**2).sum() / area.sum())

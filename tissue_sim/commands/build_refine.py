@@ -8,40 +8,45 @@ from pathlib import Path
 import numpy as np
 
 from tissue_sim.errors import UserError
-from tissue_sim.organ.refinement import Ball, Painted, Refinement
+from tissue_sim.organ.refinement import Along, Ball, Painted, Refinement
 
 HELP = (
     "more points in some places, beside --points; may be given several times. 'thin': where the body is thin; 'clamp':"
     " near the edge of what is held; 'auto': both, as 'tissue_sim calibrate' asks for. X,Y,Z:RADIUS[:EDGE]: around a"
-    " point that will be touched, mm in the organ's frame; MASK[:EDGE]: within a mask image, such as a painted region;"
-    " EDGE: mm, the edges' length there (default: half the usual)"
+    " point that will be touched, mm in the organ's frame; X,Y,Z/X,Y,Z/...:RADIUS[:EDGE]: along a line that will be"
+    " cut; MASK[:EDGE]: within a mask image, such as a painted region; EDGE: mm, the edges'"
+    " length there (default: half the usual)"
 )
 _WORDS = {"thin": (True, False), "clamp": (False, True), "auto": (True, True)}
-_FORMS = "thin, clamp, auto, X,Y,Z:RADIUS[:EDGE] in mm, or MASK[:EDGE]"
+_FORMS = "thin, clamp, auto, X,Y,Z:RADIUS[:EDGE] or X,Y,Z/X,Y,Z:RADIUS[:EDGE] in mm, or MASK[:EDGE]"
 
 
 def parse_refine(given: Sequence[str]) -> Refinement:
     """Return what the texts of --refine ask for. Raises UserError for what is none of the forms, or a mask's reader."""
     thin = clamp = False
-    places: list[Ball | Painted] = []
+    places: list[Ball | Along | Painted] = []
     for text in given:
         if text in _WORDS:
             thin, clamp = thin or _WORDS[text][0], clamp or _WORDS[text][1]
         else:
-            places.append(_ball(text) or _painted(text))
+            places.append(_marked(text) or _painted(text))
     return Refinement(thin, clamp, tuple(places))
 
 
-def _ball(text: str) -> Ball | None:
-    """Return the ball that X,Y,Z:RADIUS[:EDGE] names; None for other texts."""
+def _marked(text: str) -> Ball | Along | None:
+    """Return the ball of X,Y,Z:RADIUS[:EDGE], or the line of X,Y,Z/X,Y,Z:RADIUS[:EDGE]; None for other texts."""
     parts = text.split(":")
-    centre = _numbers(parts[0].split(","))
-    if centre is None or len(centre) != 3:
+    points = [_numbers(point.split(",")) for point in parts[0].split("/")]
+    given = [point for point in points if point is not None and len(point) == 3]
+    if len(given) < len(points):
         return None
     sizes = _numbers(parts[1:])
     if sizes is None or len(sizes) not in (1, 2) or min(sizes) <= 0.0:
-        raise UserError(f"--refine {text} needs a radius, and may have an edge, in mm: X,Y,Z:RADIUS[:EDGE]")
-    return Ball(1e-3 * np.array(centre), 1e-3 * sizes[0], 1e-3 * sizes[1] if len(sizes) > 1 else None)
+        form = "X,Y,Z" if len(given) == 1 else "X,Y,Z/X,Y,Z"
+        raise UserError(f"--refine {text} needs a radius, and may have an edge, in mm: {form}:RADIUS[:EDGE]")
+    radius, edge = 1e-3 * sizes[0], 1e-3 * sizes[1] if len(sizes) > 1 else None
+    line = 1e-3 * np.array(given)
+    return Ball(line[0], radius, edge) if len(line) == 1 else Along(line, radius, edge)
 
 
 def _painted(text: str) -> Painted:

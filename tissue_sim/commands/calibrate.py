@@ -17,6 +17,7 @@ from tissue_sim.calibration.calibration_report import lines, write_pictures
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.coarseness import accuracy_warning
 from tissue_sim.calibration.stiffness import INTERIOR_FRACTION, METHODS, Settings
+from tissue_sim.commands.build_refine import parse_refine
 from tissue_sim.commands.calibrate_many import (
     add_cluster,
     calibrate_many,
@@ -28,6 +29,7 @@ from tissue_sim.commands.calibrate_many import (
 from tissue_sim.commands.law_options import add_law, law_of, with_law
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.refined import refined
 from tissue_sim.version import __version__
 
 MEAN, WORST, SHARP = 5.5, 12.0, 15.0  # %, bounds of --check: smooth loads' mean and worst, sharp ones' mean
@@ -38,6 +40,10 @@ TIME = (
     " and with --smooth, --sharp, --cases and --evaluations; it is longer without a second core. A separate process"
     " solves loads during the fit, and both processes do so at the end, with the same result bit for bit as on one"
     " core. Each process keeps the finite elements once, with matrices of at most 0.5 GB."
+)
+REFINED = (
+    "first give the organ's surface more points in some places, where tools will touch or cut it; its shape stays. In"
+    " the forms of 'tissue_sim build --refine'; may be given several times"
 )
 _DEFAULT = Settings()
 
@@ -86,6 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--smooth", type=int, default=_DEFAULT.smooth, metavar="N", help="number of held-out smooth loads"
     )
     parser.add_argument("--sharp", type=int, default=_DEFAULT.sharp, metavar="N", help="number of held-out sharp loads")
+    parser.add_argument("--refine", action="append", default=[], metavar="WHERE", help=REFINED)
     parser.add_argument("--report", metavar="FOLDER", help="folder for pictures of the errors and worst cases")
     parser.add_argument(
         "--check",
@@ -109,7 +116,11 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"folder {out.parent} for the organ file does not exist; make it first")
     if args.report and importlib.util.find_spec("matplotlib") is None:
         raise UserError("--report needs matplotlib: pip install 'tissue_sim[calibration]'")
-    organ = with_law(Organ.load(args.organ[0]), args)
+    organ = Organ.load(args.organ[0])
+    if args.refine:
+        organ, before = refined(organ, parse_refine(args.refine)), organ.n_surface
+        print(f"refined from {before} to {organ.n_surface} points")
+    organ = with_law(organ, args)
     if warning := accuracy_warning(organ):
         print(f"warning: {warning}")
     started = time.perf_counter()
@@ -138,8 +149,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _run_many(args: argparse.Namespace, settings: Settings) -> int:
     """Calibrate several organs into a folder."""
-    if args.report:
-        raise UserError("--report is for a single organ")
+    for name, given in (("--report", args.report), ("--refine", args.refine)):
+        if given:
+            raise UserError(f"{name} is for a single organ")
     if law_of(args):
         raise UserError("--stiffening and --relaxation are for a single organ; build the others with them")
     check_cluster(args)

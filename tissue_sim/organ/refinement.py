@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.organ import signed_volume
-from tissue_sim.organ.surfaces.sizing import GROWTH, Wanted, local_edges, thickness
+from tissue_sim.organ.surfaces.sizing import GROWTH, Wanted, distance_to_line, local_edges, thickness
 from tissue_sim.organ.tool_resolution import relative_size
 
 if TYPE_CHECKING:
@@ -36,6 +36,15 @@ class Ball:
 
 
 @dataclass(frozen=True, eq=False)
+class Along:
+    """Refine around a polyline, such as a cut's: points (m, 3) m, radius m, edge m, or None for half of those there."""
+
+    points: Floats
+    radius: float
+    edge: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Painted:
     """Refine within a mask: edge m, or None for half of the edges that there were."""
 
@@ -49,7 +58,7 @@ class Refinement:
 
     thin: bool = False
     clamp: bool = False
-    places: tuple[Ball | Painted, ...] = ()
+    places: tuple[Ball | Along | Painted, ...] = ()
 
     def __bool__(self) -> bool:
         return self.thin or self.clamp or bool(self.places)
@@ -74,7 +83,11 @@ def wanted_edges(refinement: Refinement, positions: Floats, triangles: Ints, fix
         parts.append(_by_clamp(positions, triangles, fixed))
     for place in refinement.places:
         shortest = place.edge or TOUCHED * edge
-        parts.append(_in_ball(place, shortest) if isinstance(place, Ball) else _in_mask(place.mask, shortest))
+        if isinstance(place, Painted):
+            parts.append(_in_mask(place.mask, shortest))
+        else:
+            points = place.centre[None] if isinstance(place, Ball) else place.points
+            parts.append(_around(points, place.radius, shortest))
 
     def wanted(points: Floats) -> Floats:
         found = np.full(len(points), np.inf)
@@ -125,10 +138,33 @@ def clamp_rim(positions: Floats, triangles: Ints, fixed: Ints) -> Floats:
     return found
 
 
-def _in_ball(ball: Ball, shortest: float) -> Wanted:
-    return lambda points: (
-        shortest + GROWTH * np.maximum(np.linalg.norm(points - ball.centre, axis=1) - ball.radius, 0.0)
-    )
+def points_with(refinement: Refinement, positions: Floats, triangles: Ints, fixed: Ints) -> int:
+    """Return about how many points an even surface would have if it were refined.
+
+    Parameters
+    ----------
+    refinement : where edges are to be shorter
+    positions : surface nodes, (n, 3) m
+    triangles : outward, (t, 3)
+    fixed : nodes that are held
+
+    """
+    wanted = wanted_edges(refinement, positions, triangles, fixed)
+    # At the middles of triangles too: a place may be smaller than the edges that there are.
+    corner = positions[triangles]
+    places = np.concatenate([corner.mean(axis=1, keepdims=True), corner], axis=1)
+    size = wanted(places.reshape(-1, 3)).reshape(len(triangles), 4)
+    length = local_edges(positions, triangles)[triangles].mean(axis=1, keepdims=True)
+    times = np.maximum(length / size, 1.0)
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    return round(len(positions) * float((area * (times**2).mean(axis=1)).sum() / area.sum()))
+
+
+def _around(line: Floats, radius: float, shortest: float) -> Wanted:
+    def wanted(points: Floats) -> Floats:
+        return shortest + GROWTH * np.maximum(distance_to_line(points, line) - radius, 0.0)
+
+    return wanted
 
 
 def _in_mask(mask: Volume, shortest: float) -> Wanted:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from helpers.bars import bar
-from tissue_sim.bench.cutting import accuracy
+from tissue_sim.bench.cutting import accuracy, reference
 from tissue_sim.bench.cutting.cut_body import SAMPLES
 from tissue_sim.bench.cutting.cuts import CUTS, OPENING, Cut, loads_of, placed
 from tissue_sim.bench.cutting.modelled import Modelled
@@ -168,13 +168,42 @@ def test_the_table_that_ships_is_of_the_kidney_that_ships():
 def test_without_the_data_the_liver_is_left_out():
     with pytest.raises(UserError, match="--data FOLDER"):
         makers(None)["liver"]()
-    found, skipped = accuracy.measure(makers(Path("/nowhere")), ["liver"])
+    found, skipped = accuracy.measure(makers(Path("/nowhere")), [cut for cut in CUTS if cut.organ == "liver"])
     assert not found
     assert len(skipped) == 1
     assert accuracy.as_json(found, skipped)["bounds"][0]["met"] is None
 
 
-@pytest.mark.parametrize("given", [["--remake"], ["--data", "x"], ["--organs", "slab"]])
+@pytest.mark.parametrize(
+    "given", [["--remake"], ["--data", "x"], ["--organs", "slab"], ["--refine"], ["--only", "flat"]]
+)
 def test_options_of_the_comparison_need_it(given, capsys):
     assert main(["bench", "cut", *given]) == 2
     assert "needs --accuracy" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        (["--only", "straight"], "no cut has --only 'straight' in its name: kidney, flat 28 x 10"),
+        (["--organs", "slab", "--remake"], "--remake is for the kidney's cuts"),
+    ],
+)
+def test_cuts_that_there_are_not_are_refused(given, reason, capsys):
+    assert main(["bench", "cut", "--accuracy", *given]) == 2
+    assert reason in capsys.readouterr().err
+
+
+def test_a_reference_that_is_made_anew_leaves_those_of_other_cuts(own, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(reference, "reference_of", lambda organ, cut, stored: asked.append(cut) or own)
+    chosen, path = next(cut for cut in CUTS if cut.organ == "kidney"), tmp_path / "cut.npz"
+    reference.remake(kidney(), path, [chosen])
+    assert asked == [chosen]
+    before, new = stored_table(), key_of(kidney(), chosen)
+    with np.load(path) as made:
+        assert sorted(made.files) == sorted(before)
+        for name in made.files:
+            if not name.startswith(new):
+                np.testing.assert_array_equal(made[name], before[name])
+        np.testing.assert_array_equal(made[f"{new}/force"], packed(own)["force"])

@@ -10,12 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from helpers.bars import bar
 from helpers.scenes import ball, ball_of_cells, changed
+from tissue_sim.commands.build_refine import parse_refine
 from tissue_sim.errors import UserError
 from tissue_sim.model.elasticity.energy import energy_of
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.refined import refined
 from tissue_sim.organ.topology import assemble_like
 
 DOWN = [0.0, 0.0, -1.0]
@@ -247,12 +249,6 @@ def test_a_cut_is_continued_deeper():
     assert np.all(np.flatnonzero(there) >= bar().n_nodes)
 
 
-def test_cuts_that_meet_are_refused():
-    first = Simulation(bar()).cut(*FIRST)
-    with pytest.raises(UserError, match="within a cell of cut 1"):
-        first.cut([[0.036, -0.01, 0.021], [0.036, 0.03, 0.021]], DOWN, 0.012)
-
-
 # what is told and refused --------------------------------------------------------------------------
 def test_a_shallow_cut_is_told_as_not_resolved():
     organ = ball_of_cells(2, 60)
@@ -260,6 +256,8 @@ def test_a_shallow_cut_is_told_as_not_resolved():
     shallow, deep = (Simulation(organ).cut(polyline, DOWN, depth).cuts[0] for depth in (0.01, 0.025))
     assert (shallow.resolved, deep.resolved) == (False, True)
     assert "not resolved" in str(shallow)
+    assert "calibrate ORGAN --refine=-10.0,0.0," in str(shallow)
+    assert "times as long" in str(shallow)
     assert "not resolved" not in str(deep)
     assert deep.area > shallow.area
     assert "2 pieces" in str(Simulation(bar()).cut(*THROUGH).cuts[0])
@@ -308,3 +306,16 @@ def test_a_cut_organ_under_gravity_sags_and_prescribed_nodes_stay_prescribed():
     np.testing.assert_array_equal(after.positions[held], organ.surface_positions[held])
     middle = np.argmin(np.abs(organ.surface_positions[:, 0] - 0.06))
     assert after.positions[middle, 2] < organ.surface_positions[middle, 2]
+
+
+def test_the_finer_organ_that_is_proposed_resolves_the_cut():
+    organ = ball_of_cells(2, 60)
+    polyline = [[-0.01, 0.0, 0.03], [0.01, 0.0, 0.03]]
+    report = Simulation(organ).cut(polyline, DOWN, 0.01).cuts[0]
+    words = report.finer.split("--refine=")[1].split(" ")[0]
+    finer = with_cells(assemble_like(refined(organ, parse_refine([words])), interior_atoms=90, interior_layer=0.7))
+    told = int(report.finer.split("about ")[1].split(" ")[0])
+    assert finer.n_surface == pytest.approx(told, rel=0.25)
+    again = Simulation(finer).cut(polyline, DOWN, 0.01).cuts[0]
+    assert again.resolved_from < report.resolved_from
+    assert again.depth >= 0.75 * again.resolved_from

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -11,17 +11,18 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Mask
 from tissue_sim.bench import rows
-from tissue_sim.bench.cutting.cuts import CUTS, OPENING, Cut, placed
+from tissue_sim.bench.cutting.cuts import OPENING, Cut, placed
+from tissue_sim.bench.cutting.finer import finer_organ, onto_finer
 from tissue_sim.bench.cutting.modelled import Modelled
 from tissue_sim.bench.cutting.reference import OPENED, Reference, patch_force, reference_of, stored_table
 from tissue_sim.bench.printing import Bound, aligned, bound_lines
 from tissue_sim.calibration.evaluation import errors
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.surfaces.sizing import mean_edge
 
 MOST_MEAN, MOST_WORST, MOST_GAP, MOST_FORCE = 4.0, 15.0, 20.0, 10.0  # %
 _HEAD = ("apart", "uncut", "cut", "gap", "left out", "touch", "cut", "free")
+_OWN = ("edges", "force", "energy", "+-", "points", "cells", "step, us")
 CHANGES = 5.0  # %, by which the cut changes the displacement under a load whose released energy is compared
 
 
@@ -42,9 +43,12 @@ class Compared(NamedTuple):
     force: float  # of the force that opens the middle by OPENED; nan where it isn't known
     energy: float  # of the energy that the cut releases; nan where it isn't known
     off: float  # of the reference, at most
+    points: int  # of the surface
+    cells: int  # after the cut
+    step: float  # s, critical one after the cut
 
 
-def compared(organ: Organ, cut: Cut, reference: Reference, edge: float) -> Compared:
+def compared(organ: Organ, cut: Cut, reference: Reference, edge: float, finer: Organ | None = None) -> Compared:
     """Settle the real-time model under the loads of a reference.
 
     Parameters
@@ -56,7 +60,9 @@ def compared(organ: Organ, cut: Cut, reference: Reference, edge: float) -> Compa
     reference : Reference
         Its finite elements.
     edge : float, m
-        Mean edge of the organ's surface.
+        Mean edge of the organ's surface at the cut.
+    finer : Organ | None, optional
+        The organ with a finer surface, which takes its place; None for none.
 
     Returns
     -------
@@ -68,7 +74,9 @@ def compared(organ: Organ, cut: Cut, reference: Reference, edge: float) -> Compa
     UserError
         As Simulation.cut does.
     """
-    whole, opened = Modelled(organ, None), Modelled(organ, placed(organ, cut))
+    place = placed(organ, cut)
+    onto = None if finer is None else onto_finer(organ, finer, place.sheet)
+    whole, opened = (Modelled(finer or organ, where, onto) for where in (None, place))
     without, found = ([one.settle(force) for force in reference.force] for one in (whole, opened))
     moved, uncut = (np.array([one.answer.displacement for one in each]) for each in (found, without))
     opening = np.array([one.answer.opening for one in found])
@@ -78,6 +86,7 @@ def compared(organ: Organ, cut: Cut, reference: Reference, edge: float) -> Compa
     off = 100.0 * np.abs(released / reference.released - 1.0)
     which = reference.names.index(OPENING)
     size = patch_force(reference.force[which])
+    model = opened.simulation
     needed = opened.opening_force(reference.force[which], size, OPENED)
     return Compared(
         cut=cut,
@@ -94,33 +103,40 @@ def compared(organ: Organ, cut: Cut, reference: Reference, edge: float) -> Compa
         force=100.0 * (needed / reference.opening_force - 1.0),
         energy=float(off[changed].mean()) if changed.any() else math.nan,
         off=float(reference.off.max()),
+        points=organ.n_surface if finer is None else finer.n_surface,
+        cells=len(model.organ.cell_nodes),
+        step=model.critical_step,
     )
 
 
-def measure(makers: Mapping[str, Callable[[], Organ]], chosen: Iterable[str]) -> tuple[list[Compared], list[str]]:
-    """Compare every cut of some organs; return the comparisons, and why others were left out.
+def measure(
+    makers: Mapping[str, Callable[[], Organ]], cuts: Sequence[Cut], *, refine: bool = False
+) -> tuple[list[Compared], list[str]]:
+    """Compare some cuts; return the comparisons, and why others were left out.
 
     Parameters
     ----------
     makers : Mapping[str, Callable[[], Organ]]
         What makes each organ, by name.
-    chosen : Iterable[str]
-        Names of the organs.
+    cuts : Sequence[Cut]
+        The cuts.
+    refine : bool, optional
+        Whether each organ's surface is made finer where the cut will be, and calibrated again.
     """
     stored, made = stored_table(), cache(lambda name: makers[name]())
     found: list[Compared] = []
     skipped: dict[str, str] = {}
-    chosen = tuple(chosen)
     with rows.until_stopped():
-        for cut in rows.each([one for one in CUTS if one.organ in chosen], "cuts"):
+        for cut in rows.each(cuts, "cuts"):
             try:
                 organ = made(cut.organ)
                 reference = reference_of(organ, cut, stored)
             except UserError as error:
                 skipped[cut.organ] = f"{cut.organ} is left out: {error}"
                 continue
-            edge = mean_edge(organ.surface_positions, organ.surface_triangles)
-            found.append(compared(organ, cut, reference, edge))
+            finer = finer_organ(organ, cut) if refine else None
+            edge = placed(organ, cut).sheet.edge_at(finer or organ)
+            found.append(compared(organ, cut, reference, edge, finer))
             rows.tell(cut.name, f"{found[-1].error.mean():.1f} % on average, {found[-1].error.max():.1f} % at worst")
     return found, list(skipped.values())
 
@@ -201,6 +217,9 @@ def _own(one: Compared) -> dict[str, Any]:
         "force_percent": one.force if math.isfinite(one.force) else None,
         "energy_percent": one.energy if math.isfinite(one.energy) else None,
         "reference_percent": one.off,
+        "points": one.points,
+        "cells": one.cells,
+        "critical_step_us": 1e6 * one.step,
         "load_names": list(one.names),
         "load_percent": one.error.tolist(),
         "load_gap_percent": one.gap.tolist(),
@@ -227,9 +246,9 @@ def text(found: dict[str, Any]) -> str:
         "the organ before the cut; left out: of the uncut organ against the cut one; free: against lips that pass",
         "through each other, as the model's do), of the opening along the lips (gap), of the force that opens the cut",
         "by 5 mm, and of the energy that the cut releases; edges: depth in mean edges of the surface, * not resolved;",
-        "+-: error of the finite elements, at most",
+        "+-: error of the finite elements, at most; points of the surface, cells after the cut, critical step",
         "",
-        *aligned([["cut, mm", *_HEAD, "edges", "force", "energy", "+-"], *map(_cells, found["rows"])]),
+        *aligned([["cut, mm", *_HEAD, *_OWN], *map(_cells, found["rows"])]),
         "",
         *aligned([["load", *_HEAD], *(_cells(row)[: len(_HEAD) + 1] for row in found["loads"])]),
         "",
@@ -251,6 +270,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
     apart, touch = row["apart"], row["touch"]
     edges = "-" if "edges" not in row else f"{row['edges']:.1f}{'' if row['resolved'] else ' *'}"
     own = [_number(row.get(key)) for key in ("force_percent", "energy_percent", "reference_percent")]
+    own += [f"{row[key]:.0f}" if key in row else "-" for key in ("points", "cells", "critical_step_us")]
     return [
         *(row["name"], str(apart["loads"]), pair("apart", "uncut_"), pair("apart", ""), _number(apart["gap_percent"])),
         *(pair("apart", "left_out_"), str(touch["loads"]), pair("touch", ""), pair("touch", "free_"), edges, *own),

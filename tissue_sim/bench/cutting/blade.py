@@ -183,5 +183,6 @@ def text(found: dict[str, Any]) -> str:
             ]
         )
     organ = found["blades"][0]["organ"] if found["blades"] else ""
-    title = f"organ '{organ}': a blade of {1e3 * LENGTH:.0f} mm, pressed in by {1e3 * DEPTH:.0f} mm at {1e3 * SPEED:.0f} mm/s"
+    pressed = f"pressed in by {1e3 * DEPTH:.0f} mm at {1e3 * SPEED:.0f} mm/s"
+    title = f"organ '{organ}': a blade of {1e3 * LENGTH:.0f} mm, {pressed}"
     return "\n".join([title, *aligned(table), "", *bound_lines(found["bounds"])])

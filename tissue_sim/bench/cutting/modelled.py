@@ -9,6 +9,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.cutting.cut_body import SAMPLES, Answer
 from tissue_sim.bench.cutting.cuts import Place
+from tissue_sim.bench.cutting.finer import Onto
 from tissue_sim.bench.cutting.reference import force_for, middle_opening
 from tissue_sim.calibration.evaluation import LONGEST, RAMP, TOLERANCE
 from tissue_sim.model.cutting.cut import CutOrgan
@@ -76,6 +77,8 @@ class Modelled:
         The organ.
     place : Place | None
         Where it is cut; None for the uncut organ.
+    onto : Onto | None, optional
+        How forces on the organ of which this one is a finer form act on this one; None where it is none.
 
     Raises
     ------
@@ -83,8 +86,9 @@ class Modelled:
         As Simulation.cut does.
     """
 
-    def __init__(self, organ: Organ, place: Place | None) -> None:
+    def __init__(self, organ: Organ, place: Place | None, onto: Onto | None = None) -> None:
         whole = Simulation(organ)
+        self._onto = onto
         if place is None:
             self.simulation, self._lips = whole, None
         else:
@@ -108,12 +112,14 @@ class Modelled:
         simulation = self.simulation
         count = simulation.state.count
         before = count.faults, count.snaps
-        displacement, settled = simulation.settle(force, TOLERANCE, LONGEST, RAMP)
+        acting = force if self._onto is None else self._onto.spread(force)
+        displacement, settled = simulation.settle(acting, TOLERANCE, LONGEST, RAMP)
         settled = settled and before == (count.faults, count.snaps)
         positions = simulation.positions.copy()
         opening = np.zeros((SAMPLES, 3)) if self._lips is None else self._lips.opening(positions)
         energy = energy_of(simulation.model, positions, np.zeros_like(positions)).elastic
-        return Settled(Answer(displacement, opening, settled), energy - float(np.vdot(force, displacement)))
+        potential = energy - float(np.vdot(acting, displacement))
+        return Settled(Answer(displacement[: len(force)], opening, settled), potential)
 
     def opening_force(self, force: Floats, size: float, wanted: float) -> float:
         """Return the force on each lip, N, that opens the middle of the cut; nan where none is found.

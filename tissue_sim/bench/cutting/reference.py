@@ -7,7 +7,7 @@ calibration.reference. The results of the kidney ship with the package, the othe
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -109,26 +109,28 @@ def stored_table() -> Table | None:
         return {name: file[name] for name in file.files}
 
 
-def remake(organ: Organ, path: Path) -> None:
-    """Write the references of all cuts of an organ, computed now or kept in the user's cache, into a file.
+def remake(organ: Organ, path: Path, cuts: Sequence[Cut]) -> None:
+    """Write references of an organ's cuts, computed now or kept in the user's cache, into a file.
 
     Parameters
     ----------
     organ : Organ
         The organ.
     path : Path
-        The file.
+        The file; what it has of other cuts of the organ stays.
+    cuts : Sequence[Cut]
+        The cuts.
 
     Raises
     ------
     UserError
         As reference_of does, and where the file can't be written.
     """
-    table: Table = {}
-    for cut in CUTS:
-        if cut.organ == "kidney":
-            found = packed(reference_of(organ, cut, None))
-            table |= {f"{key_of(organ, cut)}/{name}": array for name, array in found.items()}
+    known = {key_of(organ, cut) for cut in CUTS if cut not in cuts}
+    table = {name: array for name, array in (stored_table() or {}).items() if name.split("/")[0] in known}
+    for cut in cuts:
+        found = packed(reference_of(organ, cut, None))
+        table |= {f"{key_of(organ, cut)}/{name}": array for name, array in found.items()}
     try:
         np.savez_compressed(path, **table)  # type: ignore[arg-type]
     except OSError as error:

@@ -15,12 +15,12 @@ from tissue_sim.bench.cutting.cuts import CUTS, OPENING, Cut, Place, loads_of, p
 from tissue_sim.bench.cutting.organs import kidney
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, figure, noise_lines
 from tissue_sim.bench.timing import Ticks, describe, noise_burst
-from tissue_sim.model.cutting.crossing import Crossing, crossing_of
+from tissue_sim.model.cutting.crossing import crossing_among
 from tissue_sim.model.cutting.cut import CutOrgan, cut_again, not_cut
 from tissue_sim.model.cutting.cut_surface import cut_surface
 from tissue_sim.model.cutting.masses import shared_masses
+from tissue_sim.model.cutting.parts import CutCells, together
 from tissue_sim.model.cutting.sheet import sheet_of
-from tissue_sim.model.cutting.virtual_nodes import Copies, copies_of
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -161,9 +161,8 @@ def _parts(organ: Organ, place: Place) -> dict[str, float]:
     sheet, before = place.sheet, not_cut(organ)
     simulation = Simulation(organ)
 
-    def topology() -> tuple[Crossing, Copies]:
-        crossing = crossing_of(organ.rest_positions, organ.cell_nodes, sheet)
-        return crossing, copies_of(organ.cell_nodes, crossing, organ.fixed, organ.n_nodes)
+    def topology() -> list[CutCells]:
+        return together(organ, [crossing_among(organ.rest_positions, organ.cell_nodes, sheet)], organ.fixed)
 
     divided = topology()
     after: CutOrgan = cut_again(before, sheet)
@@ -172,7 +171,7 @@ def _parts(organ: Organ, place: Place) -> dict[str, float]:
         "sheet": _took(lambda: sheet_of(organ, sheet.polyline, sheet.direction, sheet.depth)),
         "topology": _took(topology),
         "masses": _took(lambda: shared_masses(organ, after.organ, before.frequency)),
-        "surface": _took(lambda: cut_surface(organ, [divided])),
+        "surface": _took(lambda: cut_surface(organ, divided)),
     }
 
 

@@ -7,11 +7,12 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.model.cutting.sheet import LEAST_DEPTH, RESOLVED_DEPTH, Sheet, across, heights
+from tissue_sim.model.cutting.sheet import LEAST_DEPTH, Sheet, across, heights
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.line_hits import line_hits
 from tissue_sim.organ.surfaces.sizing import mean_edge
+from tissue_sim.organ.tool_resolution import CUT_EDGES
 
 BIN = 0.5  # mean edges of the surface, into which the length of a cut is divided
 STEEP = 0.3  # cosine between a blade's plane and the surface's normal, below which the cut goes where the edge does
@@ -194,7 +195,7 @@ class BladePath:
                 f" {1e3 * self._edge:.2g} mm"
             )
         self._opened, self._through = (dict(self._deepest), self._ends), len(self._met)
-        rise = min(rise, RESOLVED_DEPTH * self._edge) + self._edge
+        rise = min(rise, CUT_EDGES * self._edge) + self._edge
         return Sheet(corners, into, float(depth.max()), rise, across(into), reached, depth, self._mark)
 
     def _is_through(self, number: int) -> bool:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs, Mask
-from tissue_sim.model.cutting.sheet import Sheet
+from tissue_sim.model.cutting.sheet import Place, Sheet
 
 # Mean edges of the crossed cells by which the front is moved: cells resist at it, as they are too coarse for the
 # stress there. Chosen on three cuts of a kidney, and confirmed on two others (docs/cutting.md).
@@ -19,6 +20,7 @@ LEAST_SHARE = 0.02
 LEAST_HEIGHT = 0.02
 # Edges of a cell that its section may be off the sheet, where that turns; farther, the cell lies between two parts.
 MOST_BENT = 0.5
+MARGIN = 0.1  # of the front's advance, within which it counts as ending at another cut
 GRID = 12  # samples along each side of a section
 _EDGES = [(a, b) for a in range(4) for b in range(a + 1, 4)]
 
@@ -37,6 +39,14 @@ class Crossing(NamedTuple):
     def positive(self) -> Mask:
         """Nodes (n,) on the positive side."""
         return self.height > 0.0
+
+
+class Samples(NamedTuple):
+    """Points on the sections of divided cells. k cells, g points on each."""
+
+    coordinates: Floats  # (k, g, 4) barycentric ones in the cell
+    weight: Floats  # (k, g) m^2, the area that each stands for
+    covered: Mask  # (k, g) whether the sheet reaches it, with the front's advance
 
 
 def _sections() -> Longs:
@@ -98,9 +108,7 @@ def fractions_of(height: Floats) -> Floats:
 
 
 def crossing_of(rest: Floats, cells: Ints | Longs, sheet: Sheet) -> Crossing:
-    """Return the cells that a sheet divides.
-
-    Heights above the sheet are linear in each cell, so that neighbours agree where it crosses their common edges.
+    """Return the cells that a sheet divides, as the only one.
 
     Parameters
     ----------
@@ -115,6 +123,32 @@ def crossing_of(rest: Floats, cells: Ints | Longs, sheet: Sheet) -> Crossing:
     -------
     Crossing
         The cells; none where the sheet passes between them.
+    """
+    return crossing_among(rest, cells, sheet)[0]
+
+
+def crossing_among(
+    rest: Floats, cells: Ints | Longs, sheet: Sheet, others: Sequence[Sheet] = ()
+) -> tuple[Crossing, Samples]:
+    """Return the cells that a sheet divides, of an organ that others cut too.
+
+    Heights above the sheet are linear in each cell, so that neighbours agree where it crosses their common edges.
+
+    Parameters
+    ----------
+    rest : Floats, shape (n, 3), m
+        Rest positions of the nodes.
+    cells : Ints | Longs, shape (c, 4)
+        Node indices of the cells.
+    sheet : Sheet
+        The sheet.
+    others : Sequence[Sheet], optional
+        Of other cuts, beyond which the front is not moved.
+
+    Returns
+    -------
+    tuple[Crossing, Samples]
+        The cells, none where the sheet passes between them, and samples of their sections.
     """
     across = sheet.place(rest).across
     at = across[cells]
@@ -131,16 +165,46 @@ def crossing_of(rest: Floats, cells: Ints | Longs, sheet: Sheet) -> Crossing:
     middle = sheet.place(corners.mean(axis=1))
     real = np.abs(middle.across) < MOST_BENT * size
     crossed, corners, weight, size = crossed[real], corners[real], weight[real], size[real]
-    place = sheet.place(corners.reshape(-1, 3))
+    points = corners.reshape(-1, 3)
+    place = sheet.place(points)
     bare = (weight * sheet.covers(place).reshape(weight.shape)).sum(axis=1)
     cut = bare > 0.0
     advance = ADVANCE * float(size[cut].mean()) if cut.any() else 0.0
-    covered = (weight * sheet.covers(place, advance).reshape(weight.shape)).sum(axis=1)
-    share = covered / np.maximum(weight.sum(axis=1), 1e-300)
-    share = np.where(share < LEAST_SHARE, 0.0, np.where(share > 1.0 - LEAST_SHARE, 1.0, share))
+    reached = sheet.covers(place, advance) & ~_beyond(points, place, sheet, others, MARGIN * advance)
+    covered = reached.reshape(weight.shape)
+    share = rounded((weight * covered).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300))
     kept = np.flatnonzero(share > 0.0) if cut.any() else np.zeros(0, dtype=np.int64)
     chosen = crossed[kept]
-    return Crossing(chosen, share[kept], fractions_of(at[chosen]), height, float(bare.sum()), advance)
+    found = Crossing(chosen, share[kept], fractions_of(at[chosen]), height, float(bare.sum()), advance)
+    return found, Samples(_coordinates(rest[cells[chosen]], corners[kept]), weight[kept], covered[kept])
+
+
+def rounded(share: Floats) -> Floats:
+    """Return shares (k,) of sections that are cut, of which small ones are 0 and large ones 1."""
+    found: Floats = np.where(share < LEAST_SHARE, 0.0, np.where(share > 1.0 - LEAST_SHARE, 1.0, share))
+    return found
+
+
+def _beyond(points: Floats, place: Place, sheet: Sheet, others: Sequence[Sheet], margin: float) -> Mask:
+    """Return which points (k,) on the continuation of a sheet lie beyond another one, seen from its front."""
+    beyond = np.zeros(len(points), dtype=bool)
+    ask = np.flatnonzero(~sheet.covers(place)) if others else np.zeros(0, dtype=np.int64)
+    if not len(ask):
+        return beyond
+    # From a little before the front, which may lie on the other sheet.
+    start = sheet.nearest(Place(*(part[ask] for part in place)), margin)
+    for other in others:
+        here, there = other.place(points[ask]), other.place(start)
+        parted = (here.across < 0.0) != (there.across < 0.0)
+        beyond[ask] |= parted & (other.covers(here) | other.covers(there))
+    return beyond
+
+
+def _coordinates(corner: Floats, points: Floats) -> Floats:
+    """Return the barycentric coordinates (k, g, 4) of points (k, g, 3) in cells with corners (k, 4, 3)."""
+    inverse = np.linalg.inv((corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1))
+    inner = np.einsum("kxy,kgy->kgx", inverse, points - corner[:, :1])
+    return np.concatenate([1.0 - inner.sum(axis=2, keepdims=True), inner], axis=2)
 
 
 def _section_samples(corner: Floats, height: Floats) -> tuple[Floats, Floats]:

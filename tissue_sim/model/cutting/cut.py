@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,13 +10,13 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
-from tissue_sim.model.cutting.crossing import Crossing, crossing_of
+from tissue_sim.model.cutting.crossing import Crossing, crossing_among
 from tissue_sim.model.cutting.cut_surface import CutSurface, cut_surface, uncut_surface
 from tissue_sim.model.cutting.masses import fastest_mode, shared_masses
-from tissue_sim.model.cutting.sheet import RESOLVED_DEPTH, Sheet
-from tissue_sim.model.cutting.virtual_nodes import Copies, copies_of
+from tissue_sim.model.cutting.parts import Parts, put_together, together
+from tissue_sim.model.cutting.sheet import Sheet, finer_organ
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.surfaces.sizing import mean_edge
+from tissue_sim.organ.tool_resolution import CUT_EDGES
 from tissue_sim.organ.topology import cell_pieces
 
 
@@ -38,6 +37,7 @@ class CutReport(NamedTuple):
     free_pieces: int  # those of them that no fixed node holds
     critical_step_before: float = math.nan  # s
     critical_step_after: float = math.nan  # s
+    finer: str = ""  # what resolves a cut that is not, and what that costs
 
     def __str__(self) -> str:
         text = (
@@ -48,7 +48,10 @@ class CutReport(NamedTuple):
         if self.pieces > 1:
             text += f"; {self.pieces} pieces, {self.free_pieces} of them free"
         if not self.resolved:
-            text += f"; not resolved: a cut is from {1e3 * self.resolved_from:.1f} mm on, two edges of the surface"
+            text += (
+                f"; not resolved: a cut is from {1e3 * self.resolved_from:.1f} mm on, two edges of the surface there"
+            )
+            text += f"; {self.finer}" if self.finer else ""
         return text
 
 
@@ -60,10 +63,11 @@ class CutOrgan(NamedTuple):
     frequency: float  # rad/s, largest of the uncut organ
     sheets: tuple[Sheet, ...]
     cell_of: Longs  # (m,) the cell of the uncut organ that each stands for
-    side: Longs  # (m,) -1 or 1: copies on the two sides of a cut; 0: undivided, and what the front has not torn yet
+    side: Longs  # (m,) -1 or 1: copies on the two sides of the last cut through the cell; 0: what no cut has divided
     fraction: Floats  # (m,) of the cell that each carries
     surface: CutSurface
     reports: tuple[CutReport, ...]  # of each cut, as it was made
+    sides: Longs  # (m, s) the same for each of the cuts
 
     def origin(self, earlier: CutOrgan) -> Longs:
         """Return the node (n,) of the same organ after fewer cuts whose place each node takes over.
@@ -75,27 +79,23 @@ class CutOrgan(NamedTuple):
         """
         found = np.arange(self.organ.n_nodes)
         virtual = self.uncut.n_nodes
-        # Of the earlier organ, the copy on each side; where it wasn't divided yet, the cell itself.
-        before = np.stack([np.arange(len(self.uncut.cell_nodes))] * 3, axis=1)
-        copies = np.flatnonzero(earlier.side)
-        before[earlier.cell_of[copies], earlier.side[copies] + 1] = copies
-        cells = np.flatnonzero(self.side)
-        nodes = self.organ.cell_nodes[cells]
-        source = earlier.organ.cell_nodes[before[self.cell_of[cells], self.side[cells] + 1]]
-        new = nodes >= virtual
-        found[nodes[new]] = source[new]
+        nodes = self.organ.cell_nodes
+        cells = np.flatnonzero((nodes >= virtual).any(axis=1))
+        # Of the earlier organ, the copy on the same sides; where it wasn't divided yet, the cell itself.
+        place = [[one.deepens(other) for one in self.sheets].index(True) for other in earlier.sheets]
+        mine = self.sides[cells][:, place]
+        copies = np.flatnonzero(np.isin(earlier.cell_of, self.cell_of[cells]))
+        order = copies[np.argsort(earlier.cell_of[copies], kind="stable")]
+        cell = earlier.cell_of[order]
+        first, last = (np.searchsorted(cell, self.cell_of[cells], side) for side in ("left", "right"))
+        before = np.empty(len(cells), dtype=np.int64)
+        for number, (start, end) in enumerate(zip(first.tolist(), last.tolist(), strict=True)):
+            theirs = earlier.sides[order[start:end]]
+            fit = (theirs == mine[number]).sum(axis=1) - len(place) * (theirs * mine[number] < 0).sum(axis=1)
+            before[number] = order[start + int(np.argmax(fit))]
+        new = nodes[cells] >= virtual
+        found[nodes[cells][new]] = earlier.organ.cell_nodes[before][new]
         return found
-
-
-class _Parts(NamedTuple):
-    """Cells of a cut organ, the cells for which they stand, and virtual nodes."""
-
-    nodes: Longs  # (m, 4)
-    cell_of: Longs
-    side: Longs
-    fraction: Floats
-    virtual_of: Longs
-    apart: Longs  # (m, 4) as nodes, with numbers of their own for the virtual nodes of fixed ones
 
 
 def not_cut(organ: Organ) -> CutOrgan:
@@ -117,7 +117,8 @@ def not_cut(organ: Organ) -> CutOrgan:
         raise UserError(f"organ '{organ.name}' has no cells, and springs can't be cut; calibrate it first")
     whole = np.arange(len(organ.cell_nodes))
     side, fraction = np.zeros(len(whole), dtype=np.int64), np.ones(len(whole))
-    return CutOrgan(organ, organ, fastest_mode(organ), (), whole, side, fraction, uncut_surface(organ), ())
+    sides = np.zeros((len(whole), 0), dtype=np.int64)
+    return CutOrgan(organ, organ, fastest_mode(organ), (), whole, side, fraction, uncut_surface(organ), (), sides)
 
 
 def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
@@ -141,89 +142,71 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     Raises
     ------
     UserError
-        When the cut divides no cell, or comes within a cell of an earlier one.
+        When the cut divides no cell, or meets an earlier one where the surface can't be split.
     """
     organ = before.uncut
     kept = tuple(one for one in before.sheets if not sheet.deepens(one))
     sheets = (*kept, sheet)
-    rest = organ.rest_positions
-    crossings = [crossing_of(rest, organ.cell_nodes, one) for one in sheets]
-    if not len(crossings[-1].cells):
+    found = [
+        crossing_among(organ.rest_positions, organ.cell_nodes, one, [other for other in sheets if other is not one])
+        for one in sheets
+    ]
+    crossing = found[-1][0]
+    if not len(crossing.cells):
         raise UserError(f"the cut divides no cell of organ '{organ.name}'; cut deeper, or elsewhere")
-    _check_far(organ, crossings)
-    made, first = [], organ.n_nodes
-    for crossing in crossings:
-        made.append(copies_of(organ.cell_nodes, crossing, organ.fixed, first))
-        first += len(made[-1].virtual_of)
-    parts = _put_together(organ, crossings, made)
+    cuts = together(organ, found, organ.fixed)
+    parts = put_together(organ, len(sheets), cuts)
     after = _organ_of(organ, parts, before.frequency)
-    pieces, free = _pieces(organ, parts)
-    edge = mean_edge(organ.surface_positions, organ.surface_triangles)
-    crossing, front = crossings[-1], int(np.count_nonzero(crossings[-1].share < 1.0))
-    x, y, z = rest[organ.cell_nodes[crossing.cells]].mean(axis=(0, 1)).tolist()
-    report = CutReport(
+    surface = cut_surface(organ, cuts)
+    # Pieces are counted as if fixed nodes had virtual ones too.
+    free_parts = put_together(organ, len(sheets), together(organ, found, organ.fixed[:0]))
+    pieces, free = _count(organ, free_parts)
+    report = _report(organ, sheet, crossing)._replace(pieces=pieces, free_pieces=free)
+    if any(len(sheets) - 1 in cut.numbers and len(cut.numbers) > 1 for cut in cuts):
+        report = report._replace(
+            new_cells=len(parts.nodes) - len(before.organ.cell_nodes),
+            new_nodes=len(parts.virtual_of) - before.organ.n_virtual,
+        )
+    else:
+        report = report._replace(new_nodes=len(cuts[-1].pieces.virtual_of))
+    earlier = [report for report, one in zip(before.reports, before.sheets, strict=True) if not sheet.deepens(one)]
+    return CutOrgan(
+        organ=after,
+        uncut=organ,
+        frequency=before.frequency,
+        sheets=sheets,
+        cell_of=parts.cell_of,
+        side=parts.side,
+        fraction=parts.fraction,
+        surface=surface,
+        reports=(*earlier, report),
+        sides=parts.sides,
+    )
+
+
+def _report(organ: Organ, sheet: Sheet, crossing: Crossing) -> CutReport:
+    """Return what is known of a cut from its sheet and the cells that it crosses."""
+    resolved_from = CUT_EDGES * sheet.edge_at(organ)
+    front = int(np.count_nonzero(crossing.share < 1.0))
+    x, y, z = organ.rest_positions[organ.cell_nodes[crossing.cells]].mean(axis=(0, 1)).tolist()
+    return CutReport(
         centre=(x, y, z),
         area=crossing.area,
         depth=sheet.reached,
-        resolved=sheet.reached >= RESOLVED_DEPTH * edge,
-        resolved_from=RESOLVED_DEPTH * edge,
+        resolved=sheet.reached >= resolved_from,
+        resolved_from=resolved_from,
         advance=crossing.advance,
         cells_cut=len(crossing.cells),
         front_cells=front,
         new_cells=len(crossing.cells) + front,
-        new_nodes=len(made[-1].virtual_of),
-        pieces=pieces,
-        free_pieces=free,
-    )
-    earlier = [report for report, one in zip(before.reports, before.sheets, strict=True) if not sheet.deepens(one)]
-    surface = cut_surface(organ, list(zip(crossings, made, strict=True)))
-    made_of = parts.cell_of, parts.side, parts.fraction
-    return CutOrgan(after, organ, before.frequency, sheets, *made_of, surface, (*earlier, report))
-
-
-def _check_far(organ: Organ, crossings: Sequence[Crossing]) -> None:
-    """Refuse a cut whose cells have a node in common with an earlier one's."""
-    *earlier, last = (np.unique(organ.cell_nodes[crossing.cells]) for crossing in crossings)
-    for number, nodes in enumerate(earlier):
-        if np.isin(last, nodes).any():
-            raise UserError(
-                f"the cut comes within a cell of cut {number + 1}: cuts must not meet; continue that one by the same"
-                " polyline and direction with a greater depth, or cut the uncut organ along one polyline"
-            )
-
-
-def _put_together(organ: Organ, crossings: Sequence[Crossing], made: Sequence[Copies]) -> _Parts:
-    """Return all cells: those of the organ, of which divided ones become the negative copy, and those that are added.
-
-    These are the positive copies and, of cells at the front, one whole cell for what is not torn yet.
-    """
-    nodes = organ.cell_nodes.astype(np.int64)
-    count, apart = len(nodes), nodes.copy()
-    side, fraction = np.zeros(count, dtype=np.int64), np.ones(count)
-    more, more_apart, more_of, more_side, more_fraction, loose = [], [], [], [], [], 0
-    for crossing, copies in zip(crossings, made, strict=True):
-        cells, share, part = crossing.cells, crossing.share, crossing.fraction
-        front = share < 1.0
-        whole = nodes[cells[front]]
-        below, above = (np.where(found < 0, found - loose, found) for found in (copies.below_apart, copies.above_apart))
-        loose -= min(0, int(copies.below_apart.min()), int(copies.above_apart.min()))
-        more += [copies.above, whole]
-        more_apart += [above, whole]
-        more_of += [cells, cells[front]]
-        more_side += [np.ones(len(cells), dtype=np.int64), np.zeros(len(whole), dtype=np.int64)]
-        more_fraction += [share * part, 1.0 - share[front]]
-        nodes[cells], apart[cells], side[cells], fraction[cells] = copies.below, below, -1, share * (1.0 - part)
-    return _Parts(
-        nodes=np.concatenate([nodes, *more]),
-        cell_of=np.concatenate([np.arange(count), *more_of]),
-        side=np.concatenate([side, *more_side]),
-        fraction=np.concatenate([fraction, *more_fraction]),
-        virtual_of=np.concatenate([copies.virtual_of for copies in made]),
-        apart=np.concatenate([apart, *more_apart]),
+        new_nodes=0,
+        pieces=1,
+        free_pieces=0,
+        finer="" if sheet.reached >= resolved_from else finer_organ(organ, sheet),
     )
 
 
-def _organ_of(organ: Organ, parts: _Parts, frequency: float) -> Organ:
+def _organ_of(organ: Organ, parts: Parts, frequency: float) -> Organ:
     """Return the organ of cells that carry fractions of the fitted moduli, with virtual nodes."""
     source = np.concatenate([np.arange(organ.n_nodes), parts.virtual_of])
     made = replace(
@@ -242,13 +225,10 @@ def _organ_of(organ: Organ, parts: _Parts, frequency: float) -> Organ:
     return replace(made, mass=mass, return_stiffness=organ.return_stiffness[source] * share)
 
 
-def _pieces(organ: Organ, parts: _Parts) -> tuple[int, int]:
+def _count(organ: Organ, parts: Parts) -> tuple[int, int]:
     """Return how many pieces the cells make, and how many of them no fixed node holds; 0 where none is fixed."""
-    nodes = np.where(parts.apart < 0, organ.n_nodes + len(parts.virtual_of) - 1 - parts.apart, parts.apart)
-    size = int(nodes.max()) + 1
-    label = cell_pieces(nodes, size)
-    used = np.unique(label[nodes[:, 0]])
-    held = np.zeros(size, dtype=bool)
-    held[organ.fixed] = True
-    held[organ.n_nodes + len(parts.virtual_of) :] = True  # virtual nodes of fixed ones
+    source = np.concatenate([np.arange(organ.n_nodes), parts.virtual_of])
+    label = cell_pieces(parts.nodes, len(source))
+    used = np.unique(label[parts.nodes[:, 0]])
+    held = np.isin(source, organ.fixed)
     return len(used), len(np.setdiff1d(used, label[held]))

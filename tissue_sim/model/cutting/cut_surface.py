@@ -10,10 +10,13 @@ import numpy as np
 from tissue_sim.array_types import Floats, Ints, Longs, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.crossing import Crossing, section_of
-from tissue_sim.model.cutting.holes import hole_triangles
+from tissue_sim.model.cutting.holes import hole_triangles, open_edges
+from tissue_sim.model.cutting.meeting_surface import Made, meeting_surface
+from tissue_sim.model.cutting.parts import CutCells
 from tissue_sim.model.cutting.virtual_nodes import Copies
-from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.organ import Organ, signed_volume
 
+MOST_LOST = 1e-4  # of the volume, by holes that are filled where cuts meet
 _FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
@@ -59,17 +62,18 @@ def uncut_surface(organ: Organ) -> CutSurface:
     return CutSurface(nodes, weights, organ.surface_triangles.copy(), wall, own, np.zeros_like(own))
 
 
-def cut_surface(organ: Organ, cuts: Sequence[tuple[Crossing, Copies]]) -> CutSurface:
+def cut_surface(organ: Organ, cuts: Sequence[CutCells]) -> CutSurface:
     """Return the surface of a cut organ.
 
-    Every point that it has more than the organ lies on an edge of cells, so that neighbours have it in common.
+    Every point that it has more than the organ lies on an edge of cells, or on a face or in a cell where cuts meet, so
+    that neighbours have it in common.
 
     Parameters
     ----------
     organ : Organ
         The organ before.
-    cuts : Sequence[tuple[Crossing, Copies]]
-        The cells that each cut divides, and the copies of them; no two have a node in common.
+    cuts : Sequence[CutCells]
+        What cuts, or those that meet, divide; no two have a node in common.
 
     Returns
     -------
@@ -79,34 +83,65 @@ def cut_surface(organ: Organ, cuts: Sequence[tuple[Crossing, Copies]]) -> CutSur
     Raises
     ------
     UserError
-        When two cuts come so close that they split the same triangle.
+        When two cuts come so close that they split the same triangle, or meet where the surface can't be closed.
     """
     made = uncut_surface(organ)
     nodes, weights, triangles, wall = made.nodes, made.weights, made.triangles.astype(np.int64), made.wall
     partner, side = made.partner, made.side
     rank = np.arange(organ.n_surface)
     owner = _owners(organ)
-    for number, (crossing, copies) in enumerate(cuts):
-        split = _split(organ, crossing, copies, owner)
-        points = _points(organ, crossing, copies, split, len(nodes))
-        outer, gone = _outer(organ.surface_triangles.astype(np.int64), points, crossing.positive)
+    for cut in cuts:
+        new = _one_cut(organ, cut, owner, len(nodes)) if cut.copies else _meeting_cuts(organ, cut, owner, len(nodes))
         # Triangles of the uncut organ come first, those that an earlier cut has split are marked.
-        if np.any(triangles[gone, 0] < 0):
-            raise UserError("the cut comes within a triangle of an earlier one: cuts must not meet")
-        triangles[gone] = -1
-        walls = _walls(organ, crossing, points)
-        nodes, weights = np.concatenate([nodes, points.nodes]), np.concatenate([weights, points.weights])
-        rank = np.concatenate([rank, rank.max() + 1 + points.edge])
-        other, here = _partners(points, crossing, organ.n_nodes)
-        partner, side = np.concatenate([partner, other]), np.concatenate([side, here])
-        triangles = np.concatenate([triangles, outer, walls])
-        wall = np.concatenate([wall, np.zeros(len(outer), dtype=np.int64), np.full(len(walls), number + 1)])
+        if np.any(triangles[new.gone, 0] < 0):
+            raise UserError(
+                "the cut comes within a triangle of an earlier one, without meeting it; move it by a millimetre"
+            )
+        triangles[new.gone] = -1
+        nodes, weights = np.concatenate([nodes, new.nodes]), np.concatenate([weights, new.weights])
+        rank = np.concatenate([rank, rank.max() + 1 + new.rank])
+        partner, side = np.concatenate([partner, new.partner]), np.concatenate([side, new.side])
+        triangles, wall = np.concatenate([triangles, new.triangles]), np.concatenate([wall, new.wall])
         # Cells that were too flat to be made leave holes in the walls.
         filling = hole_triangles(triangles[triangles[:, 0] >= 0], rank)
         triangles = np.concatenate([triangles, filling])
-        wall = np.concatenate([wall, np.full(len(filling), number + 1)])
+        wall = np.concatenate([wall, np.full(len(filling), cut.numbers[0] + 1)])
     kept = triangles[:, 0] >= 0
-    return CutSurface(nodes, weights, triangles[kept].astype(np.int32), wall[kept], partner, side)
+    found = CutSurface(nodes, weights, triangles[kept].astype(np.int32), wall[kept], partner, side)
+    if any(not cut.copies for cut in cuts):
+        volume = signed_volume(found.at(organ.rest_positions[_sources(organ, cuts)]), found.triangles)
+        if len(open_edges(triangles[kept])) or abs(volume / organ.volume - 1.0) > MOST_LOST:
+            raise UserError(
+                "the cuts meet where cells of the organ are too flat to be divided; move it by a millimetre"
+            )
+    return found
+
+
+def _sources(organ: Organ, cuts: Sequence[CutCells]) -> Longs:
+    """Return the node of the organ that each node of the cut one is, or is a copy of."""
+    return np.concatenate([np.arange(organ.n_nodes), *(cut.pieces.virtual_of for cut in cuts)])
+
+
+def _one_cut(organ: Organ, cut: CutCells, owner: Longs, first: int) -> Made:
+    """Return the surface at a cut that meets no other one."""
+    (crossing,), copies = cut.crossings, cut.copies
+    assert copies is not None
+    split = _split(organ, crossing, copies, owner)
+    points = _points(organ, crossing, copies, split, first)
+    outer, gone = _outer(organ.surface_triangles.astype(np.int64), points, crossing.positive)
+    walls = _walls(organ, crossing, points)
+    partner, side = _partners(points, crossing, organ.n_nodes)
+    number = cut.numbers[0] + 1
+    wall = np.concatenate([np.zeros(len(outer), dtype=np.int64), np.full(len(walls), number)])
+    triangles = np.concatenate([outer, walls])
+    return Made(points.nodes, points.weights, triangles, wall, partner, side, points.edge, gone)
+
+
+def _meeting_cuts(organ: Organ, cut: CutCells, owner: Longs, first: int) -> Made:
+    """Return the surface at cuts that meet."""
+    made = meeting_surface(organ, cut.crossings, cut.pieces, owner, first)
+    number = np.concatenate([[0], np.array(cut.numbers) + 1])
+    return made._replace(wall=number[made.wall])
 
 
 def _partners(points: _Points, crossing: Crossing, n: int) -> tuple[Longs, Longs]:

@@ -11,15 +11,19 @@ from tissue_sim.arguments import finite, floats_of
 from tissue_sim.array_types import Floats, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.refinement import Along, Refinement, points_with
 from tissue_sim.organ.surfaces.line_hits import line_hits
-from tissue_sim.organ.surfaces.sizing import mean_edge
+from tissue_sim.organ.surfaces.sizing import local_edges, mean_edge
+from tissue_sim.organ.tool_resolution import CUT_EDGES
 from tissue_sim.organ.winding import inside
 
 MOST_CORNERS = 1000  # of a polyline
 MOST_DEPTH = 10.0  # m
 # Fraction of a mean edge of the surface below which a cut is refused: the front is moved by about as much.
 LEAST_DEPTH = 0.5
-RESOLVED_DEPTH = 2.0  # mean edges of the surface, from which a cut counts as resolved
+NEAR = 1.5  # mean edges from a sheet within which the surface's edges are those at the cut
+FINER_WITHIN = 1.5  # mean edges around a cut within which a finer surface is proposed
+MOST_TOLD = 8  # points of a polyline in a message
 SAMPLES = 4  # points of the polyline on a mean edge, at which the surface is looked for
 CLOSEST = 2.0  # mean edges, nearer than which a polyline must not come to another part of itself
 
@@ -100,6 +104,36 @@ class Sheet(NamedTuple):
         covered: Mask = within & (place.below >= -self.rise) & (place.below <= depth + more)
         return covered
 
+    def nearest(self, place: Place, margin: float) -> Floats:
+        """Return the points (k, 3) m of the sheet that are nearest along it to places on its continuation.
+
+        Parameters
+        ----------
+        place : Place
+            The places.
+        margin : float, m
+            How far from the sheet's edge they are.
+        """
+        begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.flat, axis=0), axis=1))])
+        along = np.clip(place.along, min(margin, 0.5 * begins[-1]), max(begins[-1] - margin, 0.5 * begins[-1]))
+        top = np.stack([np.interp(along, begins, self.polyline[:, axis]) for axis in range(3)], axis=1)
+        found: Floats = top + np.clip(place.below, -self.rise, max(self.depth - margin, 0.0))[:, None] * self.direction
+        return found
+
+    def edge_at(self, organ: Organ) -> float:
+        """Return the mean length, m, of the surface's edges at the cut.
+
+        Parameters
+        ----------
+        organ : Organ
+            The organ.
+        """
+        positions, triangles = organ.surface_positions, organ.surface_triangles
+        edge = mean_edge(positions, triangles)
+        place = self.place(positions)
+        near = (np.abs(place.across) < NEAR * edge) & self.covers(place, 0.5 * edge)
+        return float(local_edges(positions, triangles)[near].mean()) if near.any() else edge
+
     def deepens(self, other: Sheet) -> bool:
         """Return whether the sheet is another one continued to the same or a greater depth, or by the same blade."""
         if self.mark or other.mark:
@@ -161,16 +195,45 @@ def sheet_of(organ: Organ, polyline: ArrayLike, direction: ArrayLike, depth: flo
     rise, reached = heights(organ, _samples(corners, step, edge / SAMPLES), way, far)
     if reached <= 0.0:
         raise UserError(f"the cut misses organ '{organ.name}', or ends above its surface")
-    if reached < LEAST_DEPTH * edge:
-        raise UserError(
-            f"a cut {1e3 * reached:.2g} mm deep is too shallow for a surface with edges of {1e3 * edge:.2g} mm;"
-            f" cut at least {1e3 * LEAST_DEPTH * edge:.2g} mm deep, or build the organ with more points there"
-        )
-    if rise > max(far, RESOLVED_DEPTH * edge):
+    if rise > max(far, CUT_EDGES * edge):
         raise UserError(
             f"the cut's polyline begins {1e3 * rise:.3g} mm inside organ '{organ.name}'; begin on its surface"
         )
-    return Sheet(corners, way, far, rise + edge, frame, reached, np.full(len(corners), far))
+    found = Sheet(corners, way, far, rise + edge, frame, reached, np.full(len(corners), far))
+    here = found.edge_at(organ)
+    if reached < LEAST_DEPTH * here:
+        raise UserError(
+            f"a cut {1e3 * reached:.2g} mm deep is too shallow for a surface with edges of {1e3 * here:.2g} mm;"
+            f" cut at least {1e3 * LEAST_DEPTH * here:.2g} mm deep, or {finer_organ(organ, found)}"
+        )
+    return found
+
+
+def finer_organ(organ: Organ, sheet: Sheet) -> str:
+    """Return what makes a finer organ that resolves a cut, and what that costs, as words.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    sheet : Sheet
+        The cut.
+    """
+    positions, triangles = organ.surface_positions, organ.surface_triangles
+    edge = mean_edge(positions, triangles)
+    wanted, radius = sheet.reached / CUT_EDGES, FINER_WITHIN * edge
+    place = sheet.place(positions)
+    near = (np.abs(place.across) < NEAR * edge) & sheet.covers(place, 0.5 * edge)
+    sunk = float(np.median(place.below[near])) if near.any() else 0.0
+    corners = sheet.polyline[np.linspace(0, len(sheet.polyline) - 1, min(len(sheet.polyline), MOST_TOLD)).astype(int)]
+    line = corners + sunk * sheet.direction
+    count = points_with(Refinement(places=(Along(line, radius, wanted),)), positions, triangles, organ.fixed)
+    told = "/".join(",".join(f"{1e3 * value:.1f}" for value in point) for point in line)
+    return (
+        f"make a finer organ by tissue_sim calibrate ORGAN --refine={told}:{1e3 * radius:.1f}:{1e3 * wanted:.1f} --out"
+        f" FINER (about {count} points in place of {len(positions)}, and ticks {count / len(positions):.1f} times as"
+        " long)"
+    )
 
 
 def across(direction: Floats) -> Floats:

@@ -29,9 +29,6 @@ class Copies(NamedTuple):
     above: Longs  # (k, 4) nodes of the copy on the positive side
     virtual_of: Longs  # (v,) nodes that virtual ones copy
     edges: DividedEdges
-    # The same as if fixed nodes had virtual ones too, which are negative here: pieces are counted by these.
-    below_apart: Longs  # (k, 4)
-    above_apart: Longs  # (k, 4)
 
 
 def copies_of(cells: Ints | Longs, crossing: Crossing, fixed: Ints, first: int) -> Copies:
@@ -86,9 +83,6 @@ def copies_of(cells: Ints | Longs, crossing: Crossing, fixed: Ints, first: int) 
     new = used[~met[used] & ~is_fixed[own[used]]]
     node = own.copy()
     node[new] = first + np.arange(len(new))
-    loose = used[~met[used] & is_fixed[own[used]]]
-    apart = node.copy()
-    apart[loose] = -1 - np.arange(len(loose))
     at = label[len(key) :].reshape(-1, 4)
     up = positive[quads]
     return Copies(
@@ -96,8 +90,6 @@ def copies_of(cells: Ints | Longs, crossing: Crossing, fixed: Ints, first: int) 
         above=np.where(up, quads, node[at]),
         virtual_of=own[new],
         edges=DividedEdges(key, node[label[: len(key)]], closed),
-        below_apart=np.where(up, apart[at], quads),
-        above_apart=np.where(up, quads, apart[at]),
     )
 
 

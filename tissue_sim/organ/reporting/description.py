@@ -17,7 +17,7 @@ from tissue_sim.organ.inclusions import inclusions_of
 from tissue_sim.organ.organ import Organ, SpringKind, signed_volume
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 from tissue_sim.organ.surfaces.surface_quality import measure
-from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN
+from tissue_sim.organ.tool_resolution import CUT_EDGES, FAIR, FAIR_WITHIN, FINE, FINE_WITHIN
 
 UNITS = "SI: m, kg, s, N, Pa"
 
@@ -27,7 +27,7 @@ def describe(organ: Organ) -> dict[str, Any]:
 
     Units stand in the names: mm, mL, g, N/m, Pa, kg/m^3, degrees. A range is an object of `least`, `median` and
     `largest`. `variation` is the standard deviation over the mean; `least_ball_radius` is the radius of the smallest
-    ball for whose force the surface is fine enough.
+    ball for whose force the surface is fine enough, and `least_cut_depth` the depth from which on a cut is resolved.
 
     Parameters
     ----------
@@ -65,6 +65,7 @@ def describe(organ: Organ) -> dict[str, Any]:
             f"within_{FINE_WITHIN:g}_percent_mm": FINE * quality.edge_mean * 1e3,
             f"within_{FAIR_WITHIN:g}_percent_mm": FAIR * quality.edge_mean * 1e3,
         },
+        "least_cut_depth_mm": CUT_EDGES * quality.edge_mean * 1e3,
         "skeleton": _skeleton(organ),
         "interior_points": len(organ.interior_positions),
         "springs": _springs(organ),

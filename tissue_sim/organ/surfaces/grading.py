@@ -53,6 +53,29 @@ def graded(positions: Floats, triangles: Ints, wall: Wall, wanted: Wanted, most:
     return _split(positions, triangles, None, wanted, edge, most)
 
 
+def split_in_place(positions: Floats, triangles: Ints, wanted: Wanted, most: int) -> tuple[Floats, Ints]:
+    """Add points to a surface where shorter edges are wanted, in the middles of edges: its shape stays exactly.
+
+    Parameters
+    ----------
+    positions : points, evenly spaced, (n, 3)
+    triangles : outward, (t, 3)
+    wanted : edge lengths wanted at points, in their unit; longer ones than the surface has change nothing
+    most : points of the result at most
+
+    Returns
+    -------
+    positions, triangles : of the new surface, the points before first
+
+    Raises
+    ------
+    UserError
+        when it would have more than `most` points
+
+    """
+    return _split(positions, triangles, None, wanted, mean_edge(positions, triangles), most)
+
+
 def _split(
     positions: Floats, triangles: Ints, wall: Wall | None, wanted: Wanted, edge: float, most: int
 ) -> tuple[Floats, Ints]:

@@ -3,7 +3,6 @@
 import time
 
 import numpy as np
-import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from scipy.spatial.transform import Rotation
 
