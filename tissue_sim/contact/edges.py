@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.blades import Blades, make_blades
-
-if TYPE_CHECKING:
-    from tissue_sim.contact.tools import Tool
 
 ALONG = 8  # places along an edge
 BEHIND = 2  # rows of places on the flanks behind it
@@ -19,12 +16,23 @@ LEAST_EDGE = 1e-3  # m
 MOST_SPEED = 0.1  # m/s of cautery
 
 
-def check_edge(tool: Tool) -> None:
+class Edged(Protocol):
+    """What a tool says about its edge, see contact.tools.Tool."""
+
+    name: str
+    shape: str
+    radius: float
+    length: float
+    height: float
+    cautery_speed: float
+
+
+def check_edge(tool: Edged) -> None:
     """Check the dimensions of a blade.
 
     Parameters
     ----------
-    tool : Tool
+    tool : Edged
         The blade, or scissors.
 
     Raises
@@ -40,7 +48,7 @@ def check_edge(tool: Tool) -> None:
         raise UserError(f"tool '{tool.name}': cautery_speed {tool.cautery_speed:g} m/s is outside 0..{MOST_SPEED:g}")
 
 
-def edges_of(tools: Sequence[Tool], bodies: Sequence[Sequence[int]]) -> Blades:
+def edges_of(tools: Sequence[Edged], bodies: Sequence[Sequence[int]]) -> Blades:
     """Return the places of all blades among some tools.
 
     An edge runs from the body's origin along -z. That of a blade cuts towards x, and those of scissors towards each
@@ -48,7 +56,7 @@ def edges_of(tools: Sequence[Tool], bodies: Sequence[Sequence[int]]) -> Blades:
 
     Parameters
     ----------
-    tools : Sequence[Tool]
+    tools : Sequence[Edged]
         The tools.
     bodies : Sequence[Sequence[int]]
         Bodies of each.
