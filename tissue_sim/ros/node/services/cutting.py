@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -20,6 +19,7 @@ from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.contact.contact_search import ContactSearch
+from tissue_sim.ros.node.services.cut_process import CutProcess
 from tissue_sim.ros.node.shared.deferred_service import DeferredService, Work
 from tissue_sim.ros.node.shared.guarded_node import GuardedNode
 from tissue_sim.ros.node.shared.served_organ import ServedOrgan
@@ -29,12 +29,11 @@ from tissue_sim.ros.shared.qos import LATCHED, RELIABLE
 from tissue_sim.ros.shared.report import Report
 
 PARALLEL = 1e-3  # by which the directions of a path's poses may differ
-NICE = 10  # of the thread that makes a cut
 HEALED = "the organ was reset while its cut was computed, and is uncut; call the service again"
 
 
 class OrganCutting:
-    """Cuts of one organ: the newest path is cut when the service is called, in a thread of its own.
+    """Cuts of one organ: the newest path is cut when the service is called, in a process of its own.
 
     Parameters
     ----------
@@ -81,6 +80,10 @@ class OrganCutting:
         """The cuts that the organ has."""
         return self._served.physics.simulation.cuts
 
+    def close(self) -> None:
+        """End the process that makes cuts."""
+        self._parts.process.close()
+
     def heal(self) -> None:
         """Go on with the uncut organ, in the state of the cut one: the organ is about to be reset."""
         self._heals += 1
@@ -113,6 +116,8 @@ class OrganCutting:
             self.refused += 1
             self._refused = f"the newest path was refused: {error}"
             self._log.warning(f"a path for {self._name} was refused: {error}")
+        else:  # soon there will be a cut
+            threading.Thread(target=self._parts.process.start, daemon=True).start()
 
     def _path_of(self, message: Path) -> tuple[Floats, Floats]:
         """Return the polyline (m, 3) m and the direction (3,) of a path, in the organ's frame."""
@@ -155,8 +160,6 @@ class OrganCutting:
         depth = self._depth()
 
         def work() -> None:
-            # The thread ends with its answer; until then ticks and poses go first.
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
             try:
                 response.message = self._cut(*path, depth)
                 response.success = True
@@ -172,7 +175,7 @@ class OrganCutting:
         """Cut the organ; return the cut's description."""
         begun, heals = time.monotonic(), self._heals
         before = self._served.physics.simulation
-        made = before.prepared_cut(polyline, direction, depth)
+        made = self._parts.process.cut(before, polyline, direction, depth)
         with self._exchanging:
             if heals != self._heals:
                 raise UserError(HEALED)
@@ -237,6 +240,7 @@ class CuttingParts:
     ) -> None:
         self.loop, self._joined, self.frame_id = loop, joined, frame_id
         self._searches, self._recorders, self._renew_settings = searches, recorders, renew_settings
+        self.process = CutProcess()
 
     def exchange(self, number: int, made: Simulation, patience: float | None = None) -> None:
         """Go on with a simulation that continues an organ's.
