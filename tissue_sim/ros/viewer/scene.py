@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.organ.mean_value import mean_value_weights
-from tissue_sim.ros.shared.appearance import LIGAMENT, Colour, shade_of, shades, tissue_colour
+from tissue_sim.ros.shared.appearance import INCLUSION, LIGAMENT, Colour, shade_of, shades, tissue_colour
 from tissue_sim.ros.shared.organ_topics import path_of
 from tissue_sim.ros.viewer.coloured_surface import ColouredSurface, light_of
 
 SKELETON: Colour = (20, 30, 60)
-INCLUSION: Colour = (214, 196, 150)
 FIELD_OF_VIEW = np.radians(35.0)
 VIEW = np.array([0.55, -1.0, 0.3])  # from the organ to the camera: from the front, the side and above
 PANEL, NARROW = 350, 600  # pixels, width of the panel; width of a page up to which it lies below

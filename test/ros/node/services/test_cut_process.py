@@ -85,9 +85,10 @@ def test_a_fault_in_it_is_told_and_it_goes_on(process, before):
 def test_after_it_was_killed_one_is_told_and_the_next_cut_starts_it_again(process, before, monkeypatch):
     child = process.start()
     child.kill()
-    with monkeypatch.context() as late, pytest.raises(UserError, match=r"by SIGKILL; call the service again"):
-        late.setattr(process, "start", lambda: child)  # it was still there when it was asked
+    monkeypatch.setattr(process, "start", lambda: child)  # it was still there when it was asked
+    with pytest.raises(UserError, match=r"by SIGKILL; call the service again"):
         process.cut(before, EDGE, DOWN, DEPTH)
+    monkeypatch.undo()
     assert process.cut(before, EDGE, DOWN, DEPTH).cuts
     assert process.start().pid != child.pid
 
