@@ -1,0 +1,131 @@
+"""What a camera sees of an organ that is cut while it runs, of a cut through an inclusion, and of ligaments."""
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Mesh, MeshTriangle
+from visualization_msgs.msg import Marker, MarkerArray
+
+from helpers.patience import wait_for
+from helpers.ros.pictures import LOOKING, POSE, first_hit, pixels, stamp_of
+from helpers.ros.processes import UNHURRIED, running_node, shipped
+from helpers.ros.surgeon import DEPTH, EDGE, Surgeon
+from tissue_sim.rendering.offscreen import Offscreen
+from tissue_sim.rendering.pinhole import Pinhole, look_at, matrix_of
+from tissue_sim.rendering.primitives import ball
+from tissue_sim.ros.camera.seen_scene import LIGAMENTS, SeenLigaments, SeenOrgan
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.qos import LATCHED, STREAM
+
+
+@pytest.fixture(scope="module")
+def node(tmp_path_factory):
+    with running_node(tmp_path_factory.mktemp("node"), UNHURRIED):
+        yield
+
+
+def test_an_organ_that_is_cut_while_it_runs_is_seen_with_its_walls(node, begin, listen):
+    """A ball is pushed into the open cut: what the picture tells of distances is that of the surface with the walls."""
+    begin("--name=cut", *LOOKING)
+    boxes = listen("depth/image_raw", "camera_info", "segmentation/image_raw", before="/cut")
+    surgeon = Surgeon()
+    try:
+        assert wait_for(boxes["depth/image_raw"].take, "no picture of the uncut organ")
+        inside = [EDGE[0][0] + 0.01, 0.024, 0.0]
+
+        def push():
+            for share in np.linspace(-0.6, 1.0, 60):
+                surgeon.ask([inside[0], inside[1] - 0.03 * (1.0 - share), inside[2]])
+
+        answer = surgeon.cut(depth=DEPTH)
+        assert answer.success, answer.message
+        push()
+        triangles = np.array([t.vertex_indices for t in surgeon.meshes[-1].triangles], dtype=np.int64)
+        assert len(triangles) > len(shipped().surface_triangles)
+        pictures, numbers = {}, {}
+
+        def seen():
+            surgeon.ask(inside)
+            pictures.update({stamp_of(one): one for one in boxes["depth/image_raw"].take_all()})
+            numbers.update({stamp_of(one): one for one in boxes["segmentation/image_raw"].take_all()})
+            surfaces = {stamp_of(one): one for one in surgeon.clouds if one.width > shipped().n_surface}
+            common = sorted(set(pictures) & set(numbers) & set(surfaces))
+            return common and [kind[common[-1]] for kind in (pictures, numbers, surfaces)]
+
+        picture, number, surface = wait_for(seen, "no picture of a surface that came")
+        depth, labels, vertices = pixels(picture), pixels(number), client.cloud_array(surface).astype(float)
+        k = np.array(wait_for(boxes["camera_info"].take).k).reshape(3, 3)
+        matrix, uncut, moved = matrix_of(POSE), shipped(), 0
+        for row, column in np.random.default_rng(1).permutation(np.argwhere(labels == 1))[:80]:
+            ray = matrix[:3, :3] @ np.linalg.solve(k, [column, row, 1.0])
+            expected = first_hit(matrix[:3, 3], ray, vertices, triangles)
+            assert depth[row, column] == pytest.approx(expected, abs=1e-4), (row, column)
+            before = first_hit(matrix[:3, 3], ray, uncut.surface_positions, uncut.surface_triangles)
+            moved += abs(before - expected) > 1e-3
+        assert moved > 5
+    finally:
+        surgeon.reset()
+        surgeon.close()
+
+
+@pytest.fixture
+def drawn():
+    with Offscreen(Pinhole.of_view(160, 120, 60.0), samples=1) as made:
+        yield made
+
+
+def test_walls_within_an_inclusion_have_its_colour(graph, drawn):
+    """An organ of the size of a ball with a smaller one inside it: what of its surface lies within is coloured."""
+    latched = {name: graph.create_publisher(Mesh, f"/seen/{name}", LATCHED) for name in ("mesh", "inclusions")}
+    surfaces = graph.create_publisher(PointCloud2, "/seen/surface", STREAM)
+    vertices, triangles = ball(0.02)
+    organ = SeenOrgan(graph, drawn, "seen", "", 1)
+    latched["mesh"].publish(mesh_of(vertices, triangles))
+    surface = PointCloud2(width=len(vertices), height=1, point_step=12, data=vertices.astype("<f4").tobytes())
+    surface.header.frame_id = "organ"
+
+    def colours():
+        surfaces.publish(surface)
+        organ.take()
+        picture = drawn.take(look_at([0.1, 0.0, 0.0], [0.0, 0.0, 0.0]), labels=True)
+        seen = picture.colour[picture.labels == 1].astype(float)
+        return seen if len(seen) else None
+
+    red = wait_for(colours, "the organ isn't drawn")
+    within, faces = ball(0.01)
+    latched["inclusions"].publish(mesh_of(within + [0.02, 0.0, 0.0], faces))  # towards the camera
+    pale = wait_for(lambda: found if (found := colours())[:, 1].max() > 1.5 * red[:, 1].max() else None, "no inclusion")
+    share = np.mean(pale[:, 1] > 1.2 * red[:, 1].max())
+    assert 0.02 < share < 0.6
+    organ.remove()
+
+
+def test_ligaments_are_seen_where_they_are_until_they_are_deleted(graph, drawn):
+    lines = graph.create_publisher(MarkerArray, "/seen/ligaments", LATCHED)
+    ligaments = SeenLigaments(graph, drawn, "seen")
+    pose = look_at([0.1, 0.0, 0.0], [0.0, 0.0, 0.0])
+
+    def seen(marker):
+        lines.publish(MarkerArray(markers=[marker]))
+        ligaments.take()
+        return np.argwhere(drawn.take(pose, colour=False, labels=True).labels == LIGAMENTS)
+
+    def marker(*ends):
+        made = Marker(type=Marker.LINE_LIST, action=Marker.ADD)
+        made.scale.x = 0.002
+        made.points = [Point(x=x, y=y, z=z) for x, y, z in ends]
+        return made
+
+    one = marker((0.0, -0.02, 0.0), (0.0, 0.02, 0.0))
+    at = wait_for(lambda: found if len(found := seen(one)) else None, "no ligament")
+    assert np.ptp(at[:, 1]) > 10 * np.ptp(at[:, 0]), "it lies across the picture"
+    two = marker((0.0, -0.02, 0.0), (0.0, 0.02, 0.0), (0.0, 0.0, -0.02), (0.0, 0.0, 0.02))
+    wait_for(lambda: np.ptp(seen(two)[:, 0]) > 20, "no second one")
+    wait_for(lambda: not len(seen(Marker(action=Marker.DELETE))), "they stay")
+
+
+def mesh_of(vertices, triangles):
+    message = Mesh(triangles=[MeshTriangle(vertex_indices=np.array(one, dtype=np.uint32)) for one in triangles])
+    message.vertices = [Point(x=x, y=y, z=z) for x, y, z in vertices.tolist()]
+    return message
