@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from helpers.bars import bar
+from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.records import words_of
 from tissue_sim.model.simulation import Simulation, sphere_tools
@@ -44,7 +45,11 @@ def arrays_of(values, name=""):
 
 def test_it_is_the_simulation_that_this_process_would_make(process, before):
     expected = before.prepared_cut(EDGE, DOWN, DEPTH)
-    made = process.cut(before, EDGE, DOWN, DEPTH)
+    made, surface, file = process.cut(before, EDGE, DOWN, DEPTH)
+    assert file == expected.organ.to_bytes()
+    assert surface.organ is made.organ
+    np.testing.assert_array_equal(surface.rest, TouchedSurface.of(expected).rest)
+    assert made.shapes is before.shapes
     assert str(made.cuts[0]) == str(expected.cuts[0])
     for name, array in arrays_of(expected.model).items():
         if not name.startswith((".work", ".tissue.rows", ".tissue.work", ".tissue.squeezed_cells")):  # room
@@ -62,8 +67,8 @@ def test_it_is_the_simulation_that_this_process_would_make(process, before):
 
 
 def test_a_cut_continues_an_earlier_one(process, before):
-    once = process.cut(before, EDGE, DOWN, DEPTH)
-    deeper = process.cut(once, EDGE, DOWN, DEPTH + 0.005)
+    once = process.cut(before, EDGE, DOWN, DEPTH).simulation
+    deeper = process.cut(once, EDGE, DOWN, DEPTH + 0.005).simulation
     assert len(deeper.cuts) == 1
     assert deeper.cuts[0].area > once.cuts[0].area
 
@@ -81,7 +86,7 @@ def test_a_fault_in_it_is_told_and_it_goes_on(process, before):
     with pytest.raises(RuntimeError, match=r"the process that makes cuts failed: Traceback[^$]*TypeError"):
         process.cut(before, EDGE, DOWN, DEPTH)
     before.frequency = frequency
-    assert process.cut(before, EDGE, DOWN, DEPTH).cuts
+    assert process.cut(before, EDGE, DOWN, DEPTH).simulation.cuts
 
 
 def test_after_it_was_killed_one_is_told_and_the_next_cut_starts_it_again(process, before, monkeypatch):
@@ -91,7 +96,7 @@ def test_after_it_was_killed_one_is_told_and_the_next_cut_starts_it_again(proces
     with pytest.raises(UserError, match=r"by SIGKILL; call the service again"):
         process.cut(before, EDGE, DOWN, DEPTH)
     monkeypatch.undo()
-    assert process.cut(before, EDGE, DOWN, DEPTH).cuts
+    assert process.cut(before, EDGE, DOWN, DEPTH).simulation.cuts
     assert process.start().pid != child.pid
 
 

@@ -13,7 +13,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node.services.cut_program import MADE, REFUSED
-from tissue_sim.ros.node.services.simulation_parts import parts_of, simulation_of
+from tissue_sim.ros.node.services.simulation_parts import Prepared, parts_of, simulation_of
 
 # Of the numerical libraries, one of each: it must not take both cores.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -57,8 +57,8 @@ class CutProcess:
                 )
             return self._process
 
-    def cut(self, before: Simulation, polyline: Floats, direction: Floats, depth: float) -> Simulation:
-        """Return what `Simulation.prepared_cut` does.
+    def cut(self, before: Simulation, polyline: Floats, direction: Floats, depth: float) -> Prepared:
+        """Return what `Simulation.prepared_cut` does, and what goes with it.
 
         Parameters
         ----------
@@ -93,8 +93,8 @@ class CutProcess:
             raise UserError(found)
         if kind != MADE:
             raise RuntimeError(f"the process that makes cuts failed: {found}")
-        found["shapes"] = before.shapes
-        return simulation_of(found)
+        parts, surface, file = found
+        return Prepared(simulation_of(parts | {"shapes": before.shapes}), surface, file)
 
     def close(self) -> None:
         """End the process, whatever it is doing, and start none any more."""

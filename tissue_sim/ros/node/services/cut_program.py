@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import Any, BinaryIO
 
 from tissue_sim.errors import UserError
-from tissue_sim.ros.node.services.simulation_parts import parts_of, simulation_of
+from tissue_sim.ros.node.services.simulation_parts import Prepared, parts_of, simulation_of
 
 NICE = 10  # ticks, poses and their answers go first
 MADE, REFUSED, FAILED = "made", "refused", "failed"
@@ -27,7 +27,7 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     requests : BinaryIO
         Pickles of the parts of a simulation and the cut's polyline, direction and depth.
     answers : BinaryIO
-        Takes pickles of MADE with the parts of the cut simulation, or REFUSED or FAILED with a text.
+        Takes pickles of MADE with the cut simulation's parts, surface and file, or REFUSED or FAILED with a text.
     """
     while True:
         try:
@@ -41,7 +41,8 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
 def _answer(parts: dict[str, Any], *cut: Any) -> tuple[str, Any]:
     """Return what came of a cut of a simulation."""
     try:
-        return MADE, parts_of(simulation_of(parts).prepared_cut(*cut))
+        made = Prepared.of(simulation_of(parts).prepared_cut(*cut))
+        return MADE, (parts_of(made.simulation), made.surface, made.file)
     except UserError as error:
         return REFUSED, str(error)
     except Exception:

@@ -20,6 +20,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.contact.contact_search import ContactSearch
 from tissue_sim.ros.node.services.cut_process import CutProcess
+from tissue_sim.ros.node.services.simulation_parts import Prepared
 from tissue_sim.ros.node.shared.deferred_service import DeferredService, Work
 from tissue_sim.ros.node.shared.guarded_node import GuardedNode
 from tissue_sim.ros.node.shared.served_organ import ServedOrgan
@@ -105,7 +106,7 @@ class OrganCutting:
             if uncut is None or not cut.cuts:
                 return
             uncut.return_from(cut)
-            self._parts.exchange(self._number, uncut, patience)
+            self._parts.exchange(self._number, Prepared.of(uncut), patience)
             self._publish()
 
     def _on_path(self, message: Path) -> None:
@@ -183,7 +184,7 @@ class OrganCutting:
                 self._uncut = before
             self._parts.exchange(self._number, made)
         self.made, self.seconds = self.made + 1, time.monotonic() - begun
-        text = str(made.cuts[-1])
+        text = str(made.simulation.cuts[-1])
         self._log.info(f"{self._name} was cut: {text}")
         self._publish()
         return text
@@ -242,25 +243,25 @@ class CuttingParts:
         self._searches, self._recorders, self._renew_settings = searches, recorders, renew_settings
         self.process = CutProcess()
 
-    def exchange(self, number: int, made: Simulation, patience: float | None = None) -> None:
+    def exchange(self, number: int, made: Prepared, patience: float | None = None) -> None:
         """Go on with a simulation that continues an organ's.
 
         Parameters
         ----------
         number : int
             Number of the organ.
-        made : Simulation
-            The simulation.
+        made : Prepared
+            The simulation, and what goes with it.
         patience : float | None, s, optional
             How long to wait for the tick that takes it up; None: as long as a running loop may take.
         """
-        search, recorder = self._searches[number], self._recorders[number]
-        finder = search.finder_of(made)
-        plan = self._joined.plan_exchange(number, made)
+        search, recorder, simulation = self._searches[number], self._recorders[number], made.simulation
+        finder = search.finder_of(made.surface)
+        plan = self._joined.plan_exchange(number, simulation)
         with recorder.exchanging:
-            tick = recorder.physics.exchange(made, plan, patience)
-            recorder.cut(tick, made)
-        self._joined.exchange(number, made, plan)
+            tick = recorder.physics.exchange(simulation, plan, patience)
+            recorder.cut(tick, simulation, made.file)
+        self._joined.exchange(number, simulation, plan)
         search.exchange(finder)
         self._renew_settings(number)
 

@@ -1,17 +1,38 @@
-"""A simulation as parts that can be sent to another process, and put together there without computing anything."""
+"""A cut simulation as parts that can be sent to another process, and put together there without computing anything."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.model.data.blocks import aligned
 from tissue_sim.model.data.records import words_of
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import make_state
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.scratch import make_scratch
+
+
+class Prepared(NamedTuple):
+    """A simulation that a loop is to go on with, and what else takes a while to make of it."""
+
+    simulation: Simulation
+    surface: TouchedSurface  # that tools touch
+    file: bytes  # of its organ
+
+    @classmethod
+    def of(cls, simulation: Simulation) -> Self:
+        """Return what goes with a simulation.
+
+        Parameters
+        ----------
+        simulation : Simulation
+            The simulation.
+        """
+        return cls(simulation, TouchedSurface.of(simulation), simulation.organ.to_bytes())
+
 
 _MEMORY = ("settings", "state", "scratch", "world")  # that kernels share
 
