@@ -53,7 +53,7 @@ def test_a_cut_opens_what_is_shown_repeats_in_its_bag_and_a_reset_heals_it(clien
     vertices, triangles = mesh_arrays(client.meshes[-1])
     np.testing.assert_allclose(vertices, surface.at(expected.organ.rest_positions), atol=1e-9)
     np.testing.assert_array_equal(triangles, surface.triangles)
-    assert client.versions[-1].data == 1
+    assert client.spin_until(lambda: client.versions[-1].data == 1)
     assert client.spin_until(lambda: client.clouds[-1].width == len(surface.nodes))
     assert client.spin_until(lambda: len(client.surface()) == 3 * len(surface.triangles))
 
