@@ -92,7 +92,8 @@ class SeenOrgan:
         look, share = self._look, np.zeros(len(self.rest))
         if self._inclusions is not None and len(self._inclusions[1]):
             vertices, triangles = self._inclusions
-            look, share = replace(look, inner=screen(INCLUSION)), inside(self.rest, vertices, triangles).astype(float)
+            look = replace(look, inner=screen(INCLUSION))
+            share = inside(self.rest, vertices, triangles.astype(np.int32)).astype(float)
         self._drawn.add(self._body, self.rest, self._triangles, look, share)
         if self._positions is not None and self._positions.shape == self.rest.shape:
             self._drawn.move(self._body, self._positions)
