@@ -40,16 +40,20 @@ def test_an_organ_that_is_cut_while_it_runs_is_seen_with_its_walls(node, graph, 
         answer = surgeon.cut(depth=DEPTH)
         assert answer.success, answer.message
         inside = press_until_felt(surgeon, surgeon.ask, deepest=0.006)
-        triangles = np.array([t.vertex_indices for t in surgeon.meshes[-1].triangles], dtype=np.int64)
-        assert len(triangles) > len(shipped().surface_triangles)
+        uncut = len(shipped().surface_triangles)
+        assert surgeon.spin_until(lambda: len(surgeon.meshes[-1].triangles) > uncut)
+        rest, triangles = client.mesh_arrays(surgeon.meshes[-1])
         pictures, numbers, count = {}, {}, itertools.count()
+
+        def has_moved(cloud):
+            return cloud.width == len(rest) and np.abs(client.cloud_array(cloud) - rest).max() > 3e-3
 
         def seen():
             # It keeps moving: pictures of a surface at rest have later stamps than that.
             surgeon.ask(inside + [5e-4 * np.sin(next(count)), 0.0, 0.0])
             pictures.update({stamp_of(one): one for one in boxes["depth/image_raw"].take_all()})
             numbers.update({stamp_of(one): one for one in boxes["segmentation/image_raw"].take_all()})
-            surfaces = {stamp_of(one): one for one in surgeon.clouds if one.width > shipped().n_surface}
+            surfaces = {stamp_of(one): one for one in surgeon.clouds if has_moved(one)}
             common = sorted(set(pictures) & set(numbers) & set(surfaces))
             return common and [kind[common[-1]] for kind in (pictures, numbers, surfaces)]
 
