@@ -116,6 +116,16 @@ def test_an_organ_pulls_another_one_along(tmp_path):
 
 
 @pytest.mark.extended
+def test_a_gripper_pulls_a_half_aside_and_lets_go(tmp_path):
+    text = run("cut", tmp_path)
+    assert "cells divided" in text
+    forces = [float(force) for force in re.findall(r"mm aside: (-?[\d.]+) N", text)]
+    assert len(forces) == 5
+    assert forces[3] > 0.1, "the half pulls back while it is spread"
+    assert forces[0] == forces[4] == 0.0
+
+
+@pytest.mark.extended
 def test_frames_of_a_bag_are_drawn(tmp_path):
     assert "24 frames, every 100 ticks, 0.100 to 2.400 s" in run("frames", tmp_path)
     assert len(list((tmp_path / "nip").glob("*.vtu"))) == 72

@@ -1,4 +1,4 @@
-"""Memory below Python: limits for libraries that trust a damaged file's lengths, and release of what bursts leave."""
+"""Memory below Python: limits for libraries that trust lengths, release of what bursts leave, pages that are there."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 
 @contextmanager
@@ -44,3 +47,22 @@ def give_back() -> None:
     """
     if _trim is not None:
         _trim(0)
+
+
+def provide(values: Any) -> None:
+    """Have the system provide the memory of arrays, which otherwise it does page by page as each is first written to.
+
+    A thread that must not wait, and that is handed new arrays, would wait for each page: some of them for a
+    millisecond, while other threads reserve and free memory.
+
+    Parameters
+    ----------
+    values : Any
+        An array, or a NamedTuple of such and of further ones; nobody may be using them.
+    """
+    if isinstance(values, tuple):
+        for one in values:
+            provide(one)
+    elif isinstance(values, np.ndarray) and values.flags.c_contiguous and values.flags.writeable and values.size:
+        pages = values.reshape(-1).view(np.uint8)[:: resource.getpagesize()]
+        pages[:] = pages.copy()

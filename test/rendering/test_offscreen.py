@@ -9,7 +9,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.rendering.bodies import METAL, Look
 from tissue_sim.rendering.offscreen import Light, Offscreen
 from tissue_sim.rendering.pinhole import Pinhole, beside, inverse_of, look_at, matrix_of
-from tissue_sim.rendering.primitives import ball
+from tissue_sim.rendering.primitives import ball, tubes
 
 # Pixels that are not square, and an axis off the middle: what mistakes one for the other is seen.
 LENS = Pinhole(640, 400, 520.0, 460.0, 282.6, 225.6)
@@ -174,3 +174,38 @@ def plate(side):
     first = np.stack([corner, corner + 17, corner + 18], axis=1)
     second = np.stack([corner, corner + 18, corner + 1], axis=1)
     return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]), np.concatenate([first, second])
+
+
+def test_vertices_in_other_tissue_have_its_colour_and_no_others():
+    looks = Look((0.0, 0.0, 1.0), texture=0.0, inner=(0.0, 1.0, 0.0)), Look((0.0, 0.0, 1.0), texture=0.0)
+    vertices, triangles = plate(0.3)
+    share = (vertices[:, 0] > 0.0).astype(float)
+    with Offscreen(LENS, NOWHERE, samples=1) as made:
+        made.add("plate", vertices, triangles, looks[0], share)
+        colour = made.take(POSE).colour.astype(int)
+        made.add("plate", vertices, triangles, looks[1], share)
+        plain = made.take(POSE).colour.astype(int)
+        with pytest.raises(UserError, match=r"shares of shape"):
+            made.add("plate", vertices, triangles, looks[0], share[:-1])
+    lit, green = colour.max(axis=2) > 20, colour[..., 1] > 2 * colour[..., 2]
+    assert 0.2 < green[lit].mean() < 0.8
+    matrix = inverse_of(matrix_of(POSE))
+    seen = np.rint(LENS.project(vertices @ matrix[:3, :3].T + matrix[:3, 3])).astype(int)
+    for (column, row), within in zip(seen.tolist(), share > 0.5, strict=True):
+        if 0 <= row < LENS.height and 0 <= column < LENS.width and lit[row, column]:
+            assert green[row, column] == within
+    assert not (plain[..., 1] > 2 * plain[..., 2]).any()
+
+
+def test_a_tube_is_as_thick_as_its_radius_says_and_seen_from_all_sides():
+    ends = np.array([[[-0.02, 0.0, 0.0], [0.02, 0.0, 0.0]], [[0.0, -0.02, 0.03], [0.0, 0.02, 0.03]]])
+    vertices, triangles = tubes(ends, RADIUS)
+    corner = vertices[triangles]
+    outward = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    axis = np.repeat(ends.mean(axis=1), len(triangles) // 2, axis=0)
+    assert (np.einsum("tx,tx->t", outward, corner.mean(axis=1) - axis) > 0.0).all()
+    for line, (start, end) in enumerate(ends):
+        own = vertices.reshape(2, -1, 3)[line]
+        way = (end - start) / np.linalg.norm(end - start)
+        away = own - start - np.outer((own - start) @ way, way)
+        assert np.linalg.norm(away, axis=1) == pytest.approx(RADIUS)

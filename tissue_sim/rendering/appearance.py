@@ -15,6 +15,7 @@ BASE: dict[str, Colour] = {
     "kidney": TISSUE,
 }
 LIGAMENT: Colour = (226, 214, 188)
+INCLUSION: Colour = (214, 196, 150)
 # Colour of the surface by its displacement in mm, interpolated in between.
 SCALE: tuple[tuple[float, Colour], ...] = (
     (0.5, (176, 66, 48)),

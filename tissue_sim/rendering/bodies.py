@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
@@ -31,6 +32,8 @@ class Look:
         Whether its triangles are seen as flat, as of a mesh with edges.
     texture : float
         Period of the tissue's texture, m; 0 for none.
+    inner : tuple[float, float, float] | None
+        Colour of the vertices that are told to lie in other tissue; None where there is none.
     """
 
     colour: tuple[float, float, float] = (0.57, 0.20, 0.18)
@@ -38,6 +41,7 @@ class Look:
     is_metal: bool = False
     is_flat: bool = False
     texture: float = 0.05
+    inner: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.label <= MOST_LABEL:
@@ -46,7 +50,26 @@ class Look:
     @property
     def light(self) -> tuple[float, ...]:
         """Its colour as light of 0 to 1."""
-        return tuple(((part + 0.055) / 1.055) ** 2.4 if part > 0.04045 else part / 12.92 for part in self.colour)
+        return light_of(self.colour)
+
+
+def light_of(colour: tuple[float, float, float]) -> tuple[float, ...]:
+    """Return a colour of the screen (sRGB) as light of 0 to 1.
+
+    Parameters
+    ----------
+    colour : tuple[float, float, float]
+        The colour.
+    """
+    return tuple(((part + 0.055) / 1.055) ** 2.4 if part > 0.04045 else part / 12.92 for part in colour)
+
+
+class Shape(NamedTuple):
+    """A surface as it is drawn: n vertices, t triangles."""
+
+    vertices: Floats  # (n, 3) m at rest, to which the texture sticks
+    triangles: Longs  # (t, 3) corner indices, counterclockwise seen from outside
+    share: Floats  # (n,) 1 for vertices that lie in other tissue, 0 for those that don't
 
 
 METAL = Look((0.62, 0.64, 0.67), label=101, is_metal=True, is_flat=True, texture=0.0)
@@ -86,10 +109,8 @@ class Body:
         The context.
     programs : dict[str, moderngl.Program]
         The programs that draw it, by name.
-    vertices : Floats, shape (n, 3), m
-        Its vertices at rest, to which its texture sticks.
-    triangles : Longs, shape (t, 3)
-        Corner indices, counterclockwise seen from outside.
+    shape : Shape
+        Its surface.
     look : Look
         How it looks.
 
@@ -105,10 +126,10 @@ class Body:
         self,
         context: moderngl.Context,
         programs: dict[str, moderngl.Program],
-        vertices: Floats,
-        triangles: Longs,
+        shape: Shape,
         look: Look,
     ) -> None:
+        vertices, triangles, share = shape
         self.look, self.is_shown, self.place = look, True, np.eye(4)
         self._normals = Normals(triangles, len(vertices))
         self._numbers = np.zeros((len(vertices), 6), dtype=np.float32)
@@ -116,9 +137,13 @@ class Body:
         self._write(vertices)
         self._moving = context.buffer(self._numbers.tobytes(), dynamic=True)
         stuck = context.buffer(self._numbers.tobytes())
-        faces = context.buffer(triangles.astype(np.uint32).tobytes())
-        self._held = [self._moving, stuck, faces]
-        inputs = [(self._moving, "3f 3f", "position", "normal"), (stuck, "3f 3f", "rest", "rest_normal")]
+        faces, shares = context.buffer(triangles.astype(np.uint32).tobytes()), context.buffer(single_row(share))
+        self._held = [self._moving, stuck, faces, shares]
+        inputs = [
+            (self._moving, "3f 3f", "position", "normal"),
+            (stuck, "3f 3f", "rest", "rest_normal"),
+            (shares, "1f", "share"),
+        ]
         # What the compiler finds that a program doesn't need, it doesn't take.
         self._arrays = {
             name: context.vertex_array(program, inputs, faces, index_element_size=4, skip_errors=True)
@@ -171,8 +196,8 @@ class Body:
         self._bounds = np.array([positions.min(axis=0), positions.max(axis=0)])
 
 
-def checked(vertices: ArrayLike, triangles: ArrayLike) -> tuple[Floats, Longs]:
-    """Return a surface's arrays.
+def checked(vertices: ArrayLike, triangles: ArrayLike, share: ArrayLike | None = None) -> Shape:
+    """Return a surface.
 
     Parameters
     ----------
@@ -180,6 +205,8 @@ def checked(vertices: ArrayLike, triangles: ArrayLike) -> tuple[Floats, Longs]:
         Its vertices.
     triangles : ArrayLike, shape (t, 3)
         Corner indices.
+    share : ArrayLike | None, shape (n,), optional
+        1 for vertices that lie in other tissue, 0 for others; by default none does.
 
     Raises
     ------
@@ -193,7 +220,16 @@ def checked(vertices: ArrayLike, triangles: ArrayLike) -> tuple[Floats, Longs]:
         raise UserError(f"triangles of shape {faces.shape}; expected: (t, 3)")
     if faces.min() < 0 or faces.max() >= len(points):
         raise UserError(f"triangles name vertex {faces.max()} of {len(points)}")
-    return points, faces
+    shares = np.zeros(len(points)) if share is None else np.asarray(share, dtype=np.float64)
+    if shares.shape != (len(points),):
+        raise UserError(f"shares of shape {shares.shape}; expected: ({len(points)},)")
+    return Shape(points, faces, shares)
+
+
+def single_row(values: Floats) -> bytes:
+    """Return numbers as OpenGL takes them: float32."""
+    made: Singles = np.ascontiguousarray(values, dtype=np.float32)
+    return made.tobytes()
 
 
 def single(matrix: Floats) -> bytes:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from tissue_sim.array_types import Floats, Pixels, Singles
 from tissue_sim.errors import UserError
 from tissue_sim.rendering import shaders
-from tissue_sim.rendering.bodies import Body, Look, checked, single
+from tissue_sim.rendering.bodies import Body, Look, checked, light_of, single
 from tissue_sim.rendering.pinhole import Pinhole, inverse_of, matrix_of
 from tissue_sim.rendering.tissue_texture import tissue_texture
 
@@ -135,7 +135,14 @@ class Offscreen:
         return str(self._context.info["GL_RENDERER"])
 
     # bodies --------------------------------------------------------------------------------------
-    def add(self, name: str, vertices: ArrayLike, triangles: ArrayLike, look: Look | None = None) -> None:
+    def add(
+        self,
+        name: str,
+        vertices: ArrayLike,
+        triangles: ArrayLike,
+        look: Look | None = None,
+        share: ArrayLike | None = None,
+    ) -> None:
         """Add a body, in place of one of the same name.
 
         Parameters
@@ -148,18 +155,21 @@ class Offscreen:
             Corner indices, counterclockwise seen from outside.
         look : Look, optional
             How it looks.
+        share : ArrayLike, shape (n,), optional
+            1 for vertices that lie in other tissue, which have the look's inner colour, 0 for others; by default none
+            does.
 
         Raises
         ------
         UserError
             Where they are no surface.
         """
-        points, faces = checked(vertices, triangles)
+        shape = checked(vertices, triangles, share)
         self.remove(name)
         chosen = look or Look()
         with self._context:
             programs = {"lit": self._lit_by(chosen), "told": self._programs["told"], "shadow": self._programs["shadow"]}
-            self._bodies[name] = Body(self._context, programs, points, faces, chosen)
+            self._bodies[name] = Body(self._context, programs, shape, chosen)
 
     def move(self, name: str, vertices: ArrayLike) -> None:
         """Move a body's vertices, as it is deformed.
@@ -272,6 +282,7 @@ class Offscreen:
             look, lit = body.look, self._lit_by(body.look)
             _set(lit, "to_view", single(view @ body.place))
             _set(lit, "albedo", look.light)
+            _set(lit, "inner", light_of(look.inner or look.colour))
             _set(lit, "period", look.texture)
             body.draw("lit")
         self._draw_wall(eye)
@@ -283,6 +294,7 @@ class Offscreen:
     def _lit_by(self, look: Look) -> moderngl.Program:
         """Return the program of a look, compiled when it is first used."""
         words = ["METAL"] if look.is_metal else (["TISSUE"] if look.texture > 0.0 else [])
+        words += ["TINTED"] * (look.inner is not None)
         words += ["FLAT"] * look.is_flat + ["SHADOWED"] * self.light.shadows
         if (material := tuple(words)) not in self._lit:
             self._lit[material] = self._context.program(shaders.VERTEX, shaders.lit(*material))

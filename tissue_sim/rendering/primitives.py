@@ -7,6 +7,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 
 AROUND, UPWARD, ALONG = 28, 9, 24  # points around an axis, on a quarter of a cap's outline, along a shaft
+AROUND_TUBE = 8
 
 
 def ball(radius: float) -> tuple[Floats, Longs]:
@@ -53,6 +54,33 @@ def cylinder(radius: float, length: float) -> tuple[Floats, Longs]:
     rims = np.concatenate([heights[:1], heights[:1], heights, heights[-1:], heights[-1:]])
     radii = np.concatenate([[0.0, radius], np.full(len(heights), radius), [radius, 0.0]])
     return turned(radii, rims)
+
+
+def tubes(ends: Floats, radius: float) -> tuple[Floats, Longs]:
+    """Return vertices (n, 3) m and triangles (t, 3) of open tubes along lines.
+
+    Parameters
+    ----------
+    ends : Floats, shape (k, 2, 3), m
+        Both ends of each line.
+    radius : float, m
+        Radius of the tubes.
+    """
+    way = ends[:, 1] - ends[:, 0]
+    way = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+    # The axis that a line is farthest from gives a direction across it.
+    first = np.cross(way, np.eye(3)[np.argmin(np.abs(way), axis=1)])
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
+    second = np.cross(way, first)
+    angles = np.linspace(0.0, 2.0 * np.pi, AROUND_TUBE, endpoint=False)
+    ring = np.einsum("a,kx->kax", np.cos(angles), first) + np.einsum("a,kx->kax", np.sin(angles), second)
+    vertices = ends[:, :, None] + radius * ring[:, None]  # (k, 2, AROUND_TUBE, 3)
+    spoke = np.arange(AROUND_TUBE)
+    after, above = (spoke + 1) % AROUND_TUBE, AROUND_TUBE
+    lower = np.stack([spoke, after, after + above], axis=1)
+    upper = np.stack([spoke, after + above, spoke + above], axis=1)
+    faces = np.concatenate([lower, upper])[None] + 2 * AROUND_TUBE * np.arange(len(ends))[:, None, None]
+    return vertices.reshape(-1, 3), faces.reshape(-1, 3)
 
 
 def turned(radii: Floats, heights: Floats) -> tuple[Floats, Longs]:

@@ -20,18 +20,21 @@ in vec3 position;
 in vec3 normal;
 in vec3 rest;
 in vec3 rest_normal;
+in float share;
 out vec3 seen_at;
 out vec3 seen_normal;
 out vec3 stuck_at;
 out vec3 stuck_normal;
 out vec4 shadow_at;
 out float strength;
+out float within;
 void main() {
     vec4 view = to_view * vec4(position, 1.0);
     seen_at = view.xyz;
     seen_normal = mat3(to_view) * normal;
     stuck_at = rest;
     stuck_normal = rest_normal;
+    within = share;
     shadow_at = to_shadow * vec4(view.xyz + 0.0008 * normalize(seen_normal), 1.0);
     // A cone of light with soft edges. It decreases less than with the square of the distance, as the exposure of an
     // endoscope follows it.
@@ -46,6 +49,7 @@ void main() {
 LIT = """
 #version 330
 uniform vec3 albedo;
+uniform vec3 inner;
 uniform vec3 light_at;
 uniform float period;
 uniform float wetness;
@@ -59,6 +63,7 @@ in vec3 stuck_at;
 in vec3 stuck_normal;
 in vec4 shadow_at;
 in float strength;
+in float within;
 layout(location = 0) out vec4 colour;
 
 vec4 triplanar(vec3 at, vec3 normal) {
@@ -91,6 +96,9 @@ void main() {
 #endif
     normal = normalize(dot(normal, seen_at) > 0.0 ? -normal : normal);
     vec3 base = albedo;
+#ifdef TINTED
+    base = mix(albedo, inner, smoothstep(0.3, 0.7, within));
+#endif
 #ifdef TISSUE
     vec4 look = triplanar(stuck_at / period, stuck_normal);
     base *= 0.30 + 0.95 * look.r + 0.45 * look.b;
@@ -179,6 +187,6 @@ void main() {
 
 
 def lit(*words: str) -> str:
-    """Return the program of a material: of TISSUE, METAL, FLAT and SHADOWED those that apply."""
+    """Return the program of a material: of TISSUE, TINTED, METAL, FLAT and SHADOWED those that apply."""
     first, _, rest = LIT.strip().partition("\n")
     return "\n".join([first, *(f"#define {word}" for word in words), rest])

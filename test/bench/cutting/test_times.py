@@ -23,20 +23,16 @@ def timed():
 def test_parts_are_within_the_whole_and_sizes_are_those_of_the_cut(timed):
     assert 0.0 < timed.topology < timed.total
     assert len(timed.before) == len(timed.after) == 200
-    assert len(timed.during) >= 20
     assert timed.cells[1] > timed.cells[0]
     assert timed.nodes[1] > timed.nodes[0]
     assert timed.critical_step[1] == pytest.approx(timed.critical_step[0], rel=0.05)
 
 
 def test_bounds_take_the_worst(timed):
-    slow = timed._replace(during=np.full(100, 3e-4), taken_up=5e-4, first=2e-3, critical_step=(1e-3, 9e-4))
+    slow = timed._replace(critical_step=(1e-3, 9e-4))
     found = times.as_json([timed, slow], np.full(10, 5e-5))
     value = {bound["name"]: (bound["value"], bound["met"]) for bound in found["bounds"]}
-    assert value["longest tick while a cut is made, and when it is taken up"] == (pytest.approx(2500.0), False)
-    assert value["ticks while a cut is made, p99"] == (pytest.approx(300.0), False)
     assert value["critical step after a cut"] == (pytest.approx(90.0), False)
     assert json.loads(json.dumps(found)) == found
-    text = times.text(found)
-    assert text.count("bar, flat 30 x 12") == 4
-    assert "4,807 nodes" in text
+    lines = times.text(found)
+    assert sum("bar, flat 30 x 12" in line for line in lines) == 4

@@ -12,18 +12,16 @@ from PIL import Image as Pillow
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from helpers.patience import wait_for
-from helpers.ros.processes import FAKE_TF, UNHURRIED, Process, running_node, shipped
+from helpers.ros.pictures import EYE, LOOKING, POSE, first_hit, pixels, stamp_of, together
+from helpers.ros.processes import FAKE_TF, UNHURRIED, running_node, shipped
 from tissue_sim.cli import main
-from tissue_sim.rendering.pinhole import inverse_of, look_at, matrix_of
+from tissue_sim.rendering.pinhole import inverse_of, matrix_of
 from tissue_sim.ros.shared import client
-from tissue_sim.ros.shared.qos import RELIABLE, STREAM
+from tissue_sim.ros.shared.qos import STREAM
 
 BASELINE = 0.005
-EYE, GOAL = (0.12, -0.08, 0.05), (0.066, 0.039, -0.002)
-POSE = look_at(EYE, GOAL)
 
 
 @pytest.fixture(scope="module")
@@ -37,80 +35,9 @@ def node(tmp_path_factory):
         yield
 
 
-@pytest.fixture
-def begin(tmp_path):
-    """Starts cameras of small pictures, at the usual place unless words choose another one; they end with the test."""
-    made = []
-
-    def one(*words, **environment):
-        command = ["-m", "tissue_sim", "camera", "--width=160", "--height=120", "--nice=0", "--rate=20", *words]
-        made.append(Process(command, tmp_path / f"camera{len(made)}.log", **environment))
-        return made[-1]
-
-    yield one
-    for process in made:
-        process.stop()
-        assert "Traceback" not in process.text()
-
-
-@pytest.fixture
-def listen(graph):
-    """Subscribes topics of the camera, by their names below its own."""
-    kinds = {"image_raw": Image, "compressed": CompressedImage, "camera_info": CameraInfo, "pose": PoseStamped}
-
-    def one(*topics, before="/camera"):
-        return {
-            topic: client.NewestMessage(graph, kinds[topic.rpartition("/")[2]], f"{before}/{topic}", RELIABLE)
-            for topic in topics
-        }
-
-    return one
-
-
-def stamp_of(message):
-    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-
-
-def together(boxes):
-    """One message of each topic, all of the same picture."""
-    kept = {topic: {} for topic in boxes}
-
-    def complete():
-        for topic, box in boxes.items():
-            kept[topic] |= {stamp_of(message): message for message in box.take_all()}
-        common = set.intersection(*(set(one) for one in kept.values()))
-        return {topic: one[max(common)] for topic, one in kept.items()} if common else None
-
-    return wait_for(complete, lambda: f"no picture with all of these: { {t: len(one) for t, one in kept.items()} }")
-
-
-def pixels(message):
-    kind, channels = {"rgb8": (np.uint8, 3), "32FC1": (np.float32, 1), "mono8": (np.uint8, 1)}[message.encoding]
-    assert message.step == message.width * channels * np.dtype(kind).itemsize
-    return np.frombuffer(bytes(message.data), kind).reshape(message.height, message.width, channels).squeeze()
-
-
-def first_hit(origin, way, vertices, triangles):
-    """Distance along a ray to a surface (Moeller and Trumbore, 1997); infinite where it misses."""
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    across = np.cross(way, c - a)
-    area = np.einsum("ij,ij->i", b - a, across)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u = np.einsum("ij,ij->i", origin - a, across) / area
-        turned = np.cross(origin - a, b - a)
-        v = turned @ way / area
-        far = np.einsum("ij,ij->i", c - a, turned) / area
-    return min(far[(u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (far > 0.0)], default=np.inf)
-
-
 def test_a_stereo_pair_sends_what_its_lenses_see(node, begin, listen, tmp_path):
     started = time.time_ns()
-    camera = begin(
-        f"--eye={','.join(map(str, EYE))}",
-        f"--look-at={','.join(map(str, GOAL))}",
-        f"--baseline={BASELINE}",
-        f"--record={tmp_path}/bag",
-    )
+    camera = begin(*LOOKING, f"--baseline={BASELINE}", f"--record={tmp_path}/bag")
     topics = ["image_raw", "image_raw/compressed", "camera_info", "depth/image_raw", "depth/camera_info"]
     topics += ["segmentation/image_raw", "segmentation/camera_info"]
     found = together(listen("pose", *(f"{eye}/{topic}" for eye in ("left", "right") for topic in topics)))
@@ -227,7 +154,7 @@ def test_the_pose_of_a_frame_in_tf(node, graph, begin, listen):
 
 
 def test_a_tool_is_seen_where_its_bridge_moves_it(node, graph, begin, listen):
-    begin(f"--eye={','.join(map(str, EYE))}", f"--look-at={','.join(map(str, GOAL))}")
+    begin(*LOOKING)
     boxes = listen("segmentation/image_raw", "camera_info")
     poses = graph.create_publisher(PoseStamped, "right/measured_cp", STREAM)
     at = np.array([0.014, -0.01, 0.07])  # in the optical frame: a ball of 5 mm

@@ -1,11 +1,13 @@
 """Patched templates against ROS's own serialisation."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose, PoseStamped, Vector3, Wrench, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
-from shape_msgs.msg import Mesh
+from shape_msgs.msg import Mesh, MeshTriangle
 from std_msgs.msg import Float64MultiArray, String, UInt8MultiArray
 
 from helpers.ros.processes import shipped
@@ -21,7 +23,8 @@ from tissue_sim.ros.shared.cdr import (
     parse_text,
     unit_pose,
 )
-from tissue_sim.ros.shared.messages import CloudTemplate, NumbersTemplate, rest_mesh
+from tissue_sim.ros.shared.client import mesh_arrays
+from tissue_sim.ros.shared.messages import CloudTemplate, NumbersTemplate, inclusion_mesh, rest_mesh
 from tissue_sim.ros.shared.shown_organ import ShownOrgan
 from tissue_sim.ros.shared.tool_messages import POSE_TYPES, ToolTopics
 
@@ -152,6 +155,21 @@ def test_what_a_bag_holds_may_be_cut_short():
         for end in (0, 3, 6, 14, len(raw) - 8):
             with pytest.raises(ValueError, match=r"truncated|not little-endian"):
                 parse(raw[:end])
+
+
+@pytest.mark.parametrize(("vertices", "triangles"), [(4, 3), (4, 2), (3, 1), (0, 0)])
+def test_mesh_is_what_rclpy_writes(vertices, triangles):
+    rng = np.random.default_rng(vertices)
+    positions, corners = rng.normal(size=(vertices, 3)), rng.integers(0, max(vertices, 1), (triangles, 3))
+    message = Mesh(
+        triangles=[MeshTriangle(vertex_indices=row) for row in corners.astype(np.uint32)],
+        vertices=[Point(x=x, y=y, z=z) for x, y, z in positions.tolist()],
+    )
+    organ = SimpleNamespace(inclusion_positions=positions, inclusion_triangles=corners)
+    made = inclusion_mesh(organ)
+    assert len(made) == len(serialize_message(message))  # what it leaves out between them is anything
+    for read, given in zip(mesh_arrays(deserialize_message(made, Mesh)), (positions, corners), strict=True):
+        np.testing.assert_array_equal(read, given)
 
 
 def test_rest_mesh_is_the_organ():

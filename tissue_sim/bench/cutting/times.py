@@ -1,8 +1,7 @@
-"""`tissue_sim bench cut`: time of a cut and its parts, and of the ticks before it, while it is made, and after it."""
+"""Processor time of a cut and its parts, and of the ticks before and after it."""
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -13,7 +12,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
 from tissue_sim.bench.cutting.cuts import CUTS, OPENING, Cut, Place, loads_of, placed
 from tissue_sim.bench.cutting.organs import kidney
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, figure, noise_lines
+from tissue_sim.bench.printing import Bound, aligned, figure
 from tissue_sim.bench.timing import Ticks, describe, noise_burst
 from tissue_sim.model.cutting.crossing import crossing_among
 from tissue_sim.model.cutting.cut import CutOrgan, cut_again, not_cut
@@ -27,19 +26,7 @@ from tissue_sim.organ.organ import Organ
 REPEATS = 3  # of every part of a cut, of which the median is taken
 TICKS = 2000  # before and after
 FORCE = 0.1  # N on each lip while ticks are timed, which rises and falls five times a second
-MOST_TICK, MOST_P99, LEAST_STEP = 1000.0, 250.0, 95.0  # us; us; % of the critical step of the uncut organ
-PEER = (
-    "for comparison, Sase, Fukuhara, Tsujita & Konno 2015 (ROBOMECH Journal 2, 17): a time step of blunt dissection",
-    "takes less than 20 ms on a graphics processor, for 4,807 nodes and 19,600 elements",
-)
-
-
-class During(NamedTuple):
-    """Ticks while a cut is made, and what came of it."""
-
-    seconds: Floats  # (t,) of each tick
-    opened: Simulation
-    taken_up: float  # s in which the state is carried over, between two ticks
+LEAST_STEP = 95.0  # % of the critical step of the uncut organ
 
 
 class Timed(NamedTuple):
@@ -52,7 +39,6 @@ class Timed(NamedTuple):
     masses: float
     surface: float
     before: Floats  # (t,) of each tick
-    during: Floats
     taken_up: float  # in which the state is carried over, between two ticks
     first: float  # of the first tick after it
     after: Floats
@@ -90,53 +76,30 @@ def timed(organ: Organ, cut: Cut) -> Timed:
     nodes = np.flatnonzero(force.any(axis=1))
     simulation = Simulation(organ)
     before, substeps_before = _ticks(simulation, force, TICKS)
-    made = during(simulation, place, force)
-    first = float(Ticks(made.opened, nodes, force[nodes])(1)[0])
-    after, substeps_after = _ticks(made.opened, force, TICKS)
-    report = made.opened.cuts[-1]
+    opened = simulation.prepared_cut(place.sheet.polyline, place.sheet.direction, place.sheet.depth)
+    taken_up = _taken_up(simulation, opened)
+    first = float(Ticks(opened, nodes, force[nodes])(1)[0])
+    after, substeps_after = _ticks(opened, force, TICKS)
+    report = opened.cuts[-1]
     return Timed(
         cut=cut,
         **parts,
         before=before,
-        during=made.seconds,
-        taken_up=made.taken_up,
+        taken_up=taken_up,
         first=first,
         after=after,
-        cells=(len(organ.cell_nodes), len(made.opened.organ.cell_nodes)),
-        nodes=(organ.n_nodes, made.opened.organ.n_nodes),
+        cells=(len(organ.cell_nodes), len(opened.organ.cell_nodes)),
+        nodes=(organ.n_nodes, opened.organ.n_nodes),
         substeps=(substeps_before, substeps_after),
         critical_step=(report.critical_step_before, report.critical_step_after),
     )
 
 
-def during(simulation: Simulation, place: Place, force: Floats) -> During:
-    """Make a cut while the organ goes on ticking in this thread, under a load.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        The organ before the cut.
-    place : Place
-        The cut.
-    force : Floats, shape (n_surface, 3), N
-        The load.
-    """
-    nodes = np.flatnonzero(force.any(axis=1))
-    ticks, parts, made = Ticks(simulation, nodes, force[nodes]), [], []
-
-    def work() -> None:
-        sheet = place.sheet
-        made.append(simulation.prepared_cut(sheet.polyline, sheet.direction, sheet.depth))
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    while thread.is_alive():
-        parts.append(ticks(20))
-    thread.join()
-    (opened,) = made
+def _taken_up(simulation: Simulation, opened: Simulation) -> float:
+    """Return the processor time, s, in which a prepared simulation takes over the state of the one before."""
     start = time.thread_time()
     opened.continue_from(simulation)
-    return During(np.concatenate(parts), opened, time.thread_time() - start)
+    return time.thread_time() - start
 
 
 def opened_by(simulation: Simulation, place: Place) -> Simulation:
@@ -205,13 +168,8 @@ def as_json(found: list[Timed], bursts: Floats) -> dict[str, Any]:
     """
     table = [_row(one) for one in found]
 
-    def worst(key: str) -> float | None:
-        return max((row[key] for row in table), default=None)
-
     steps = [100.0 * row["critical_step_after_us"] / row["critical_step_before_us"] for row in table]
     bounds = [
-        Bound("longest tick while a cut is made, and when it is taken up", worst("longest_us"), MOST_TICK, "us"),
-        Bound("ticks while a cut is made, p99", worst("during_p99_us"), MOST_P99, "us"),
         Bound("critical step after a cut", min(steps, default=None), LEAST_STEP, "% of that before", least=True),
     ]
     loop = float(np.median(bursts))
@@ -228,20 +186,19 @@ def _row(one: Timed) -> dict[str, Any]:
     row: dict[str, Any] = {"cut": one.cut.name}
     for name in ("total", "sheet", "topology", "masses", "surface"):
         row[f"{name}_ms"] = 1e3 * getattr(one, name)
-    for name in ("before", "during", "after"):
+    for name in ("before", "after"):
         timing = describe(getattr(one, name))
         row[f"{name}_p50_us"], row[f"{name}_p99_us"] = 1e6 * timing.median, 1e6 * timing.p99
     row["rest_ms"] = row["total_ms"] - sum(row[f"{name}_ms"] for name in ("sheet", "topology", "masses", "surface"))
     row["taken_up_us"], row["first_us"] = 1e6 * one.taken_up, 1e6 * one.first
-    row["longest_us"] = 1e6 * max(float(one.during.max()), one.taken_up + one.first)
     for name in ("cells", "nodes", "substeps"):
         row[f"{name}_before"], row[f"{name}_after"] = getattr(one, name)
     row["critical_step_before_us"], row["critical_step_after_us"] = (1e6 * step for step in one.critical_step)
     return row
 
 
-def text(found: dict[str, Any]) -> str:
-    """Return the figures as tables.
+def text(found: dict[str, Any]) -> list[str]:
+    """Return the figures as lines of tables.
 
     Parameters
     ----------
@@ -250,34 +207,26 @@ def text(found: dict[str, Any]) -> str:
 
     Returns
     -------
-    str
-        The text.
+    list[str]
+        The lines.
     """
     parts = ("total", "sheet", "topology", "masses", "surface", "rest")
     cuts = [["cut, mm", *(f"{name} ms" for name in parts), "cells", "nodes", "critical step us"]]
-    ticks = [
-        ["ticks", "before p50", "p99 us", "during p50", "p99", "taken up", "first", "after p50", "p99", "substeps"]
-    ]
+    ticks = [["ticks", "before p50", "p99 us", "taken up", "first", "after p50", "p99", "substeps"]]
     for row in found["rows"]:
         sizes = [f"{row[f'{name}_before']} to {row[f'{name}_after']}" for name in ("cells", "nodes")]
         step = f"{row['critical_step_before_us']:.0f} to {row['critical_step_after_us']:.0f}"
         cuts.append([row["cut"], *(figure(row[f"{name}_ms"]) for name in parts), *sizes, step])
-        names = ("before_p50", "before_p99", "during_p50", "during_p99", "taken_up", "first", "after_p50", "after_p99")
+        names = ("before_p50", "before_p99", "taken_up", "first", "after_p50", "after_p99")
         substeps = f"{row['substeps_before']} to {row['substeps_after']}"
         ticks.append([row["cut"], *(figure(row[f"{name}_us"]) for name in names), substeps])
-    lines = [
+    return [
         "parts of a cut: the polyline on the surface, divided cells and virtual nodes, shared masses, the new surface;",
-        "the rest is the fastest mode of the organ before and after, and the assembly of the model; processor time of",
-        "one thread; the cut is prepared beside the ticks, in another thread, and taken up between two of them",
+        "the rest is the fastest mode of the organ before and after, and the assembly of the model; ticks under forces",
+        "on both lips, and how long the state is carried over; processor time of one thread",
         f"a fixed loop takes {figure(found['fixed_loop_us'])} us",
         "",
         *aligned(cuts),
         "",
         *aligned(ticks),
-        "",
-        *PEER,
-        "",
-        *bound_lines(found["bounds"]),
-        *noise_lines(found["noise"]),
     ]
-    return "\n".join(lines)

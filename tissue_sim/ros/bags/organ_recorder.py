@@ -121,7 +121,7 @@ class OrganRecorder:
             if self.active:
                 self._messages.put(self.names["mesh"], mesh)
 
-    def cut(self, tick: int, made: Simulation) -> None:
+    def cut(self, tick: int, made: Simulation, file: bytes) -> None:
         """Record a simulation that the loop goes on with after a cut, or after the reset of its cuts.
 
         Parameters
@@ -130,8 +130,10 @@ class OrganRecorder:
             The first tick with it.
         made : Simulation
             The simulation.
+        file : bytes
+            Content of its organ's file.
         """
-        fields = fields_of_cut(self.physics.version, tick, made)
+        fields = fields_of_cut(self.physics.version, tick, made, file)
         with self.together:
             self._cut = fields if made.cuts else None
             if self.active:

@@ -45,7 +45,7 @@ def organ_in(file: bytes) -> Organ:
         return Organ.load(path)
 
 
-def fields_of_cut(number: int, tick: int, made: Simulation) -> dict[str, NDArray[Any]]:
+def fields_of_cut(number: int, tick: int, made: Simulation, file: bytes) -> dict[str, NDArray[Any]]:
     """Return a cut as arrays by name.
 
     Parameters
@@ -56,12 +56,14 @@ def fields_of_cut(number: int, tick: int, made: Simulation) -> dict[str, NDArray
         The first tick with it.
     made : Simulation
         The simulation after it.
+    file : bytes
+        Content of its organ's file.
     """
     fields: dict[str, NDArray[Any]] = {
         "number": np.array(number),
         "tick": np.array(tick),
         "first_set": np.array(NO_SET),
-        "organ": np.frombuffer(made.organ.to_bytes(), dtype=np.uint8),
+        "organ": np.frombuffer(file, dtype=np.uint8),
         "origin": np.asarray(made.origin),
     }
     if made.cut_organ is not None:

@@ -17,7 +17,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.rendering.offscreen import Offscreen
 from tissue_sim.rendering.pinhole import beside
 from tissue_sim.ros.camera.bag import CameraBag
-from tissue_sim.ros.camera.seen_scene import FIRST_ORGAN, SeenOrgan, SeenTools
+from tissue_sim.ros.camera.seen_scene import FIRST_ORGAN, SeenLigaments, SeenOrgan, SeenTools
 from tissue_sim.ros.camera.settings import CameraSettings
 from tissue_sim.ros.camera.topic_names import POSE, TOPICS
 from tissue_sim.ros.camera.topics import EyeTopics
@@ -75,6 +75,7 @@ class Camera:
         self._parameters = NodeParameters(node, target)
         self._organs = [SeenOrgan(node, self.drawn, target, "", FIRST_ORGAN)]
         self._tools = SeenTools(node, self.drawn, target)
+        self._ligaments = SeenLigaments(node, self.drawn, target)
         self._broadcast: Any = None
         if tf_installed():
             from tissue_sim.ros.node.output.tf_broadcast import TfBroadcast
@@ -131,6 +132,7 @@ class Camera:
             if organ.take():
                 self._stamp, self._stamped, self._frame_id = organ.stamp, now, organ.frame_id
         self._tools.take()
+        self._ligaments.take()
 
     def _use(self, values: Mapping[str, Any]) -> None:
         names = tuple(values.get(TOLD, ())) or ("",)

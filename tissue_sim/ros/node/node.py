@@ -220,6 +220,8 @@ class TissueNode(GuardedNode):
             with noted():
                 presenter.close()
         self.contacts.stop()
+        for cutting in self.cutting:
+            cutting.close()
         with noted():
             self._close_bag()
         self.loop.stop()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,6 +34,9 @@ class NodeReport(NamedTuple):
     degraded: str  # what is given up
     busy_p99: float = 0.0  # s, 99th percentile of the time of a tick, and
     late_p99: float = 0.0  # s, of its lateness
+    longest: float = 0.0  # s, of a tick since the previous report
+    latest: float = 0.0  # s, by which a tick was late since then, at most
+    substeps: int = 0  # of the newest tick
 
 
 class PokeFigures(NamedTuple):
@@ -139,11 +142,20 @@ class PokeProbe(Hand):
         for report in self._reports.take_all():
             values = client.physics_status([report], self._target)
             if values is not None:
-                found.append(_as_told(report.header.stamp, values))
+                found.append(as_told(report.header.stamp, values))
         return found
 
 
-def _as_told(stamp: Any, values: dict[str, str]) -> NodeReport:
+def as_told(stamp: Any, values: Mapping[str, str]) -> NodeReport:
+    """Return a report of the node's physics.
+
+    Parameters
+    ----------
+    stamp : Any
+        Its stamp.
+    values : Mapping[str, str]
+        Its values.
+    """
     return NodeReport(
         stamp.sec + 1e-9 * stamp.nanosec,
         int(values["tick"]),
@@ -154,4 +166,7 @@ def _as_told(stamp: Any, values: dict[str, str]) -> NodeReport:
         values["degraded"],
         1e-6 * float(values["tick_p99_us"]),
         1e-6 * float(values["late_p99_us"]),
+        1e-6 * float(values["tick_max_us"]),
+        1e-6 * float(values["late_max_us"]),
+        int(values["substeps"]),
     )

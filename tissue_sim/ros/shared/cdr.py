@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CDR_HEADER = 4  # bytes before the body; alignment counts from the body
+LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # such a header, of plain CDR
 FARTHEST, HARDEST = 100.0, 1e6  # m and N: larger values are in another unit
 
 

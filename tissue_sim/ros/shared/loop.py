@@ -14,6 +14,7 @@ import numpy as np
 
 from tissue_sim.errors import UserError
 from tissue_sim.handles import handle, place_of, row
+from tissue_sim.memory import provide
 from tissue_sim.model.data.records import copy_of, field_of
 from tissue_sim.model.data.world import make_world
 from tissue_sim.model.joined import ExchangePlan, Joined
@@ -251,6 +252,7 @@ class Loop:
         if self.clock_stands and patience is None:
             raise UserError("the clock that ticks follow stands, so that no tick takes up the cut; publish /clock")
         box = boxes_after(self.boxes[organ], made.state, made.carry_plan)
+        provide((made.model, made.state.words, made.scratch, box.shape, box.carry))
         world_handle, box_handle = self._world_of(made, organ), handle(box)
         exchange, words = self._exchange, self._exchange.words
         with self._snapshot_lock, self.hold.kept() as is_held:

@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
-from shape_msgs.msg import Mesh, MeshTriangle
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.shared.cdr import CDR_HEADER
+from tissue_sim.ros.shared.cdr import CDR_HEADER, LITTLE_ENDIAN
 from tissue_sim.ros.shared.shown_organ import ShownOrgan
 
 
@@ -112,8 +110,8 @@ def inclusion_mesh(organ: Organ) -> bytes:
 
 
 def _mesh(positions: Floats, triangles: Ints) -> bytes:
-    message = Mesh(
-        triangles=[MeshTriangle(vertex_indices=row) for row in triangles.astype(np.uint32)],
-        vertices=[Point(x=float(x), y=float(y), z=float(z)) for x, y, z in positions],
-    )
-    return bytes(serialize_message(message))
+    """Return a shape_msgs/Mesh, written as CDR: rclpy takes tens of milliseconds, in which no pose is answered."""
+    corners = np.asarray(triangles, dtype="<u4").tobytes()
+    counted = struct.pack("<I", len(triangles)) + corners + struct.pack("<I", len(positions))
+    gap = -len(counted) % 8 if len(positions) else 0  # doubles are aligned
+    return LITTLE_ENDIAN + counted + bytes(gap) + np.asarray(positions, dtype="<f8").tobytes()

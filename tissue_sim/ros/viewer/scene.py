@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.organ.mean_value import mean_value_weights
-from tissue_sim.rendering.appearance import LIGAMENT, Colour
+from tissue_sim.rendering.appearance import INCLUSION, LIGAMENT, Colour
 from tissue_sim.rendering.organ_view import OrganView
 from tissue_sim.ros.shared.organ_topics import path_of
 
 SKELETON: Colour = (20, 30, 60)
-INCLUSION: Colour = (214, 196, 150)
 
 
 class InclusionView:

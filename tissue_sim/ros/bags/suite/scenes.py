@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.tools import Tool
@@ -23,6 +25,7 @@ FAR = 0.03  # m from the surface, where a tool waits
 CLEAR = 0.003  # m between the surface and a tool that acts by its external force only
 LEFT_ALONE = 0.2  # s after the last action, so that a bag ends at rest
 CUT_EDGE = np.array([[0.055, 0.0, 0.0], [0.075, 0.0, 0.0]])  # m, beside the kidney's lateral side
+POLE, SPREAD = 0.024, 0.011  # m from the end of the pole to the grippers' tips, and how far each is moved aside
 LIP, PRESSED, PULLED = 0.008, 0.003, 0.008  # m from the cut, into the tissue, and aside
 TO_SLEEP = 1.5  # s in which the organ comes to rest and falls asleep
 
@@ -228,6 +231,36 @@ def _cut_and_spread(organ: Organ, tools: Sequence[Tool]) -> Steps:
     yield from _nothing(LEFT_ALONE)
 
 
+def _split_and_spread(organ: Organ, tools: Sequence[Tool]) -> Steps:
+    """Split the lower pole, spread both halves with a gripper on each, and let go."""
+    points = organ.surface_positions
+    out, aside, front = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    out, aside = -out * np.sign(out[2]), aside * np.sign(aside[0])
+    front, end = np.cross(out, aside), float((points @ out).max())
+    pole = points[points @ out > end - POLE] @ np.stack([aside, front]).T
+    across, along = 0.5 * (pole.min(axis=0) + pole.max(axis=0))
+    middle, quarter = across * aside + along * front, 0.25 * float(np.ptp(pole[:, 0]))
+    ends = np.array([middle + (end + 0.005) * out + side * 0.04 * front for side in (-1.0, 1.0)])
+    turn = Rotation.from_matrix(np.column_stack([aside, np.cross(aside, out), -out])).as_quat()
+    yield Step(cut=Blade(ends, turn))
+    wide, tight = 2.0 * quarter + 0.012, 1.1 * quarter
+    # How far each gripper is beside the middle of its half, and outside, and how far its tips are apart, m.
+    legs = (0.006, 0.04, wide), (0.006, 0.0, wide), (0.004, 0.0, tight), (SPREAD, 0.0, tight), (SPREAD, 0.05, 0.05)
+    for (start, goal), seconds in zip(pairwise(legs), (0.16, 0.24, 0.32, 0.2), strict=True):
+        count = round(0.5 * seconds / STEP)  # every other step: contact of jaws makes large bags
+        for share in minimum_jerk(np.arange(1, count + 1) / count):
+            beside, outside, gap = np.array(start) + share * np.subtract(goal, start)
+            sides = {0: -1.0, 1: 1.0}
+            places = {
+                tool: middle + side * (quarter + beside) * aside + (end - POLE + outside) * out
+                for tool, side in sides.items()
+            }
+            poses = {tool: np.concatenate([place, turn]) for tool, place in places.items()}
+            yield Step(poses, {tool: tools[tool].jaws.angle(gap) for tool in sides})
+            yield Step()
+    yield from _nothing(LEFT_ALONE)
+
+
 _SHARED = tuple(f"point_{index}" for index in range(GLOBAL_POINTS))
 SCENES = (
     Scene("stroke", "a tool moved along the front", _scripted("stroke")),
@@ -263,6 +296,14 @@ SCENES = (
         _cut_and_spread,
         ("left", "right"),
         parameters={"cut_depth": "0.03", "marker_rate": "1.0"},
+    ),
+    Scene(
+        "spread",
+        "a split pole whose halves two grippers spread",
+        _split_and_spread,
+        ("left", "right"),
+        shape="gripper",
+        parameters={"cut_depth": "0.033", "marker_rate": "1.0", "friction": "1.0"},
     ),
     Scene("sleep", "touched, asleep, woken, asleep", _sleep),
 )

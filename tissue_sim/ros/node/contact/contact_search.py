@@ -11,8 +11,8 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.finder import MARGIN, ContactFinder, Sought, reach_margins, ways
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
+from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.model.data.contact_set import Engaged
-from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.shared.served_organ import ServedOrgan
@@ -75,15 +75,15 @@ class ContactSearch:
         self.is_behind = False  # a tool on its way to its newest pose needs further sets
         self._next: tuple[ContactFinder, int] | None = None  # on the surface after a cut, with its number of nodes
 
-    def finder_of(self, made: Simulation) -> ContactFinder:
-        """Return a finder on the surface that a simulation has; this takes a while.
+    def finder_of(self, surface: TouchedSurface) -> ContactFinder:
+        """Return a finder on another surface of the organ; this takes a while.
 
         Parameters
         ----------
-        made : Simulation
-            The simulation.
+        surface : TouchedSurface
+            The surface.
         """
-        return ContactFinder.of(made, self.finder.tools)
+        return ContactFinder(surface, self.finder.tools)
 
     def exchange(self, finder: ContactFinder) -> None:
         """Search with another finder from the next search on, after the loop has gone on with its organ.

@@ -85,14 +85,19 @@ class LoopReport:
             The report; updated.
         """
         timing, results = self._timing.read(), [one.results() for one in self._organs.each]
-        busy = np.percentile(timing.busy, [50.0, 99.0]) if timing.ticks else np.zeros(2)
+        busy, late = (
+            1e6 * np.percentile(times, [50.0, 99.0, 100.0]) if timing.ticks else np.zeros(3)
+            for times in (timing.busy, timing.late)
+        )
         report.values |= {
             "tick": results[0].status.tick,
             "tick_rate_hz": timing.rate,
             "realtime_priority": self._organs.loop.priority,
-            "tick_p50_us": 1e6 * float(busy[0]),
-            "tick_p99_us": 1e6 * float(busy[1]),
-            "late_p99_us": 1e6 * float(np.percentile(timing.late, 99.0)) if timing.ticks else 0.0,
+            "tick_p50_us": float(busy[0]),
+            "tick_p99_us": float(busy[1]),
+            "tick_max_us": float(busy[2]),
+            "late_p99_us": float(late[1]),
+            "late_max_us": float(late[2]),
             "overruns": timing.overruns,
             "real_time_factor": timing.real_time_factor,
             "behind_ms": 1e3 * timing.behind,

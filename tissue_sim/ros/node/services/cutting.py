@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -17,11 +16,13 @@ from tissue_sim.contact.blade_cuts import BladeCuts
 from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.cut import CutReport
-from tissue_sim.model.cutting.sheet import Sheet, sheet_of
+from tissue_sim.model.cutting.sheet import Sheet
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.contact.contact_search import ContactSearch
+from tissue_sim.ros.node.services.cut_process import CutProcess, SomeCut
+from tissue_sim.ros.node.services.simulation_parts import Prepared
 from tissue_sim.ros.node.shared.deferred_service import DeferredService, Work
 from tissue_sim.ros.node.shared.guarded_node import GuardedNode
 from tissue_sim.ros.node.shared.served_organ import ServedOrgan
@@ -32,12 +33,11 @@ from tissue_sim.ros.shared.report import Report
 
 PARALLEL = 1e-3  # by which the directions of a path's poses may differ
 BLADE_PERIOD = 0.02  # s, after which it is seen whether blades have cut
-NICE = 10  # of the thread that makes a cut
 HEALED = "the organ was reset while its cut was computed, and is uncut; call the service again"
 
 
 class OrganCutting:
-    """Cuts of one organ: the newest path is cut when the service is called, in a thread of its own.
+    """Cuts of one organ: the newest path is cut when the service is called, in a process of its own.
 
     Parameters
     ----------
@@ -81,11 +81,16 @@ class OrganCutting:
         self._blades = BladeCuts(served.physics.simulation)
         if self._blades:
             node.create_timer(BLADE_PERIOD, self._follow_blades)
+            threading.Thread(target=parts.process.start, daemon=True).start()  # a blade doesn't wait for it
 
     @property
     def cuts(self) -> Sequence[CutReport]:
         """The cuts that the organ has."""
         return self._served.physics.simulation.cuts
+
+    def close(self) -> None:
+        """End the process that makes cuts."""
+        self._parts.process.close()
 
     def heal(self) -> None:
         """Go on with the uncut organ, in the state of the cut one: the organ is about to be reset."""
@@ -109,7 +114,7 @@ class OrganCutting:
             if uncut is None or not cut.cuts:
                 return
             uncut.return_from(cut)
-            self._parts.exchange(self._number, uncut, patience)
+            self._parts.exchange(self._number, Prepared.of(uncut), patience)
             self._publish()
 
     def _on_path(self, message: Path) -> None:
@@ -120,6 +125,8 @@ class OrganCutting:
             self.refused += 1
             self._refused = f"the newest path was refused: {error}"
             self._log.warning(f"a path for {self._name} was refused: {error}")
+        else:  # soon there will be a cut
+            threading.Thread(target=self._parts.process.start, daemon=True).start()
 
     def _path_of(self, message: Path) -> tuple[Floats, Floats]:
         """Return the polyline (m, 3) m and the direction (3,) of a path, in the organ's frame."""
@@ -162,8 +169,6 @@ class OrganCutting:
         depth = self._depth()
 
         def work() -> None:
-            # The thread ends with its answer; until then ticks and poses go first.
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
             try:
                 response.message = self._cut(*path, depth)
                 response.success = True
@@ -179,11 +184,11 @@ class OrganCutting:
         """Cut the organ; return the cut's description."""
         begun, heals = time.monotonic(), self._heals
         before = self._served.physics.simulation
-        return self._take_up(before, sheet_of(before.uncut_organ, polyline, direction, depth), begun, heals)
+        return self._take_up(before, (polyline, direction, depth), begun, heals)
 
-    def _take_up(self, before: Simulation, sheet: Sheet, begun: float, heals: int) -> str:
-        """Cut the organ along a sheet, unless it was reset since `heals`; return the cut's description."""
-        made = before.prepared_sheet(sheet)
+    def _take_up(self, before: Simulation, cut: SomeCut, begun: float, heals: int) -> str:
+        """Cut the organ, unless it was reset since `heals`; return the cut's description."""
+        made = self._parts.process.cut(before, cut)
         with self._exchanging:
             if heals != self._heals:
                 raise UserError(HEALED)
@@ -191,8 +196,8 @@ class OrganCutting:
                 self._uncut = before
             self._parts.exchange(self._number, made)
         self.made, self.seconds = self.made + 1, time.monotonic() - begun
-        text = str(made.cuts[-1])
-        if not sheet.mark:
+        text = str(made.simulation.cuts[-1])
+        if len(cut) > 1:  # a blade's cut comes in many stages
             self._log.info(f"{self._name} was cut: {text}")
         self._publish()
         return text
@@ -211,12 +216,11 @@ class OrganCutting:
                 self._busy.release()
 
     def _open(self, sheets: Sequence[Sheet]) -> None:
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         try:
             with self._node.mishaps.noted():
                 for sheet in sheets:
                     try:
-                        self._take_up(self._served.physics.simulation, sheet, time.monotonic(), self._heals)
+                        self._take_up(self._served.physics.simulation, (sheet,), time.monotonic(), self._heals)
                     except (UserError, TimeoutError) as error:
                         self._blades.refuse(str(error))
                         self._log.warning(f"a blade's cut of {self._name} was not opened: {error}")
@@ -275,26 +279,27 @@ class CuttingParts:
     ) -> None:
         self.loop, self._joined, self.frame_id = loop, joined, frame_id
         self._searches, self._recorders, self._renew_settings = searches, recorders, renew_settings
+        self.process = CutProcess()
 
-    def exchange(self, number: int, made: Simulation, patience: float | None = None) -> None:
+    def exchange(self, number: int, made: Prepared, patience: float | None = None) -> None:
         """Go on with a simulation that continues an organ's.
 
         Parameters
         ----------
         number : int
             Number of the organ.
-        made : Simulation
-            The simulation.
+        made : Prepared
+            The simulation, and what goes with it.
         patience : float | None, s, optional
             How long to wait for the tick that takes it up; None: as long as a running loop may take.
         """
-        search, recorder = self._searches[number], self._recorders[number]
-        finder = search.finder_of(made)
-        plan = self._joined.plan_exchange(number, made)
+        search, recorder, simulation = self._searches[number], self._recorders[number], made.simulation
+        finder = search.finder_of(made.surface)
+        plan = self._joined.plan_exchange(number, simulation)
         with recorder.exchanging:
-            tick = recorder.physics.exchange(made, plan, patience)
-            recorder.cut(tick, made)
-        self._joined.exchange(number, made, plan)
+            tick = recorder.physics.exchange(simulation, plan, patience)
+            recorder.cut(tick, simulation, made.file)
+        self._joined.exchange(number, simulation, plan)
         search.exchange(finder)
         self._renew_settings(number)
 
