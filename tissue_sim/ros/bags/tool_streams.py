@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rosbags.rosbag2 import Reader
 from scipy.spatial.transform import Rotation
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bags import recovery
 from tissue_sim.ros.bags.reading import read_bag
-from tissue_sim.ros.shared.cdr import parse_stamped, unit_pose
+from tissue_sim.ros.shared.cdr import Stamped, parse_stamped, unit_pose
 
 POSE, WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
 NS = 1e-9
@@ -131,16 +130,16 @@ def _messages(path: Path, topic: str, kind: str, size: int) -> tuple[Floats, Flo
     """Return times (k,) s and values (k, size) of a topic, in the order of their stamps."""
     if not path.exists():
         raise UserError(f"bag {path} does not exist")
-    with recovery.report_incomplete_records(path):
-        for file in recovery.listed(path):
-            recovery.check_lengths(file)
-        with Reader(path) as reader:
-            types = {one.topic: one.msgtype for one in reader.connections}
-            if types.get(topic) != kind:
-                some = ", ".join(sorted(name for name, own in types.items() if own == kind)) or "none"
-                raise UserError(f"bag {path} has no topic {topic} of {kind}; those of this type: {some}")
+    found: list[tuple[int, Stamped]] = []
+    with recovery.opened(path, of_node=False) as readers:
+        types = {one.topic: one.msgtype for reader in readers for one in reader.connections}
+        if types.get(topic) != kind:
+            some = ", ".join(sorted(name for name, own in types.items() if own == kind)) or "none"
+            raise UserError(f"bag {path} has no topic {topic} of {kind}; those of this type: {some}")
+        for reader in readers:
             chosen = [one for one in reader.connections if one.topic == topic]
-            found = [(logged, parse_stamped(bytes(raw), size)) for _, logged, raw in reader.messages(chosen)]
+            if chosen:  # rosbags takes none for all
+                found += [(logged, parse_stamped(bytes(raw), size)) for _, logged, raw in reader.messages(chosen)]
     if not found:
         raise UserError(f"bag {path}: no message on {topic}")
     time = NS * np.array([message.stamp or logged for logged, message in found], dtype=np.float64)
