@@ -6,12 +6,20 @@ import numpy as np
 import pytest
 
 from tissue_sim.bench.identify import palpation_sets, synthetic
-from tissue_sim.bench.identify.command import _known_bounds, _set_bounds, text
+from tissue_sim.bench.identify.command import _inclusion_bounds, _known_bounds, _set_bounds, text
+from tissue_sim.bench.identify.inclusions import KNOWN, UNKNOWN, Around, found_around
+from tissue_sim.bench.identify.inclusions import as_rows as inclusion_rows
+from tissue_sim.bench.identify.known_presses import ELSEWHERE, OVER, places_with
 from tissue_sim.bench.identify.palpation_sets import as_rows, errors_of, repeat_errors
 from tissue_sim.bench.identify.synthetic import CASES, MODULUS, Truth, recovered
 from tissue_sim.cli import main
+from tissue_sim.errors import UserError
 from tissue_sim.identification.force_curves import bonded_layer, hertz, tabulated
 from tissue_sim.identification.table import presses_of, read_columns
+from tissue_sim.organ.inclusions import inclusions_of
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.organ.tool_resolution import mean_edge
 
 BALL, THICK = 3.16e-3, 0.025
 DEEP = np.linspace(0.0, 2e-3, 10)
@@ -39,6 +47,49 @@ def test_a_model_that_is_too_stiff_is_seen():
     found = recovered("noise", truth(1.25), np.random.default_rng(0), 6)
     assert np.median(found.off) == pytest.approx(-20.0, abs=2.0)
     assert found.held == 0
+
+
+def around(effect=0.0, count=12):
+    """Places in a row, over the first of which finite elements are stiffer than the model without the inclusion."""
+    stiff = np.ones(count)
+    stiff[0] += effect
+    plain, one = truth(1.0, count), truth(1.0 / stiff, count)
+    points = np.array([[0.02 * number, 0.0, 0.0] for number in range(count)])
+    return Around({KNOWN: plain, UNKNOWN: one}, points)
+
+
+def test_an_unknown_inclusion_is_told_and_a_known_one_is_not():
+    given = around(0.3)
+    random = np.random.default_rng(0)
+    unknown, known = (found_around(case, given, random, 10) for case in (UNKNOWN, KNOWN))
+    assert unknown.told == 10
+    assert known.told == known.elsewhere == unknown.elsewhere == 0
+    assert np.abs(unknown.recovered.off).max() < 8.0
+    rows = inclusion_rows([known, unknown])
+    assert all(bound.as_json()["met"] for bound in _inclusion_bounds(rows) if "told" in bound.name)
+    assert "10 of 10" in text({"known": [], "inclusions": rows, "sets": [], "repeat_percent": [], "bounds": []})
+
+
+def test_an_inclusion_that_is_hardly_stiffer_is_missed_and_the_bound_says_so():
+    given = around(0.02)
+    missed = found_around(UNKNOWN, given, np.random.default_rng(0), 6)
+    assert missed.told == 0
+    (bound,) = [one for one in _inclusion_bounds(inclusion_rows([missed])) if one.name.endswith("told over it")]
+    assert not bound.as_json()["met"]
+
+
+def test_places_over_the_inclusion_come_first_and_are_clear_of_the_clamp():
+    organ = Organ.load(shipped_organ("kidney_tumour"))
+    spots = places_with(organ)
+    middle = inclusions_of(organ)[0].positions.mean(axis=0)
+    apart = [np.linalg.norm(spot.point - middle) for spot in spots]
+    assert len(spots) == OVER + ELSEWHERE
+    assert np.argmin(apart) == 0
+    assert max(apart[:OVER]) < min(apart[OVER:])
+    clamp = organ.surface_positions[organ.fixed]
+    assert min(np.linalg.norm(clamp - spot.point, axis=1).min() for spot in spots) > 3.5 * mean_edge(organ)
+    with pytest.raises(UserError, match="no inclusion"):
+        places_with(Organ.load(shipped_organ("kidney")))
 
 
 def written(folder, soft=0.3, noise=0.01, seed=0):
@@ -102,8 +153,8 @@ def test_figures_become_tables_and_bounds(tmp_path):
     sets = as_rows([found])
     known = synthetic.as_rows([recovered(name, truth(), np.random.default_rng(0), 2) for name in list(CASES)[:3]])
     bounds = [one.as_json() for one in [*_known_bounds(known), *_set_bounds(sets)]]
-    told = {"known": known, "sets": sets, "repeat_percent": [5.0, 6.0], "bounds": bounds}
-    assert len(bounds) == 8
+    told = {"known": known, "inclusions": [], "sets": sets, "repeat_percent": [5.0, 6.0], "bounds": bounds}
+    assert len(bounds) == 11
     assert [bound["met"] for bound in bounds if "with one modulus" in bound["name"]] == [False]
     assert json.loads(json.dumps(told)) == told
     assert SET in text(told)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -23,7 +21,7 @@ FINGER = 0.007  # m, radius
 DEEP = np.array([0.0005, 0.001, 0.0015, 0.002, 0.003, 0.004])  # m, at which finite elements are solved
 CLEAR = 4.0  # edges from the clamp
 OVER, AROUND = 7, 0.022  # places over an inclusion, within m from the one nearest to its middle
-ELSEWHERE = 15
+ELSEWHERE = 5
 
 
 def places_with(organ: Organ, over: int = OVER, elsewhere: int = ELSEWHERE) -> list[PressPoint]:
@@ -81,8 +79,3 @@ def forces_by_elements(organ: Organ, spots: list[PressPoint], kind: str) -> Floa
     if len(found) != len(spots):
         raise UserError(f"{user_cache()} holds other presses of organ '{organ.name}'; remove {kind}-*.npz there")
     return found
-
-
-def settled_share(forces: Floats) -> float:
-    """Return the share of presses (n, d) that settle at every depth."""
-    return float(np.isfinite(forces).all(axis=1).mean()) if len(forces) else math.nan
