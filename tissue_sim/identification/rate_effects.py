@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from tissue_sim import progress
 from tissue_sim.identification.damping import Damping, damping_of, line_of, losses_of
 from tissue_sim.identification.fitted_organ import with_stiffness
@@ -77,7 +79,7 @@ def rate_effects_of(
     elastic, holds = [], []
     for hold in measurement.holds:
         row = row_of[hold.press]
-        elastic.append(curves.some([row]).at(hold.depths[None] + offset[row])[0][0])
+        elastic.append(curves.some(np.array([row])).at(hold.depths[None] + offset[row])[0][0])
         holds.append(hold._replace(forces=hold.forces - fit.common[2]))
     sliding, lines = friction_of(measurement.strokes)
     relaxation, relaxing = relaxation_of(holds, elastic, has_times)

@@ -46,7 +46,7 @@ class _Thinned(NamedTuple):
     time: Floats
     force: Floats
     elastic: Floats
-    count: Floats
+    averaged: Floats
 
 
 def relaxation_of(holds: Sequence[Hold], elastic: Sequence[Floats], has_times: bool) -> tuple[Relaxation | None, str]:
@@ -135,9 +135,9 @@ def _residuals(some: Sequence[_Thinned], share: float, constant: float) -> list[
     found = []
     for one in some:
         model = relaxed(one.time, one.elastic, share, constant)
-        factor = (one.count * model) @ one.force / max(float((one.count * model) @ model), 1e-300)
+        factor = (one.averaged * model) @ one.force / max(float((one.averaged * model) @ model), 1e-300)
         scale = max(float(one.force.max()), 1e-12)
-        found.append(np.sqrt(one.count) * (one.force - factor * model) / scale)
+        found.append(np.sqrt(one.averaged) * (one.force - factor * model) / scale)
     return found
 
 
@@ -160,7 +160,7 @@ def _fitted(some: Sequence[_Thinned]) -> Relaxation:
     if len(some) > 2:  # holds that differ tell more than their noise
         alone = np.array([[found.share, np.log(found.time)] for found in (_fitted([one]) for one in some)])
         deviation = np.maximum(deviation, alone.std(axis=0, ddof=1) / np.sqrt(len(some)))
-    total = sum(float(one.count.sum()) for one in some)
+    total = sum(float(one.averaged.sum()) for one in some)
     left = float(np.sqrt(sum(float(one @ one) for one in residuals) / total))
     return Relaxation(share, constant, float(deviation[0]), constant * float(deviation[1]), len(some), left)
 

@@ -72,6 +72,12 @@ def test_a_bag_that_was_broken_off_is_read_as_far_as_it_goes(tmp_path):
         topics_of(bag, "/tip", "/tip")
 
 
+def test_a_bag_of_a_robot_is_told_how_to_be_read(tmp_path):
+    for bag in (written(tmp_path / "whole"), broken_off(tmp_path / "bag", 9)):
+        with pytest.raises(UserError, match=r"--pose-topic \(PoseStamped: /tip\) and --wrench-topic .* /sensor"):
+            recorded_tool(bag, None)
+
+
 def test_a_bag_without_any_content_is_refused(tmp_path):
     bag = broken_off(tmp_path / "bag", 9)
     (file,) = bag.glob("*.mcap")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from tissue_sim.identification.mixed_effects import Priors
 from tissue_sim.identification.stiff_places import stiff_places
 from tissue_sim.identification.uncertainty import model_error
 from tissue_sim.identification.validation import held_out
-from tissue_sim.organ.inclusions import with_inclusions
+from tissue_sim.organ.inclusions import cell_factors, inclusions_of, with_inclusions
 from tissue_sim.organ.organ import Organ
 
 USED = 10  # presses of a run; that over the inclusion is always among them
@@ -54,7 +55,7 @@ def around_of(organ: Organ) -> Around:
     settled = np.isfinite(solved).all(axis=1)
     spots = [spot for spot, is_settled in zip(spots, settled, strict=True) if is_settled]
     elements, error = synthetic.elements_of(organ, solved[settled]), model_error(organ, FINGER)
-    models = {KNOWN: organ, UNKNOWN: with_inclusions(organ, [])}
+    models = {KNOWN: organ, UNKNOWN: without_inclusions(organ)}
     return Around(
         {
             case: Truth(elements, synthetic.model_curves(one, spots), one.youngs_modulus, error)
@@ -62,6 +63,13 @@ def around_of(organ: Organ) -> Around:
         },
         np.array([spot.point for spot in spots]),
     )
+
+
+def without_inclusions(organ: Organ) -> Organ:
+    """Return the organ as a file of it would be that knows of no inclusion: its cells are those of the tissue."""
+    factors = cell_factors(inclusions_of(organ), organ.rest_positions, organ.cell_nodes)
+    plain = with_inclusions(organ, [])
+    return replace(plain, cell_mu=organ.cell_mu / factors, cell_lambda=organ.cell_lambda / factors)
 
 
 def measure(organ: Organ, runs: int) -> list[Found]:

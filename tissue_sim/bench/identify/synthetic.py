@@ -16,7 +16,7 @@ from tissue_sim.identification.force_curves import ForceCurves, tabulated
 from tissue_sim.identification.measured import MeasuredPress, Measurement, Samples
 from tissue_sim.identification.mixed_effects import Fit, Priors, fitted
 from tissue_sim.identification.places import PressPoint, flat_locations
-from tissue_sim.identification.press_curves import curves_of
+from tissue_sim.identification.press_curves import Arrays, curves_of
 from tissue_sim.identification.pressing import FRICTION
 from tissue_sim.identification.uncertainty import Interval, drawn_factors, interval_of, model_error
 from tissue_sim.organ.organ import Organ
@@ -90,7 +90,7 @@ def model_curves(organ: Organ, spots: list[PressPoint]) -> ForceCurves:
     measurement = Measurement("", FINGER, presses, [], [], True)
     key = hashlib.sha256(f"{organ.digest()} {measurement.points.tolist()} {__version__}".encode()).hexdigest()
 
-    def make() -> dict[str, Floats]:
+    def make() -> Arrays:
         kept = Checkpoint(user_cache() / f".identify-curves-{key[:24]}", {"key": key})
         curves = curves_of(organ, measurement, FRICTION, 1.0, kept.remember, KNOTS)
         kept.remove()

@@ -47,6 +47,8 @@ def recorded_tool(path: Path, name: str | None) -> ToolStream:
     UserError
         For a bag that can't be read, and a tool that it doesn't have.
     """
+    if path.exists():
+        _check_own(path)
     bag = read_bag(path)
     names = [tool.name for tool in bag.tools]
     round_ones = [tool for tool in bag.tools if tool.shape == "sphere" and name in (None, tool.name)]
@@ -148,6 +150,21 @@ def _messages(path: Path, topic: str, kind: str, size: int) -> tuple[Floats, Flo
         raise UserError(f"bag {path}: {topic} holds what is not finite")
     order = np.argsort(time, kind="stable")
     return time[order], values[order]
+
+
+def _check_own(path: Path) -> None:
+    """Raise UserError for a bag of others, with the topics that it has."""
+    with recovery.opened(path, of_node=False) as readers:
+        types = {one.topic: one.msgtype for reader in readers for one in reader.connections}
+    if any(topic.endswith("/config") for topic in types):
+        return
+    poses, wrenches = (
+        ", ".join(sorted(name for name, own in types.items() if own == kind)) or "none" for kind in (POSE, WRENCH)
+    )
+    raise UserError(
+        f"bag {path} was not recorded by a tissue_sim node; name its topics with --pose-topic (PoseStamped: {poses}) and"
+        f" --wrench-topic (WrenchStamped: {wrenches})"
+    )
 
 
 def _between(time: Floats, values: Floats, at: Floats) -> Floats:
