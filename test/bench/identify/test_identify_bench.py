@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from tissue_sim.bench.identify import palpation_sets, synthetic
-from tissue_sim.bench.identify.command import _inclusion_bounds, _known_bounds, _set_bounds, text
+from tissue_sim.bench.identify import coverage, palpation_sets, synthetic
+from tissue_sim.bench.identify.command import _exact_bounds, _inclusion_bounds, _known_bounds, _set_bounds, text
 from tissue_sim.bench.identify.inclusions import KNOWN, UNKNOWN, Around, found_around, without_inclusions
 from tissue_sim.bench.identify.inclusions import as_rows as inclusion_rows
 from tissue_sim.bench.identify.known_presses import ELSEWHERE, OVER, places_with
@@ -70,6 +70,16 @@ def around(effect=0.0, count=12):
     return Around({KNOWN: plain, UNKNOWN: one}, points)
 
 
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """The bound has two sides: intervals of half the width, or twice, leave it."""
+    found = coverage.recovered(6, 0.05, np.random.default_rng(0), 40)
+    assert 34 <= found.held <= 40
+    assert np.abs(found.off).max() < 3.0 * 100.0 * found.width
+    for share, is_met in ((0.8, [False, True]), (0.95, [True, True]), (1.0, [True, False])):
+        rows = [{"intervals_that_hold": 100 * share, "runs": 100}]
+        assert [bound.as_json()["met"] for bound in _exact_bounds(rows)] == is_met
+
+
 def test_an_unknown_inclusion_is_told_and_a_known_one_is_not():
     given = around(0.3)
     random = np.random.default_rng(0)
@@ -79,7 +89,9 @@ def test_an_unknown_inclusion_is_told_and_a_known_one_is_not():
     assert np.abs(unknown.recovered.off).max() < 8.0
     rows = inclusion_rows([known, unknown])
     assert all(bound.as_json()["met"] for bound in _inclusion_bounds(rows) if "told" in bound.name)
-    assert "10 of 10" in text({"known": [], "inclusions": rows, "sets": [], "repeat_percent": [], "bounds": []})
+    assert "10 of 10" in text(
+        {"known": [], "exact": [], "inclusions": rows, "sets": [], "repeat_percent": [], "bounds": []}
+    )
 
 
 def test_an_inclusion_that_is_hardly_stiffer_is_missed_and_the_bound_says_so():
@@ -164,8 +176,8 @@ def test_figures_become_tables_and_bounds(tmp_path):
     sets = as_rows([found])
     known = synthetic.as_rows([recovered(name, truth(), np.random.default_rng(0), 2) for name in list(CASES)[:3]])
     bounds = [one.as_json() for one in [*_known_bounds(known), *_set_bounds(sets)]]
-    told = {"known": known, "inclusions": [], "sets": sets, "repeat_percent": [5.0, 6.0], "bounds": bounds}
-    assert len(bounds) == 11
+    told = {"known": known, "exact": [], "inclusions": [], "sets": sets, "repeat_percent": [5.0, 6.0], "bounds": bounds}
+    assert len(bounds) == 8
     assert [bound["met"] for bound in bounds if "with one modulus" in bound["name"]] == [False]
     assert json.loads(json.dumps(told)) == told
     assert SET in text(told)

@@ -162,8 +162,8 @@ def _check_own(path: Path) -> None:
         ", ".join(sorted(name for name, own in types.items() if own == kind)) or "none" for kind in (POSE, WRENCH)
     )
     raise UserError(
-        f"bag {path} was not recorded by a tissue_sim node; name its topics with --pose-topic (PoseStamped: {poses}) and"
-        f" --wrench-topic (WrenchStamped: {wrenches})"
+        f"bag {path} was not recorded by a tissue_sim node; name its topics with --pose-topic (PoseStamped: {poses})"
+        f" and --wrench-topic (WrenchStamped: {wrenches})"
     )
 
 
