@@ -170,6 +170,18 @@ def test_repeats_differ_by_their_noise(tmp_path):
     assert repeat_errors(folder) == pytest.approx([0.048, 0.048], abs=0.015), "0.67 sqrt(2) of 5 %"
 
 
+def test_a_repeat_that_is_less_deep_says_nothing_of_what_lies_deeper(tmp_path):
+    """Its last force would stand for all that is deeper, and the error would seem large."""
+    folder = written(tmp_path / "data", noise=0.001)
+    path = folder / f"{SET}.csv"
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    for row in rows[1:]:
+        row[6:16] = [f"{0.5 * deep:.6g}" for deep in DEEP]
+        row[16:] = [f"{value:.6g}" for value in np.interp(0.5 * DEEP, DEEP, np.array(row[16:], dtype=float))]
+    path.write_text("\n".join(map(",".join, rows)))
+    assert max(repeat_errors(folder)) < 0.05
+
+
 def test_figures_become_tables_and_bounds(tmp_path):
     law = hertz(BALL, 10e3, 0.45, 4e-3)
     found = errors(written(tmp_path / "data"), model=law, hertz=law, linear=law)
