@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tissue_sim.errors import UserError
-from tissue_sim.identification.measured import Hold, MeasuredStroke
-from tissue_sim.identification.rates import friction_of, relaxation_of
+from tissue_sim.identification.friction import friction_of
+from tissue_sim.identification.measured import MeasuredStroke
 from tissue_sim.identification.stream import Stream, depths_in, found_in
 
 RADIUS, TOP = 0.007, 0.03  # m, of the tool and of the ball that it presses
@@ -46,8 +46,8 @@ def test_two_presses_are_found_without_the_bias(organ):
     np.testing.assert_allclose(first.way, [0.0, 0.0, -1.0], atol=1e-6)
     assert first.speed == pytest.approx(0.006, rel=0.05)
     assert (np.diff(first.depths) > 0.0).all()
-    (hold,) = [one for one in found.holds if np.ptp(one.time) > 0.5]
-    assert np.ptp(hold.time) == pytest.approx(1.0, abs=0.05)
+    (hold,) = [one for one in found.holds if one.length > 0.5]
+    assert hold.length == pytest.approx(1.0, abs=0.05)
     assert not found.strokes
 
 
@@ -61,19 +61,6 @@ def test_a_stroke_has_its_friction(organ):
 def test_friction_is_not_told_without_a_stroke_or_with_a_wrong_sign():
     assert friction_of([])[0] is None
     assert friction_of([MeasuredStroke("one", np.ones(3), -np.ones(3), 0.01)])[0] is None
-
-
-def test_a_hold_relaxes():
-    time = np.arange(0.0, 15.0, 0.05)
-    found, told = relaxation_of([Hold("hold", time, 0.3 + 0.1 * np.exp(-time / 2.0))], True)
-    assert found.share == pytest.approx(0.25, abs=0.01)
-    assert found.time == pytest.approx(2.0, rel=0.05)
-    assert "25 %" in told
-    for holds, has_times, why in (([Hold("a", time[:50], time[:50])], True, "2.5 s"), ([], False, "no times")):
-        found, told = relaxation_of(holds, has_times)
-        assert found is None
-        assert "not identifiable" in told
-        assert why in told
 
 
 def test_what_is_no_press_is_refused(organ):

@@ -14,7 +14,9 @@ from tissue_sim.identification.force_curves import ForceCurves
 from tissue_sim.identification.measured import Measurement, Samples, samples_of
 from tissue_sim.identification.mixed_effects import Fit, Priors, fitted
 from tissue_sim.identification.press_curves import FAST, Arrays, Remember, check_tool, curves_of, forget
-from tissue_sim.identification.rates import friction_of, relaxation_of
+from tissue_sim.identification.rate_effects import RateEffects, rate_effects_of
+from tissue_sim.identification.stiff_places import StiffPlaces, stiff_places
+from tissue_sim.identification.stiff_places import line_of as line_of_stiff_places
 from tissue_sim.identification.stiffness_map import decaying
 from tissue_sim.identification.uncertainty import (
     Interval,
@@ -52,6 +54,8 @@ class Identified(NamedTuple):
     diagnosis: Diagnosis
     next_press: NextPress
     of_cells: Floats | None
+    rate_effects: RateEffects
+    stiff_places: StiffPlaces
     remarks: list[str]
 
     @property
@@ -127,7 +131,9 @@ def identify(
         diagnosed(curves, samples, settings.priors, fit),
         following,
         of_cells,
-        _remarks(measurement, wanted, of_cells is not None),
+        rate_effects_of(organ, measurement, (curves, fit), settings.friction, remember),
+        stiff_places(fit),
+        _remarks(wanted, of_cells is not None),
     )
     return found._replace(organ=with_stiffness(organ, fit.factor, provenance_of(found), of_cells))
 
@@ -157,16 +163,14 @@ def _map_of_cells(
     return np.asarray(np.exp(decaying(points, given, middle, measurement.radius)))
 
 
-def _remarks(measurement: Measurement, map_pays: bool, is_mapped: bool) -> list[str]:
-    """Return lines on what was, and what can't be, identified besides the modulus."""
-    has_times = any(press.speed > 0.0 for press in measurement.presses)
-    lines = [friction_of(measurement.strokes)[1], relaxation_of(measurement.holds, has_times)[1]]
-    if map_pays and not is_mapped:
-        lines.append(
-            "a map of stiffness lowers the held-out error, but the organ file has one modulus: places are not in its"
-            " axes, or it has no cells"
-        )
-    return lines
+def _remarks(map_pays: bool, is_mapped: bool) -> list[str]:
+    """Return lines on what the organ file can't hold."""
+    if not map_pays or is_mapped:
+        return []
+    return [
+        "a map of stiffness lowers the held-out error, but the organ file has one modulus: places are not in its axes,"
+        " or it has no cells"
+    ]
 
 
 def provenance_of(found: Identified) -> dict[str, Any]:
@@ -184,7 +188,10 @@ def provenance_of(found: Identified) -> dict[str, Any]:
         "with_map": found.of_cells is not None,
         "holds_to_depth_mm": 1e3 * found.diagnosis.holds_to,
         "digest_before": found.source.digest(),
+        **found.rate_effects.told(),
     }
+    if len(found.stiff_places.presses):
+        told["stiff_places"] = [found.measurement.presses[row].name for row in found.stiff_places.presses]
     if found.held_out is not None:
         told["held_out_error_percent"] = 100.0 * found.held_out.one
         if np.isfinite(found.held_out.mapped):
@@ -220,7 +227,10 @@ def lines_of(found: Identified) -> list[str]:
         )
     elif seen.holds_to < seen.depths[-1]:
         lines.append(f"warning: {_holding(seen)}")
-    return [*lines, *found.remarks, _proposal(found)]
+    if len(found.stiff_places.presses):
+        names = [press.name for press in found.measurement.presses]
+        lines.append(line_of_stiff_places(found.stiff_places, names, found.measurement.points))
+    return [*lines, *found.rate_effects.lines, *found.remarks, _proposal(found)]
 
 
 def _holding(seen: Diagnosis) -> str:

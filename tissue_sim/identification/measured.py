@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -63,11 +64,30 @@ class MeasuredStroke(NamedTuple):
 
 
 class Hold(NamedTuple):
-    """A tool that stands still in tissue: time since it stopped (k,) s, and force against the way (k,) N."""
+    """A tool that goes into tissue and stands still there.
 
-    name: str
+    press: name of the press; time (k,) s since the tool stopped, negative on its way in; depths (k,) m as of the press,
+    and forces (k,) N against the way.
+    """
+
+    press: str
     time: Floats
-    force: Floats
+    depths: Floats
+    forces: Floats
+
+    @property
+    def length(self) -> float:
+        """How long the tool stands still, s."""
+        return float(self.time[-1])
+
+
+class Sinusoid(NamedTuple):
+    """A tool that swings along its way in tissue: whole cycles, as of `Hold`, with the time since the first, s."""
+
+    press: str
+    time: Floats
+    depths: Floats
+    forces: Floats
 
 
 class Measurement(NamedTuple):
@@ -87,6 +107,8 @@ class Measurement(NamedTuple):
         Holds.
     is_registered : bool
         Whether places are in the organ's axes; otherwise they only tell presses apart.
+    sinusoids : Sequence[Sinusoid]
+        Sinusoids.
     """
 
     source: str
@@ -95,6 +117,7 @@ class Measurement(NamedTuple):
     strokes: list[MeasuredStroke]
     holds: list[Hold]
     is_registered: bool
+    sinusoids: Sequence[Sinusoid] = ()
 
     @property
     def points(self) -> Floats:

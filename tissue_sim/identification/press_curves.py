@@ -73,6 +73,7 @@ def curves_of(
     friction: float,
     factor: float = 1.0,
     remember: Remember = forget,
+    knots: int = KNOTS,
 ) -> ForceCurves:
     """Return the model's force curves for the organ's own modulus.
 
@@ -91,6 +92,8 @@ def curves_of(
         Factor on the moduli with which fast presses, where inertia and damping count, are simulated.
     remember : Remember, optional
         Keeps results by name, so that the calculation can be continued.
+    knots : int, optional
+        Number of depths at which the model is held.
 
     Returns
     -------
@@ -119,7 +122,7 @@ def curves_of(
 
     if not measurement.is_registered:
         deepest = max(press.deepest for press in presses) + REACH
-        depths = np.linspace(0.0, deepest, KNOTS)
+        depths = np.linspace(0.0, deepest, knots)
         spots = flat_locations(organ, 1)[0]
         paths = [Press(spot.point - measurement.radius * spot.way, spot.way) for spot in spots]
         felt = [kept(path, depths, 0.0) for path in progress.steps(paths, "presses of the model")]
@@ -127,7 +130,7 @@ def curves_of(
     check_registration(organ, measurement)
     every, found = [], []
     for press in progress.steps(presses, "presses of the model"):
-        depths = np.linspace(-REACH, press.deepest + REACH, KNOTS)
+        depths = np.linspace(-REACH, press.deepest + REACH, knots)
         found.append(kept(_path_of(press), depths, press.speed if press.speed > FAST else 0.0))
         every.append(depths)
     return tabulated(every, found, np.arange(len(presses)))

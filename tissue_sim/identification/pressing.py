@@ -53,7 +53,7 @@ def forces(scene: Scene, press: Path, depths: Floats) -> Floats:
     scene.reset()
     deep, found = min(-CLEAR, float(depths[0])), []
     for depth in depths:
-        _lead(scene, press, (deep, float(depth)), SPEED)
+        lead(scene, press, (deep, float(depth)), SPEED)
         deep = float(depth)
         found.append(held(scene, press, deep))
     return np.array(found)
@@ -64,13 +64,13 @@ def moving_forces(scene: Scene, press: Path, depths: Floats, speed: float) -> Fl
     scene.reset()
     deep, found = min(-CLEAR, float(depths[0])), []
     for depth in depths:
-        _lead(scene, press, (deep, float(depth)), speed)
+        lead(scene, press, (deep, float(depth)), speed)
         deep = float(depth)
         found.append(-float(scene.wrenches[0, :3] @ press.way))
     return np.array(found)
 
 
-def _lead(scene: Scene, press: Path, span: tuple[float, float], speed: float) -> None:
+def lead(scene: Scene, press: Path, span: tuple[float, float], speed: float) -> None:
     """Move a ball from one depth to another, m."""
     ticks = max(1, round((span[1] - span[0]) / (speed * scene.simulation.settings.tick_time)))
     for place in np.linspace(*span, ticks + 1)[1:]:

@@ -10,7 +10,8 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.errors import UserError
-from tissue_sim.identification.measured import Hold, MeasuredPress, MeasuredStroke, Measurement
+from tissue_sim.identification.measured import Hold, MeasuredPress, MeasuredStroke, Measurement, Sinusoid
+from tissue_sim.identification.sinusoids import cycles_of
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 from tissue_sim.organ.winding import inside
@@ -46,7 +47,7 @@ class _Contact(NamedTuple):
 
 
 def found_in(stream: Stream, organ: Organ, radius: float) -> Measurement:
-    """Return the presses, strokes and holds of a stream.
+    """Return the presses, strokes, holds and sinusoids of a stream.
 
     The mean force while the tool can't touch is taken for the sensor's bias and is subtracted.
 
@@ -79,6 +80,7 @@ def found_in(stream: Stream, organ: Organ, radius: float) -> Measurement:
     presses: list[MeasuredPress] = []
     strokes: list[MeasuredStroke] = []
     holds: list[Hold] = []
+    sinusoids: list[Sinusoid] = []
     for number, own in enumerate(_runs(depth > -NEAR), start=1):
         if depth[own].max() < LEAST_DEPTH:
             continue
@@ -92,8 +94,9 @@ def found_in(stream: Stream, organ: Organ, radius: float) -> Measurement:
         press = _press(f"press {number}", contact)
         if press is not None:
             presses.append(press)
+            holds += _hold(press, contact)
+            sinusoids += _sinusoid(press, contact)
         strokes += _stroke(f"stroke {number}", contact)
-        holds += _hold(f"hold {number}", contact)
     if not presses:
         raise UserError(
             f"{stream.source}: no press was found: the tool comes at most {1e3 * depth.max():.1f} mm deep into the"
@@ -104,7 +107,7 @@ def found_in(stream: Stream, organ: Organ, radius: float) -> Measurement:
             f"{stream.source}: forces point into the tissue; those on the tool are needed: use --negate for the"
             " tool's force on the tissue"
         )
-    return Measurement(stream.source, radius, presses, strokes, holds, is_registered=True)
+    return Measurement(stream.source, radius, presses, strokes, holds, True, sinusoids)
 
 
 def depths_in(organ: Organ, positions: Floats, radius: float) -> Floats:
@@ -161,8 +164,13 @@ def _means(values: Floats, group: Longs) -> Floats:
     return np.array([values[group == one].mean(axis=0) for one in np.unique(group)])
 
 
-def _hold(name: str, contact: _Contact) -> list[Hold]:
-    """Return the hold at a contact's deepest place, if there is one."""
+def _along(press: MeasuredPress, contact: _Contact) -> tuple[Floats, Floats]:
+    """Return depths (k,) m along the way of a press, and forces (k,) N against it, of its whole contact."""
+    return (contact.stream.positions - press.place) @ press.way, -contact.stream.forces @ press.way
+
+
+def _hold(press: MeasuredPress, contact: _Contact) -> list[Hold]:
+    """Return the hold at a press's deepest place, if there is one."""
     after = slice(contact.deepest, None)
     places = contact.stream.positions[after]
     left = (contact.depth[after] < DEEP * contact.depth[contact.deepest]) | (
@@ -171,9 +179,18 @@ def _hold(name: str, contact: _Contact) -> list[Hold]:
     count = int(np.argmax(left)) if left.any() else len(left)
     if count < 2:
         return []
-    own = slice(contact.deepest, contact.deepest + count)
-    time, force = contact.stream.time[own], contact.stream.forces[own]
-    return [Hold(name, time - time[0], np.einsum("kx,kx->k", force, contact.normal[own]))]
+    own = slice(None, contact.deepest + count)
+    depths, forces = _along(press, contact)
+    time = contact.stream.time - contact.stream.time[contact.deepest]
+    return [Hold(press.name, time[own], depths[own], forces[own])]
+
+
+def _sinusoid(press: MeasuredPress, contact: _Contact) -> list[Sinusoid]:
+    """Return the sinusoid in a press's contact, if there is one."""
+    depths, forces = _along(press, contact)
+    time = contact.stream.time
+    own = cycles_of(time, depths, contact.deepest)
+    return [] if own is None else [Sinusoid(press.name, time[own] - time[own][0], depths[own], forces[own])]
 
 
 def _stroke(name: str, contact: _Contact) -> list[MeasuredStroke]:

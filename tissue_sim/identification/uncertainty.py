@@ -14,13 +14,16 @@ from tissue_sim.identification.force_curves import ForceCurves
 from tissue_sim.identification.measured import Samples
 from tissue_sim.identification.mixed_effects import NOISE, SHARE, Fit, Priors, fitted
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.tool_resolution import FINE, mean_edge
+from tissue_sim.organ.tool_resolution import mean_edge
 
 LEVEL = 0.95
 DRAWS = 200
-# Standard deviation of the model's own error, common to presses of one tool: the medians of `tissue_sim bench palpation
-# --places`, -5 to +7 % for radii of half an edge and -4 to +6 % from one edge on.
-FINE_ERROR, FAIR_ERROR = 0.03, 0.06
+# Standard deviation of the part of the model's error that all presses of one tool share, by the tool's radius in mean
+# edges: means over node, edge and triangle in `tissue_sim bench palpation --places` (+0.7, +0.8, -0.3 % from 1.5 edges
+# on; +2.3, +1.0, +1.8, +2.0 % at one; +2.4, -4.4, +3.6 % below), their root mean square rounded up, since they are few.
+# What depends on where a tool meets the mesh varies from place to place, and shows in the presses themselves.
+OWN_ERROR = ((1.5, 0.01), (1.0, 0.02), (0.0, 0.04))
+FEW = 4  # places, below which their spread is that of the fit, which contains a prior
 DEPTHS = (0.25, 0.5, 0.75, 1.0)  # radii, of presses that are considered
 ENOUGH = 1.1  # times the least variance, at which a press is deep enough
 SAMPLES = 20  # of a press that is considered
@@ -46,8 +49,9 @@ class NextPress(NamedTuple):
 
 
 def model_error(organ: Organ, radius: float) -> float:
-    """Return the standard deviation of the model's own error for a tool of a radius, m."""
-    return FINE_ERROR if radius >= FINE * mean_edge(organ) else FAIR_ERROR
+    """Return the standard deviation of the model's error that all presses of a tool, its radius in m, share."""
+    edges = radius / mean_edge(organ)
+    return next(error for least, error in OWN_ERROR if edges >= least)
 
 
 def drawn_factors(
@@ -80,11 +84,12 @@ def interval_of(fit: Fit, drawn: Floats, places: int, own_error: float) -> Inter
     Returns
     -------
     Interval
-        The bootstrap's spread, or the fit's own where that is larger, widened by Student's t for few places, with the
-        model's error added in squares.
+        The bootstrap's spread, for fewer than four places the fit's own where that is larger, widened by Student's t,
+        with the model's error added in squares.
     """
     by_presses = float(np.std(np.log(drawn))) * np.sqrt(places / max(places - 1, 1))
-    by_presses = max(by_presses, float(np.sqrt(fit.covariance[0, 0])))
+    if places < FEW:
+        by_presses = max(by_presses, float(np.sqrt(fit.covariance[0, 0])))
     share = 0.5 + 0.5 * LEVEL
     few = float(t.ppf(share, max(places - 1, 1)) / norm.ppf(share))
     half = float(norm.ppf(share)) * np.hypot(few * by_presses, own_error)

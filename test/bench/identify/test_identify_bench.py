@@ -5,13 +5,21 @@ import json
 import numpy as np
 import pytest
 
-from tissue_sim.bench.identify import palpation_sets, synthetic
-from tissue_sim.bench.identify.command import _known_bounds, _set_bounds, text
+from tissue_sim.bench.identify import coverage, palpation_sets, synthetic
+from tissue_sim.bench.identify.command import _exact_bounds, _inclusion_bounds, _known_bounds, _set_bounds, text
+from tissue_sim.bench.identify.inclusions import KNOWN, UNKNOWN, Around, found_around, without_inclusions
+from tissue_sim.bench.identify.inclusions import as_rows as inclusion_rows
+from tissue_sim.bench.identify.known_presses import ELSEWHERE, OVER, places_with
 from tissue_sim.bench.identify.palpation_sets import as_rows, errors_of, repeat_errors
 from tissue_sim.bench.identify.synthetic import CASES, MODULUS, Truth, recovered
 from tissue_sim.cli import main
+from tissue_sim.errors import UserError
 from tissue_sim.identification.force_curves import bonded_layer, hertz, tabulated
 from tissue_sim.identification.table import presses_of, read_columns
+from tissue_sim.organ.inclusions import inclusions_of
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.organ.tool_resolution import mean_edge
 
 BALL, THICK = 3.16e-3, 0.025
 DEEP = np.linspace(0.0, 2e-3, 10)
@@ -39,6 +47,72 @@ def test_a_model_that_is_too_stiff_is_seen():
     found = recovered("noise", truth(1.25), np.random.default_rng(0), 6)
     assert np.median(found.off) == pytest.approx(-20.0, abs=2.0)
     assert found.held == 0
+
+
+def test_an_organ_without_its_inclusion_is_as_soft_there_as_elsewhere():
+    organ = Organ.load(shipped_organ("kidney_tumour"))
+    plain = without_inclusions(organ)
+    assert not len(plain.inclusion_stiffness)
+    changed = organ.cell_mu != plain.cell_mu
+    assert 0 < changed.sum() < 200
+    middle = organ.rest_positions[organ.cell_nodes].mean(axis=1)[changed]
+    centre = inclusions_of(organ)[0].positions.mean(axis=0)
+    assert np.linalg.norm(middle - centre, axis=1).max() < 0.015
+    assert (organ.cell_mu[changed] / plain.cell_mu[changed]).max() > 4.0
+
+
+def around(effect=0.0, count=12):
+    """Places in a row, over the first of which finite elements are stiffer than the model without the inclusion."""
+    stiff = np.ones(count)
+    stiff[0] += effect
+    plain, one = truth(1.0, count), truth(1.0 / stiff, count)
+    points = np.array([[0.02 * number, 0.0, 0.0] for number in range(count)])
+    return Around({KNOWN: plain, UNKNOWN: one}, points)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """The bound has two sides: intervals of half the width, or twice, leave it."""
+    found = coverage.recovered(6, 0.05, np.random.default_rng(0), 40)
+    assert 34 <= found.held <= 40
+    assert np.abs(found.off).max() < 3.0 * 100.0 * found.width
+    for share, is_met in ((0.8, [False, True]), (0.95, [True, True]), (1.0, [True, False])):
+        rows = [{"intervals_that_hold": 100 * share, "runs": 100}]
+        assert [bound.as_json()["met"] for bound in _exact_bounds(rows)] == is_met
+
+
+def test_an_unknown_inclusion_is_told_and_a_known_one_is_not():
+    given = around(0.3)
+    random = np.random.default_rng(0)
+    unknown, known = (found_around(case, given, random, 10) for case in (UNKNOWN, KNOWN))
+    assert unknown.told == 10
+    assert known.told == known.elsewhere == unknown.elsewhere == 0
+    assert np.abs(unknown.recovered.off).max() < 8.0
+    rows = inclusion_rows([known, unknown])
+    assert all(bound.as_json()["met"] for bound in _inclusion_bounds(rows) if "told" in bound.name)
+    assert "10 of 10" in text(
+        {"known": [], "exact": [], "inclusions": rows, "sets": [], "repeat_percent": [], "bounds": []}
+    )
+
+
+def test_an_inclusion_that_is_hardly_stiffer_is_missed_and_the_bound_says_so():
+    missed = found_around(UNKNOWN, around(0.02), np.random.default_rng(0), 6)
+    assert missed.told < 3
+    (bound,) = [one for one in _inclusion_bounds(inclusion_rows([missed])) if one.name.endswith("told over it")]
+    assert not bound.as_json()["met"]
+
+
+def test_places_over_the_inclusion_come_first_and_are_clear_of_the_clamp():
+    organ = Organ.load(shipped_organ("kidney_tumour"))
+    spots = places_with(organ)
+    middle = inclusions_of(organ)[0].positions.mean(axis=0)
+    apart = [np.linalg.norm(spot.point - middle) for spot in spots]
+    assert len(spots) == OVER + ELSEWHERE
+    assert np.argmin(apart) == 0
+    assert max(apart[:OVER]) < min(apart[OVER:])
+    clamp = organ.surface_positions[organ.fixed]
+    assert min(np.linalg.norm(clamp - spot.point, axis=1).min() for spot in spots) > 3.5 * mean_edge(organ)
+    with pytest.raises(UserError, match="no inclusion"):
+        places_with(Organ.load(shipped_organ("kidney")))
 
 
 def written(folder, soft=0.3, noise=0.01, seed=0):
@@ -96,13 +170,25 @@ def test_repeats_differ_by_their_noise(tmp_path):
     assert repeat_errors(folder) == pytest.approx([0.048, 0.048], abs=0.015), "0.67 sqrt(2) of 5 %"
 
 
+def test_a_repeat_that_is_less_deep_says_nothing_of_what_lies_deeper(tmp_path):
+    """Its last force would stand for all that is deeper, and the error would seem large."""
+    folder = written(tmp_path / "data", noise=0.001)
+    path = folder / f"{SET}.csv"
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    for row in rows[1:]:
+        row[6:16] = [f"{0.5 * deep:.6g}" for deep in DEEP]
+        row[16:] = [f"{value:.6g}" for value in np.interp(0.5 * DEEP, DEEP, np.array(row[16:], dtype=float))]
+    path.write_text("\n".join(map(",".join, rows)))
+    assert max(repeat_errors(folder)) < 0.05
+
+
 def test_figures_become_tables_and_bounds(tmp_path):
     law = hertz(BALL, 10e3, 0.45, 4e-3)
     found = errors(written(tmp_path / "data"), model=law, hertz=law, linear=law)
     sets = as_rows([found])
     known = synthetic.as_rows([recovered(name, truth(), np.random.default_rng(0), 2) for name in list(CASES)[:3]])
     bounds = [one.as_json() for one in [*_known_bounds(known), *_set_bounds(sets)]]
-    told = {"known": known, "sets": sets, "repeat_percent": [5.0, 6.0], "bounds": bounds}
+    told = {"known": known, "exact": [], "inclusions": [], "sets": sets, "repeat_percent": [5.0, 6.0], "bounds": bounds}
     assert len(bounds) == 8
     assert [bound["met"] for bound in bounds if "with one modulus" in bound["name"]] == [False]
     assert json.loads(json.dumps(told)) == told

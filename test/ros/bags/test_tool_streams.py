@@ -51,6 +51,41 @@ def test_topics_are_joined_in_time(tmp_path, stamped):
     assert found.radius is None
 
 
+def broken_off(folder, lost):
+    """The same bag without its metadata and its last bytes, as a recorder leaves it that is killed."""
+    bag = written(folder)
+    (bag / "metadata.yaml").unlink()
+    (file,) = bag.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:-lost])
+    return bag
+
+
+def test_a_bag_that_was_broken_off_is_read_as_far_as_it_goes(tmp_path):
+    whole = topics_of(written(tmp_path / "whole"), "/tip", "/sensor")
+    bag = broken_off(tmp_path / "bag", 9)
+    before = sorted(path.name for path in bag.iterdir())
+    found = topics_of(bag, "/tip", "/sensor")
+    np.testing.assert_array_equal(found.positions, whole.positions)
+    np.testing.assert_array_equal(found.forces, whole.forces)
+    assert sorted(path.name for path in bag.iterdir()) == before
+    with pytest.raises(UserError, match="those of this type: /sensor"):
+        topics_of(bag, "/tip", "/tip")
+
+
+def test_a_bag_of_a_robot_is_told_how_to_be_read(tmp_path):
+    for bag in (written(tmp_path / "whole"), broken_off(tmp_path / "bag", 9)):
+        with pytest.raises(UserError, match=r"--pose-topic \(PoseStamped: /tip\) and --wrench-topic .* /sensor"):
+            recorded_tool(bag, None)
+
+
+def test_a_bag_without_any_content_is_refused(tmp_path):
+    bag = broken_off(tmp_path / "bag", 9)
+    (file,) = bag.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:60])
+    with pytest.raises(UserError, match="was interrupted before it had any content"):
+        topics_of(bag, "/tip", "/sensor")
+
+
 def test_axes_are_turned(tmp_path):
     found = topics_of(written(tmp_path / "bag"), "/tip", "/sensor")
     np.testing.assert_allclose(in_pose_axes(found).forces, TURN.apply(found.forces), atol=1e-12)

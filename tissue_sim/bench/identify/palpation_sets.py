@@ -102,7 +102,8 @@ def repeat_errors(folder: Path) -> list[float]:
         same = np.flatnonzero(apart < SAME)
         samples = samples_of([wanted[row] for row in same])
         pairs = zip(samples.depths, (known[row] for row in index[same]), strict=True)
-        predicted = np.array([np.interp(depths, press.depths, press.forces) for depths, press in pairs])
+        # Beyond the depths of one measurement it says nothing of the other.
+        predicted = np.array([np.interp(depths, press.depths, press.forces, right=np.nan) for depths, press in pairs])
         found.append(float(np.nanmedian(relative_errors(samples, predicted))))
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,21 +10,22 @@ import numpy as np
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
-from tissue_sim.bench.palpation.presses import by_elements
+from tissue_sim.bench.identify.known_presses import DEEP, FINGER, forces_by_elements
+from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.identification.force_curves import ForceCurves, tabulated
 from tissue_sim.identification.measured import MeasuredPress, Measurement, Samples
-from tissue_sim.identification.mixed_effects import Priors, fitted
-from tissue_sim.identification.places import flat_locations
-from tissue_sim.identification.press_curves import curves_of
+from tissue_sim.identification.mixed_effects import Fit, Priors, fitted
+from tissue_sim.identification.places import PressPoint, flat_locations
+from tissue_sim.identification.press_curves import Arrays, curves_of
 from tissue_sim.identification.pressing import FRICTION
-from tissue_sim.identification.uncertainty import drawn_factors, interval_of, model_error
+from tissue_sim.identification.uncertainty import Interval, drawn_factors, interval_of, model_error
 from tissue_sim.organ.organ import Organ
-from tissue_sim.result_cache import remembered
+from tissue_sim.result_cache import remembered, user_cache
+from tissue_sim.version import __version__
 
 MODULUS = 6300.0  # Pa
-FINGER = 0.007  # m, radius
-DEEP = np.array([0.0005, 0.001, 0.0015, 0.002, 0.003, 0.004])  # m, at which finite elements are solved
 DEPTHS = np.concatenate([np.linspace(-8e-4, -1e-4, 5), np.linspace(1e-4, 0.0038, 20)])  # m, of samples
+KNOTS = 10  # depths at which the model is held
 PLACES, USED = 8, 6  # pressed by finite elements; drawn for each run
 RUNS = 100
 NOISE, SHARE = 0.005, 0.02  # N and of the force
@@ -63,25 +65,38 @@ def truth_of(organ: Organ) -> Truth:
     """Return both sets of curves; those of finite elements, which take minutes, are kept in the user's cache."""
     spots = [one[number % len(one)] for number, one in enumerate(flat_locations(organ, PLACES))]
 
-    def make() -> dict[str, Floats]:
-        solved = [by_elements(organ, [spot], FINGER, DEEP)[0] for spot in progress.steps(spots, "finite elements")]
-        return {"force": np.array(solved)}
-
-    solved = remembered("identify-presses", organ.digest(), make)["force"]
+    solved = forces_by_elements(organ, spots, "identify-presses")
     settled = np.isfinite(solved).all(axis=1)
+    known = [spot for spot, is_settled in zip(spots, settled, strict=True) if is_settled]
+    model = model_curves(organ, known)
+    return Truth(elements_of(organ, solved[settled]), model, organ.youngs_modulus, model_error(organ, FINGER))
+
+
+def elements_of(organ: Organ, solved: Floats) -> ForceCurves:
+    """Return the curves of finite elements for the known modulus, from forces (n, d) N for the organ's own."""
     scale = MODULUS / organ.youngs_modulus
-    elements = tabulated(
-        [np.concatenate([[0.0], DEEP])] * int(settled.sum()),
-        [np.concatenate([[0.0], scale * one]) for one in solved[settled]],
-        np.arange(int(settled.sum())),
+    return tabulated(
+        [np.concatenate([[0.0], DEEP])] * len(solved),
+        [np.concatenate([[0.0], scale * one]) for one in solved],
+        np.arange(len(solved)),
     )
+
+
+def model_curves(organ: Organ, spots: list[PressPoint]) -> ForceCurves:
+    """Return the model's curves at spots; they take minutes, and are kept in the user's cache, each as it comes."""
     presses = [
-        MeasuredPress("", DEPTHS, DEPTHS, spot.point - FINGER * spot.way, spot.way, np.zeros((0, 3)))
-        for spot, known in zip(spots, settled, strict=True)
-        if known
+        MeasuredPress("", DEPTHS, DEPTHS, spot.point - FINGER * spot.way, spot.way, np.zeros((0, 3))) for spot in spots
     ]
-    model = curves_of(organ, Measurement("", FINGER, presses, [], [], True), FRICTION)
-    return Truth(elements, model, organ.youngs_modulus, model_error(organ, FINGER))
+    measurement = Measurement("", FINGER, presses, [], [], True)
+    key = hashlib.sha256(f"{organ.digest()} {measurement.points.tolist()} {__version__}".encode()).hexdigest()
+
+    def make() -> Arrays:
+        kept = Checkpoint(user_cache() / f".identify-curves-{key[:24]}", {"key": key})
+        curves = curves_of(organ, measurement, FRICTION, 1.0, kept.remember, KNOTS)
+        kept.remove()
+        return {"start": curves.start, "step": curves.step, "force": curves.force, "which": curves.which}
+
+    return ForceCurves(**remembered("identify-curves", key, make))
 
 
 def measure(organ: Organ, runs: int = RUNS) -> list[Recovered]:
@@ -102,17 +117,30 @@ def recovered(name: str, truth: Truth, random: np.random.Generator, runs: int = 
     moduli, held, widths = np.empty(runs), 0, []
     for run in progress.steps(range(runs), name):
         chosen = np.sort(random.permutation(count)[: min(USED, count)])
-        depths = np.tile(DEPTHS, (len(chosen), 1))
-        force = truth.elements.some(chosen).at(depths + offset * random.normal(size=(len(chosen), 1)))[0] + bias
-        force = force * (1.0 + SHARE * random.normal(size=force.shape)) + NOISE * random.normal(size=force.shape)
-        samples, curves = Samples(depths, force, np.ones_like(force)), truth.model.some(chosen)
-        fit = fitted(curves, samples, priors)
-        drawn = drawn_factors(curves, samples, priors, fit, np.arange(len(chosen)), run)
-        interval = interval_of(fit, drawn, len(chosen), truth.own_error)
+        samples, curves = pressed(truth.elements.some(chosen), bias, offset, random), truth.model.some(chosen)
+        fit, interval = identified(samples, curves, priors, truth.own_error, run)
         moduli[run] = fit.factor * truth.modulus
         held += bool(interval.low * truth.modulus < MODULUS < interval.high * truth.modulus)
         widths.append(0.5 * np.log(interval.high / interval.low))
     return Recovered(name, moduli, held, float(np.median(widths)))
+
+
+def pressed(elements: ForceCurves, bias: float, offset: float, random: np.random.Generator) -> Samples:
+    """Return samples of presses by finite elements with noise, a bias, N, and contact offsets, m."""
+    depths = np.tile(DEPTHS, (len(elements.which), 1))
+    force = elements.at(depths + offset * random.normal(size=(len(depths), 1)))[0] + bias
+    force = force * (1.0 + SHARE * random.normal(size=force.shape)) + NOISE * random.normal(size=force.shape)
+    return Samples(depths, force, np.ones_like(force))
+
+
+def identified(
+    samples: Samples, curves: ForceCurves, priors: Priors, own_error: float, seed: int
+) -> tuple[Fit, Interval]:
+    """Return the fit of presses and the interval of its factor, as an identification computes them."""
+    fit = fitted(curves, samples, priors)
+    count = len(samples.depths)
+    drawn = drawn_factors(curves, samples, priors, fit, np.arange(count), seed)
+    return fit, interval_of(fit, drawn, count, own_error)
 
 
 def as_rows(found: list[Recovered]) -> list[dict[str, Any]]:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.rosbag2 import Reader
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import Tool
@@ -228,14 +227,8 @@ def _finite(value: float) -> float:
 
 def _read_messages(path: Path) -> dict[str, list[bytes]]:
     messages: dict[str, list[bytes]] = defaultdict(list)
-    with recovery.report_incomplete_records(path):
-        if recovery.is_interrupted(path):
-            for connection, _, raw in recovery.messages(path):
-                messages[connection.topic].append(bytes(raw))
-            return messages
-        for file in recovery.listed(path):
-            recovery.check_lengths(file)
-        with Reader(path) as reader:
-            for connection, _, raw in reader.messages():
+    with recovery.opened(path) as readers:
+        for reader in readers:
+            for connection, _, raw in reader.messages(reader.connections):
                 messages[connection.topic].append(bytes(raw))
     return messages

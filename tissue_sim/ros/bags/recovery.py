@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import shutil
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from io import BytesIO
 from pathlib import Path, PurePath
@@ -18,6 +18,7 @@ from typing import BinaryIO
 
 from lz4.frame import LZ4FrameDecompressor
 from rosbags.interfaces import Connection
+from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.storage_mcap import McapReader, decompress, read_sized, read_string, zstd
 from rosbags.typesys import Stores, get_typestore
@@ -91,6 +92,33 @@ def listed(folder: Path) -> list[Path]:
         )
     files = [folder / PurePath(str(name)).name for name in said["relative_file_paths"]]
     return [file for file in files if file.is_file()]  # rosbags tells those that are missing
+
+
+@contextmanager
+def opened(folder: Path, of_node: bool = True) -> Iterator[Sequence[Reader | McapReader]]:
+    """Yield readers of a bag, the oldest first: one of a whole bag, or one for each file of a bag that was broken off.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the bag.
+    of_node : bool, optional
+        Whether a bag that was broken off must be one of this package.
+
+    Raises
+    ------
+    UserError
+        For a bag that can't be read.
+    """
+    with report_incomplete_records(folder):
+        if is_interrupted(folder):
+            with _opened(folder, of_node) as readers:
+                yield readers
+            return
+        for file in listed(folder):
+            check_lengths(file)
+        with Reader(folder) as reader:
+            yield [reader]
 
 
 def messages(folder: Path) -> Iterator[tuple[Connection, int, bytes]]:
@@ -175,8 +203,8 @@ def _rewrite(folder: Path, reader: McapReader) -> None:
 
 
 @contextmanager
-def _opened(folder: Path) -> Iterator[list[McapReader]]:
-    """Yield readers of a bag's files that hold messages, the oldest first."""
+def _opened(folder: Path, of_node: bool = True) -> Iterator[list[McapReader]]:
+    """Yield readers of a bag's files that hold messages, the oldest first; of_node: refuse bags of others."""
     readers = []
     with ExitStack() as stack:
         for path in folder.glob("*.mcap"):
@@ -191,7 +219,7 @@ def _opened(folder: Path) -> Iterator[list[McapReader]]:
                 break
         if not readers:
             raise UserError(f"bag {folder} was interrupted before it had any content")
-        if not any(topic.topic.endswith("/config") for topic in readers[0].connections):
+        if of_node and not any(topic.topic.endswith("/config") for topic in readers[0].connections):
             raise UserError(
                 f"bag {folder} was interrupted, and not recorded by a tissue_sim node: use `ros2 bag reindex`"
             )

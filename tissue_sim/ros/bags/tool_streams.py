@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rosbags.rosbag2 import Reader
 from scipy.spatial.transform import Rotation
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bags import recovery
 from tissue_sim.ros.bags.reading import read_bag
-from tissue_sim.ros.shared.cdr import parse_stamped, unit_pose
+from tissue_sim.ros.shared.cdr import Stamped, parse_stamped, unit_pose
 
 POSE, WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
 NS = 1e-9
@@ -48,6 +47,8 @@ def recorded_tool(path: Path, name: str | None) -> ToolStream:
     UserError
         For a bag that can't be read, and a tool that it doesn't have.
     """
+    if path.exists():
+        _check_own(path)
     bag = read_bag(path)
     names = [tool.name for tool in bag.tools]
     round_ones = [tool for tool in bag.tools if tool.shape == "sphere" and name in (None, tool.name)]
@@ -131,16 +132,16 @@ def _messages(path: Path, topic: str, kind: str, size: int) -> tuple[Floats, Flo
     """Return times (k,) s and values (k, size) of a topic, in the order of their stamps."""
     if not path.exists():
         raise UserError(f"bag {path} does not exist")
-    with recovery.report_incomplete_records(path):
-        for file in recovery.listed(path):
-            recovery.check_lengths(file)
-        with Reader(path) as reader:
-            types = {one.topic: one.msgtype for one in reader.connections}
-            if types.get(topic) != kind:
-                some = ", ".join(sorted(name for name, own in types.items() if own == kind)) or "none"
-                raise UserError(f"bag {path} has no topic {topic} of {kind}; those of this type: {some}")
+    found: list[tuple[int, Stamped]] = []
+    with recovery.opened(path, of_node=False) as readers:
+        types = {one.topic: one.msgtype for reader in readers for one in reader.connections}
+        if types.get(topic) != kind:
+            some = ", ".join(sorted(name for name, own in types.items() if own == kind)) or "none"
+            raise UserError(f"bag {path} has no topic {topic} of {kind}; those of this type: {some}")
+        for reader in readers:
             chosen = [one for one in reader.connections if one.topic == topic]
-            found = [(logged, parse_stamped(bytes(raw), size)) for _, logged, raw in reader.messages(chosen)]
+            if chosen:  # rosbags takes none for all
+                found += [(logged, parse_stamped(bytes(raw), size)) for _, logged, raw in reader.messages(chosen)]
     if not found:
         raise UserError(f"bag {path}: no message on {topic}")
     time = NS * np.array([message.stamp or logged for logged, message in found], dtype=np.float64)
@@ -149,6 +150,21 @@ def _messages(path: Path, topic: str, kind: str, size: int) -> tuple[Floats, Flo
         raise UserError(f"bag {path}: {topic} holds what is not finite")
     order = np.argsort(time, kind="stable")
     return time[order], values[order]
+
+
+def _check_own(path: Path) -> None:
+    """Raise UserError for a bag of others, with the topics that it has."""
+    with recovery.opened(path, of_node=False) as readers:
+        types = {one.topic: one.msgtype for reader in readers for one in reader.connections}
+    if any(topic.endswith("/config") for topic in types):
+        return
+    poses, wrenches = (
+        ", ".join(sorted(name for name, own in types.items() if own == kind)) or "none" for kind in (POSE, WRENCH)
+    )
+    raise UserError(
+        f"bag {path} was not recorded by a tissue_sim node; name its topics with --pose-topic (PoseStamped: {poses})"
+        f" and --wrench-topic (WrenchStamped: {wrenches})"
+    )
 
 
 def _between(time: Floats, values: Floats, at: Floats) -> Floats:

@@ -1,0 +1,46 @@
+"""Places that are far stiffer than the others, as over an inclusion that the organ doesn't have."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.identification.mixed_effects import Fit
+
+ENOUGH = 8  # presses, to know how much places vary
+OUTSIDE = 4.0  # robust standard deviations above the median
+LEAST, LEAST_SPREAD = 0.05, 0.01  # of the modulus: of what is told, and of how much places vary
+NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+
+
+class StiffPlaces(NamedTuple):
+    """Presses at stiff places (k,), the stiffest first, and by how much the stiffest exceeds the median, relative."""
+
+    presses: Longs
+    excess: float
+
+
+def stiff_places(fit: Fit) -> StiffPlaces:
+    """Return the presses whose own modulus is far above those of the others."""
+    own = fit.own[:, 0]
+    if len(own) < ENOUGH:
+        return StiffPlaces(np.zeros(0, dtype=np.int64), 0.0)
+    middle = float(np.median(own))
+    spread = max(NORMAL * float(np.median(np.abs(own - middle))), LEAST_SPREAD)
+    order = np.argsort(-own, kind="stable")
+    chosen = order[own[order] - middle > max(OUTSIDE * spread, LEAST)]
+    return StiffPlaces(chosen, float(np.expm1(own[order[0]] - middle)))
+
+
+def line_of(found: StiffPlaces, names: list[str], points: Floats) -> str:
+    """Return a line about stiff places; names of all presses, and their points (n, 3) m, NaN where unknown."""
+    first = int(found.presses[0])
+    point = points[first]
+    at = " at ({:.1f}, {:.1f}, {:.1f}) mm".format(*(1e3 * point)) if np.isfinite(point).all() else ""
+    others = f"; so are {', '.join(names[row] for row in found.presses[1:])}" if len(found.presses) > 1 else ""
+    return (
+        f"warning: the tissue under {names[first]}{at} is {100 * found.excess:.0f} % stiffer than at most places"
+        f"{others}: something stiff that the organ file doesn't have may lie there"
+    )
