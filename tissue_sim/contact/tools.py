@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.arguments import number_of
 from tissue_sim.array_types import Floats
-from tissue_sim.contact.edges import check_edge, edges_of
+from tissue_sim.contact.edges import Edge, check_edge, edges_of
 from tissue_sim.contact.gripper import Jaws, jaw_poses
 from tissue_sim.contact.quaternions import multiply, rotate
 from tissue_sim.contact.urdf import Instrument, Part, read_instrument
@@ -109,6 +109,14 @@ class Tool:
         return self.shape in ("sphere", "capsule", "blade", "scissors") or (self.shape == "gripper" and not self.mesh)
 
     @property
+    def edge(self) -> Edge | None:
+        """The edge of a blade, or of each blade of scissors, which cut towards each other; None for other tools."""
+        if self.shape not in ("blade", "scissors"):
+            return None
+        ahead = 1.0 if self.shape == "blade" else -1.0
+        return Edge(ahead, self.radius, self.length, self.height, self.cautery_speed)
+
+    @property
     def jaws(self) -> Jaws:
         """Dimensions of a gripper."""
         return Jaws(0.0 if self.mesh else self.radius, self.length)
@@ -167,7 +175,7 @@ class ToolSet:
             [(body.smallest, float(np.linalg.norm(body.corners, axis=1).max())) for body in bodies],
         )
         members = zip(self.tools, self.bodies, strict=True)
-        self.shapes = self.shapes._replace(blades=edges_of(self.tools, self.bodies))
+        self.shapes = self.shapes._replace(blades=edges_of([tool.edge for tool in self.tools], self.bodies))
         self.shapes.smoothing[:] = [tool.smoothing for tool, own in members for _ in own]
 
     def index(self, tool: int | str) -> int:
@@ -236,8 +244,8 @@ def _bodies(tool: Tool) -> list[_Body]:
     if tool.shape == "sphere":
         return [_Body(SPHERE, (tool.radius, 0.0), np.zeros((2, 3)), tool.radius)]
     _check_length(tool)
-    if tool.shape in ("blade", "scissors"):
-        check_edge(tool)
+    if tool.edge is not None:
+        check_edge(tool.name, tool.edge)
     ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -tool.length]])
     capsule = _Body(CAPSULE, (tool.radius, tool.length), ends, tool.radius)
     return [capsule] * tool.n_bodies
