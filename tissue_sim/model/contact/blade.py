@@ -82,7 +82,7 @@ def _leave(sample: BladeSample) -> None:
     sample.embedded = sample.free = False
     sample.depth = sample.deepest = sample.area = 0.0
     for axis in range(3):
-        sample.force[axis] = sample.offset[axis] = 0.0
+        sample.rest[axis] = sample.force[axis] = sample.offset[axis] = 0.0
 
 
 @kernel
@@ -645,5 +645,6 @@ def forget_blades(state: State) -> None:
     """
     for number in range(len(state.blades)):
         _leave(state.blades[number])
+        state.blades[number].load = 0.0
     for body in range(len(state.bodies)):
         state.bodies[body].cutting = False
