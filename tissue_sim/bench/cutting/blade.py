@@ -83,11 +83,11 @@ def measure(organ: Organ, toughness: Sequence[float] = TOUGHNESS, depth: float =
     return found
 
 
-def cut(organ: Organ, toughness: float, depth: float) -> BladeRun:
-    """Press a blade into an organ where it is farthest from its clamp."""
+def cut(organ: Organ, toughness: float, depth: float, friction: float = 0.0) -> BladeRun:
+    """Press a blade into an organ far from its clamp; work against friction on its flanks, Pa, isn't accounted for."""
     scene = Scene(organ, [Tool("knife", shape="blade", radius=RADIUS, length=LENGTH, height=HEIGHT)])
     settings = scene.simulation.settings
-    settings.toughness, settings.friction, settings.flank_friction = toughness, 0.0, 0.0
+    settings.toughness, settings.friction, settings.flank_friction = toughness, 0.0, friction
     start, into, turn = place(organ)
     step = SPEED / scene.simulation.rate
     work = damped = before = entry = dent = 0.0

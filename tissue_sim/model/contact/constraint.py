@@ -15,7 +15,8 @@ import math
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.active_contact import ActiveContact, gather_contacts, place_again, whole_impulse
-from tissue_sim.model.contact.blade import begin_cuts, end_blades, find_blades, press_blades
+from tissue_sim.model.contact.blade import end_blades, find_blades, press_blades
+from tissue_sim.model.contact.blade_entry import begin_cuts
 from tissue_sim.model.contact.gap import gap_and_normal, point_in_body
 from tissue_sim.model.contact.lips import find_lips, press_lips
 from tissue_sim.model.contact.volume_limit import (

@@ -6,7 +6,7 @@ import math
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
-from tissue_sim.model.contact.blade import forget_blades
+from tissue_sim.model.contact.blade_places import forget_blades
 from tissue_sim.model.contact.tool_motion import restore_bodies
 from tissue_sim.model.data.arrays import copy, copy_nodes
 from tissue_sim.model.data.model import Model

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
-from tissue_sim.model.contact.blade import forget_blades
+from tissue_sim.model.contact.blade_places import forget_blades
 from tissue_sim.model.contact.tool_motion import distance, distance_along_path, quaternion_distance
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import POINT_NODES, ContactSet, Engaged, used_words

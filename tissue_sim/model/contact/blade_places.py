@@ -1,0 +1,207 @@
+"""Places of blades in tissue: the cells that hold them, and how these are deformed."""
+
+from __future__ import annotations
+
+import math
+
+from tissue_sim.array_types import Floats
+from tissue_sim.jit import kernel
+from tissue_sim.model.data.blades import CORNERS, BladeSample, CutCells
+from tissue_sim.model.data.state import State
+from tissue_sim.model.data.world import World
+
+MOST_STEPS = 64  # from cell to cell, in a search
+OUTSIDE = 0.05  # barycentric weight below 0 from which a place has left the tissue
+MOST_BACK = 4.0  # Frobenius norm of displacements at rest to those now; that of the unit matrix is 1.7
+
+
+@kernel
+def leave_tissue(sample: BladeSample) -> None:
+    """Take a place of a blade out of the tissue.
+
+    Parameters
+    ----------
+    sample : BladeSample
+        The place; updated.
+    """
+    sample.embedded = sample.free = False
+    sample.depth = sample.deepest = sample.area = 0.0
+    for axis in range(3):
+        sample.rest[axis] = sample.force[axis] = sample.offset[axis] = 0.0
+
+
+@kernel
+def locate(cells: CutCells, sample: BladeSample, weight: Floats) -> bool:
+    """Find the cell that holds a place, beginning with the one that did.
+
+    Parameters
+    ----------
+    cells : CutCells
+        The cells.
+    sample : BladeSample
+        The place; its cell is updated.
+    weight : Floats, shape (4,) or more
+        Receives the barycentric weights there.
+
+    Returns
+    -------
+    bool
+        False where it is outside the tissue.
+    """
+    cell, rest = sample.cell, sample.rest
+    for _ in range(MOST_STEPS):
+        least, across = 0.0, -1
+        for corner in range(CORNERS):
+            slope = cells.slope[cell, corner]
+            value = cells.base[cell, corner] + slope[0] * rest[0] + slope[1] * rest[1] + slope[2] * rest[2]
+            weight[corner] = value
+            if value < least:
+                least, across = value, corner
+        if across < 0:
+            sample.cell = cell
+            return True
+        if cells.neighbour[cell, across] < 0:
+            sample.cell = cell
+            return least > -OUTSIDE
+        cell = cells.neighbour[cell, across]
+    return False
+
+
+@kernel
+def turned_by(rotation: Floats, vector: Floats, result: Floats) -> None:
+    """Turn a vector.
+
+    Parameters
+    ----------
+    rotation : Floats, shape (9,)
+        Rotation matrix, row by row.
+    vector : Floats, shape (3,)
+        The vector.
+    result : Floats, shape (3,)
+        Receives the turned one.
+    """
+    for row in range(3):
+        result[row] = (
+            rotation[3 * row] * vector[0] + rotation[3 * row + 1] * vector[1] + rotation[3 * row + 2] * vector[2]
+        )
+
+
+@kernel
+def times(matrix: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the product of a matrix (9,), row by row, and a vector.
+
+    Parameters
+    ----------
+    matrix : Floats, shape (9,)
+        The matrix.
+    x : float
+        Component of the vector.
+    y : float
+        Component of the vector.
+    z : float
+        Component of the vector.
+    """
+    return (
+        matrix[0] * x + matrix[1] * y + matrix[2] * z,
+        matrix[3] * x + matrix[4] * y + matrix[5] * z,
+        matrix[6] * x + matrix[7] * y + matrix[8] * z,
+    )
+
+
+@kernel
+def write_inverse(a: Floats, inverse: Floats) -> None:
+    """Write the inverse (9,) of a deformation gradient (9,), row by row, at most MOST_BACK large.
+
+    It is 0 where that is nearly singular: inverted cells tell nothing about directions.
+
+    Parameters
+    ----------
+    a : Floats, shape (9,)
+        The deformation gradient.
+    inverse : Floats, shape (9,)
+        Receives the inverse.
+    """
+    c0, c1, c2 = a[4] * a[8] - a[5] * a[7], a[5] * a[6] - a[3] * a[8], a[3] * a[7] - a[4] * a[6]
+    determinant = a[0] * c0 + a[1] * c1 + a[2] * c2
+    if determinant < 0.05:
+        inverse[:] = 0.0
+        return
+    inverse[0], inverse[3], inverse[6] = c0, c1, c2
+    inverse[1], inverse[4], inverse[7] = a[2] * a[7] - a[1] * a[8], a[0] * a[8] - a[2] * a[6], a[1] * a[6] - a[0] * a[7]
+    inverse[2], inverse[5], inverse[8] = a[1] * a[5] - a[2] * a[4], a[2] * a[3] - a[0] * a[5], a[0] * a[4] - a[1] * a[3]
+    square = 0.0
+    for c in range(9):
+        inverse[c] /= determinant
+        square += inverse[c] * inverse[c]
+    if square > MOST_BACK * MOST_BACK:
+        for c in range(9):
+            inverse[c] *= MOST_BACK / math.sqrt(square)
+
+
+@kernel
+def write_offset(world: World, number: int, weight: Floats) -> None:
+    """Note where tissue holds a place of a blade, so that it enters without a jump.
+
+    Parameters
+    ----------
+    world : World
+        Model, state, shapes and working memory; updated.
+    number : int
+        Index of the place.
+    weight : Floats, shape (4,) or more
+        Barycentric weights of the place in its cell.
+    """
+    state, scratch, cells, blades = world.state, world.scratch, world.model.cut_cells, world.shapes.blades
+    sample, body, away = state.blades[number], blades.body[number], scratch.blade_way
+    rotation, origin = scratch.rotation[body], scratch.origin[body]
+    for axis in range(3):
+        place = 0.0
+        for corner in range(CORNERS):
+            first, second = cells.nodes[sample.cell, corner], cells.others[sample.cell, corner]
+            place += 0.5 * weight[corner] * (state.position[first, axis] + state.position[second, axis])
+        away[axis] = place - origin[axis]
+    for axis in range(3):
+        back = rotation[axis] * away[0] + rotation[3 + axis] * away[1] + rotation[6 + axis] * away[2]
+        sample.offset[axis] = back - blades.at[number, axis]
+
+
+@kernel
+def put_into(cells: CutCells, sample: BladeSample, weight: Floats, rest: Floats) -> None:
+    """Move a place that is outside into the last cell of the search for it.
+
+    Parameters
+    ----------
+    cells : CutCells
+        The cells.
+    sample : BladeSample
+        The place; updated.
+    weight : Floats, shape (4,) or more
+        Its barycentric weights in that cell; updated.
+    rest : Floats, shape (n, 3), m
+        Nodes at rest.
+    """
+    cell, total = sample.cell, 0.0
+    for corner in range(CORNERS):
+        weight[corner] = max(weight[corner], 1e-3)
+        total += weight[corner]
+    for axis in range(3):
+        place = 0.0
+        for corner in range(CORNERS):
+            place += weight[corner] / total * rest[cells.nodes[cell, corner], axis]
+        sample.rest[axis] = place
+
+
+@kernel
+def forget_blades(state: State) -> None:
+    """Take all blades out of the tissue.
+
+    Parameters
+    ----------
+    state : State
+        State of the simulation; updated.
+    """
+    for number in range(len(state.blades)):
+        leave_tissue(state.blades[number])
+        state.blades[number].load = 0.0
+    for body in range(len(state.bodies)):
+        state.bodies[body].cutting = False
