@@ -107,4 +107,4 @@ def test_it_ends_with_its_input_and_starts_no_more(before):
     assert child.wait(60.0) == 0
     made.close()
     with pytest.raises(UserError, match="the node is ending"):
-        made.cut(before, EDGE, DOWN, DEPTH)
+        made.cut(before, (EDGE, DOWN, DEPTH))
