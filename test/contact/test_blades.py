@@ -8,6 +8,7 @@ from helpers.bars import bar
 from helpers.slabs import MIDDLE, SIZE, slab
 from tissue_sim.contact.edges import ALONG
 from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.scene_batch import SceneBatch
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
 
@@ -221,3 +222,14 @@ def test_scissors_cut_what_is_between_their_blades_off():
 def test_a_blade_out_of_range_is_refused(changes, said):
     with pytest.raises(UserError, match=f"tool 'knife': {said}"):
         Scene(slab(), [knife(**changes)])
+
+
+def test_a_blade_needs_cells_that_move_as_a_whole():
+    for changes in ({"model": "hybrid"}, {"local_region": "modal"}):
+        with pytest.raises(UserError, match="a blade cuts model cells with local_region off"):
+            Scene(slab(), [knife()], **changes)
+
+
+def test_a_batch_takes_no_blades():
+    with pytest.raises(UserError, match="a batch takes no blades"):
+        SceneBatch(Scene(slab(), [knife()]), 2)

@@ -47,6 +47,10 @@ class SceneBatch:
             raise UserError(f"a batch on {threads} threads; expected: 0 (one on each core) to 4096")
         if any(one.cuts for one in scene.simulations):
             raise UserError("a batch copies scenes without cuts; reset the scene, which heals it, and copy that")
+        if scene.simulation.shapes.blades.body.size:
+            raise UserError(
+                "a batch takes no blades: a cut gives each copy other nodes; step copies of the scene one by one"
+            )
         self.names, self.tools, self.rate = scene.names, scene.tools, scene.simulation.rate
         self.threads = min(n, threads or len(os.sched_getaffinity(0)))
         self._scenes = [copied_scene(scene) for _ in range(n)]

@@ -135,6 +135,11 @@ class Simulation:
             local_region = "off"
         if local_region != "off" and stiffens_or_relaxes(organ):
             raise UserError("tissue that stiffens or relaxes moves as a whole; use local_region off or auto")
+        if len(shapes.blades.body) and (model != "cells" or local_region != "off"):
+            raise UserError(
+                f"a blade cuts model cells with local_region off, not model {model} with local_region {local_region};"
+                " calibrate the organ, set local_region to off, or take a tool of another shape"
+            )
         self.organ = organ
         self.cut_organ: CutOrgan | None = None  # its cuts and its surface, after `cut`
         self.carry_plan: CarryPlan = NO_PLAN  # how it continues the simulation that it was cut from
@@ -173,7 +178,7 @@ class Simulation:
         self.frequency = largest_frequency(self.model) * math.sqrt(stiffest(self.model))
         self.set_substeps()
         self.scratch = make_scratch(self.model, n_bodies, len(shapes.blades.body))
-        if len(shapes.blades.body) and model == "cells" and local_region == "off":
+        if len(shapes.blades.body):
             self.model = self.model._replace(cut_cells=cut_cells_of(organ))
         self.refer()
         self.reset()
