@@ -52,7 +52,7 @@ def test_a_blade_cuts_as_it_is_moved_and_its_bag_repeats(tmp_path, capsys):
         assert max(forces) > 0.3
         (status,) = client.cuts
         values = {item.key: float(item.value) for item in status.values}
-        assert values["area_m2"] > 2e-5
+        assert values["area_m2"] > 5e-6  # of the newest stage that was opened
         while deep > -0.006:
             deep -= 4.0 * STEP
             client.hold(deep)
