@@ -158,7 +158,11 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
             # Those of a single camera and of a pair; a topic of its pose has a name of the user's.
             [path_of(f"{namespace}/{CAMERA}", eye) + f"/{topic}" for eye in ("", *EYES) for topic in TOPICS]
             + [f"{namespace}/{CAMERA}/{POSE}", "/diagnostics", "/tf", "/tf_static"],
-            [*_of_organs(own, values, "mesh", "surface"), f"{own}/tools", "/diagnostics", "/tf", "/tf_static"],
+            [
+                *_of_organs(own, values, "mesh", "surface", "inclusions"),
+                *(f"{own}/{topic}" for topic in ("ligaments", "tools")),
+                *("/diagnostics", "/tf", "/tf_static"),
+            ],
             (),
             [f"{own}/get_parameters"],
         ),

@@ -57,7 +57,8 @@ def built(name: str, positions: Floats, triangles: Ints, fixed: str, material: M
     Organ
         The organ.
     """
-    request = Request(name=name, fixed=fixed, **material._asdict())
+    given = {key: getattr(material, key) for key in ("youngs_modulus", "poisson_ratio", "density")}
+    request = Request(name=name, fixed=fixed, **given)
     return organ_from_mesh(SurfaceMesh(positions, triangles, ()), request, keep_points=True)
 
 
