@@ -233,3 +233,28 @@ def test_a_blade_needs_cells_that_move_as_a_whole():
 def test_a_batch_takes_no_blades():
     with pytest.raises(UserError, match="a batch takes no blades"):
         SceneBatch(Scene(slab(), [knife()]), 2)
+
+
+def test_a_touch_elsewhere_begins_anew():
+    made = Cutting()
+    while made.step(SPEED, 1)[0] < 0.9 * TOUGHNESS * SIZE[1]:
+        assert not made.is_cutting
+    made.step(-1e-4, 150)
+    made.aside = 0.008
+    assert made.begin() == pytest.approx(TOUGHNESS * SIZE[1], rel=0.2)
+
+
+def test_tissue_without_toughness_is_cut():
+    made = Cutting(toughness=0.0)
+    made.step(SPEED, 600)
+    assert made.area > 1e-4
+    assert made.simulation.cuts
+
+
+def test_a_hook_moves_freely_in_its_own_cut():
+    made = Cutting(tool=knife(cautery_speed=0.02), toughness=1e4)
+    made.step(1e-5, 1200)
+    made.step(-5e-5, 400)
+    assert not made.is_cutting
+    forces = made.step(1e-4, 120)
+    assert forces.max() < 0.3 * TOUGHNESS * SIZE[1]

@@ -1,5 +1,7 @@
 """Copies of a scene in a batch: each does what the scene does alone, to the last bit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,14 @@ def test_the_number_of_threads_changes_no_bit(threads):
     some, others = SceneBatch(scene_of(), 7, threads=threads), SceneBatch(scene_of(), 7, threads=2)
     np.testing.assert_array_equal(together(some, poses), together(others, poses))
     np.testing.assert_array_equal(some.save(), others.save())
+
+
+def test_copies_of_tissue_that_stiffens_share_nothing_that_changes():
+    scene = Scene(replace(ball_of_cells(), stiffening=20.0), [FINGER])
+    copies = SceneBatch(scene, 2)._scenes
+    first, second = (one.simulation.model.tissue for one in copies)
+    for name in ("rows", "work", "squeezed_cells", "stiff", "shortening"):
+        assert not np.shares_memory(getattr(first, name), getattr(second, name)), name
 
 
 @pytest.mark.extended

@@ -12,6 +12,8 @@ from tissue_sim.model.cutting.blade_path import BladePath
 from tissue_sim.model.cutting.sheet import Sheet
 from tissue_sim.model.simulation import Simulation
 
+LEAST_STRETCH = 0.05  # determinant of a deformation that still tells directions
+
 
 class BladeCuts:
     """Paths of all blades in one organ, and the sheets that are to be cut.
@@ -64,14 +66,16 @@ class BladeCuts:
                     self._left.append(self._paths.pop(tool))
                     del self._first[tool]
                 continue
-            cell = state.blades.cell[held]
+            places, cell = state.blades.rest[held], state.blades.cell[held]
             corner = 0.5 * (state.position[cells.nodes[cell]] + state.position[cells.others[cell]])
-            back = np.linalg.inv(np.einsum("kax,kac->xc", corner, cells.slope[cell]) / len(held))
+            stretch = np.einsum("kax,kac->xc", corner, cells.slope[cell]) / len(held)
+            if not np.linalg.det(stretch) > LEAST_STRETCH or not state.blades.embedded[held].all():
+                continue  # nearly flat; or the loop has taken one out meanwhile, whose place is gone
+            back = np.linalg.inv(stretch)
             blades, turn = simulation.shapes.blades, _matrix(state.body_pose[body, 3:])
             forward = back @ turn @ blades.forward[held[0]]
             along = back @ turn @ np.cross(blades.normal[held[0]], blades.forward[held[0]])
             reach = 0.5 * blades.width[held[0]] * along
-            places = state.blades.rest[held]
             swept = np.concatenate([places - reach, places, places + reach])
             if tool not in self._paths:
                 self._first[tool], self._paths[tool] = body, self._path(places, forward, along)

@@ -76,6 +76,7 @@ def _with_own_memory(model: Model) -> Model:
             work=aligned(tissue.work),
             squeezed_cells=tissue.squeezed_cells.copy(),
             stiff=tissue.stiff.copy(),
+            shortening=tissue.shortening.copy(),
         )
     return model._replace(work=aligned(model.work), tissue=tissue)
 

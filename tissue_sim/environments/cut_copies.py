@@ -2,8 +2,8 @@
 
 A guard slides on the tissue, and a blade of a chosen length protrudes below it. Where the guard touches, its place in
 the organ's rest coordinates joins the way of the blade. When the agent says that it has finished, the organ is cut
-along that way, as `Scene.cut` does it, and the report of that cut is judged. The blade meets no resistance, since the
-model of cutting has none: only the guard is felt.
+along that way, as `Scene.cut` does it, and the report of that cut is judged. The blade meets no resistance, unlike
+a tool of shape blade: only the guard is felt.
 """
 
 from __future__ import annotations

@@ -632,6 +632,10 @@ class Simulation:
         try:
             take_fields(self.state, fields)
             check_state(self.state)
+            if np.any(
+                (self.state.blades.cell < 0) | (self.state.blades.cell >= max(1, len(self.model.cut_cells.nodes)))
+            ):
+                raise ValueError("its blades are in cells that the organ doesn't have")
         except ValueError as error:
             self.state.words[:] = before
             raise UserError(str(error)) from None

@@ -141,10 +141,11 @@ def _resist(world: World, row: BladeRow, sample: BladeSample, step: float) -> No
     width, speed = blades.width[row.sample], blades.speed[row.sample]
     row.resistance = 0.0
     sample.free = sample.free and world.model.cut_cells.is_cut[sample.cell] == 1
-    if width > 0.0 and speed > 0.0:
+    row.at_front = width > 0.0 and not sample.free and sample.depth >= sample.deepest - AT_FRONT
+    if row.at_front and speed > 0.0:
         _melt(world, row, sample, speed * step)
         row.resistance = row.most
-    elif width > 0.0 and not sample.free and sample.depth >= sample.deepest - AT_FRONT:
+    elif row.at_front:
         row.resistance = settings.toughness * width * row.area_ratio * step
     row.slips = row.cuts = False
     for axis in range(3):
@@ -264,7 +265,7 @@ def end_blades(world: World, found: int, step: float) -> None:
             across = n[0] * x + n[1] * y + n[2] * z - soft * pushed[2]
         elif row.side == 0.0:
             across = step / EASES * soft * (pushed[2] - _mean_across(scratch, row.body, found))
-        if row.resistance == 0.0 and not sample.free and world.shapes.blades.width[row.sample] > 0.0:
+        if not row.at_front and not sample.free and world.shapes.blades.width[row.sample] > 0.0:
             # Up to where it has been before; from there on it is resisted.
             ahead = min(ahead, max(0.0, sample.deepest - sample.depth) / max(_shrinking(row), 1e-9))
         most = MOST_SPEED * step

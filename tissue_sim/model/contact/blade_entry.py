@@ -15,8 +15,9 @@ from tissue_sim.model.contact.blade_places import (
     write_inverse,
     write_offset,
 )
-from tissue_sim.model.data.blades import CORNERS
+from tissue_sim.model.data.blades import CORNERS, Blades
 from tissue_sim.model.data.contact_set import nodes_of
+from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
 
 MOST_OFFSET = 1e-3  # m, of a place from the tissue around it, where it enters beside others
@@ -95,24 +96,46 @@ def begin_cuts(world: World, touching: int, step: float) -> None:
         The substep.
     """
     state, blades, cells = world.state, world.shapes.blades, world.model.cut_cells
-    if len(state.blades) == 0 or len(cells.nodes) == 0 or touching == 0:
+    if len(state.blades) == 0 or len(cells.nodes) == 0:
         return
     for body in range(len(state.bodies)):
         if state.bodies[body].cutting or not state.bodies[body].engaged:
             continue
         load, touched, width = _edge_load(world, body, touching)
-        if touched == 0.0 or load <= 0.0 or not _is_heavy(world, body, load / step, width, step):
+        if touched == 0.0 or load <= 0.0:
+            forget_load(state, blades, body)
+            continue
+        if not _is_heavy(world, body, load / step, width, step):
             continue
         began = False
         for number in range(len(state.blades)):
             if blades.body[number] == body and blades.width[number] > 0.0:
                 began = _begin(world, number, touching, load / (touched * step)) or began
         if began:
+            forget_load(state, blades, body)
             state.bodies[body].cutting = True
             for entry in range(state.contacts.header.points):
                 if state.contacts.body[entry] == body:
                     state.contact_pressed[0, entry] = 0.0
                     state.contact_held[0, entry] = 0.0
+
+
+@kernel
+def forget_load(state: State, blades: Blades, body: int) -> None:
+    """Forget the load on the edge of a body: it presses nothing.
+
+    Parameters
+    ----------
+    state : State
+        State of the simulation; updated.
+    blades : Blades
+        Places of all blades.
+    body : int
+        The body.
+    """
+    for number in range(len(state.blades)):
+        if blades.body[number] == body:
+            state.blades[number].load = 0.0
 
 
 @kernel

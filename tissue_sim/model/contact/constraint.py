@@ -131,6 +131,7 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
     found = gather_contacts(world, step, spread)
     cutting = find_blades(world, step)
     if found == 0 and compressed == 0 and lips == 0 and cutting == 0:
+        begin_cuts(world, 0, step)  # no edge presses anything
         return 0
     for index in range(found):
         contact = scratch.active[index]

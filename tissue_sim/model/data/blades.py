@@ -27,7 +27,7 @@ class Blades(NamedTuple):
 
 
 class BladeSample(Record):
-    """Place of a blade in the tissue; all but the load 0 outside."""
+    """Place of a blade in the tissue; what it was there counts no more once it is outside."""
 
     load: float  # N on the edge before it enters, smoothed; of the first place of each body
     embedded: bool  # it is in tissue
@@ -57,6 +57,7 @@ class BladeRow(Record):
     back: Annotated[Floats, (9,)]  # from displacements to those at rest, row by row
     stiffness: float  # N s/m, impulse that moves the middle by a metre
     across_stiffness: float  # likewise what the flank touches
+    at_front: bool  # of what its edge has cut: further on there is something to cut
     resistance: float  # N s against cutting
     drag: float  # N s of friction on the flank, besides that by the normal force
     most: float  # N s, the largest impulse across the flank

@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     learned = Learned.load(args.policy)
     task = task_of(learned.task)
     if learned.task == "Cut":
-        raise UserError("a blade isn't a tool of a node, so that Cut can't be driven; cut by the service ~/cut")
+        raise UserError("a node has no tool like the blade of Cut, which meets no resistance; cut by the service ~/cut")
 
     from shape_msgs.msg import Mesh
 

@@ -79,6 +79,7 @@ class OrganCutting:
         self._subscription = node.create_subscription(Path, f"{below}/cut_path", self._on_path, RELIABLE)
         DeferredService(node, Trigger, f"{below}/cut", self._on_cut)
         self._blades = BladeCuts(served.physics.simulation)
+        self._waits = False  # for the reset to take the blades out of the tissue
         if self._blades:
             node.create_timer(BLADE_PERIOD, self._follow_blades)
             threading.Thread(target=parts.process.start, daemon=True).start()  # a blade doesn't wait for it
@@ -96,11 +97,11 @@ class OrganCutting:
         """Go on with the uncut organ, in the state of the cut one: the organ is about to be reset."""
         self._heals += 1
         self._blades.forget()
-        if not self.cuts:
-            return
+        self._waits = bool(self._blades)
         if self._parts.loop.clock_stands:  # the tick that takes it up comes when /clock goes on
-            threading.Thread(target=self._heal_later, daemon=True).start()
-        else:
+            if self.cuts:
+                threading.Thread(target=self._heal_later, daemon=True).start()
+        else:  # a cut that is being taken up now ends first
             self._exchange_uncut()
 
     def _heal_later(self) -> None:
@@ -190,7 +191,7 @@ class OrganCutting:
         """Cut the organ, unless it was reset since `heals`; return the cut's description."""
         made = self._parts.process.cut(before, cut)
         with self._exchanging:
-            if heals != self._heals:
+            if heals != self._heals or before is not self._served.physics.simulation:
                 raise UserError(HEALED)
             if not before.cuts:
                 self._uncut = before
@@ -205,22 +206,34 @@ class OrganCutting:
     def _follow_blades(self) -> None:
         """Note where blades are, and open what they have cut, in a thread of its own."""
         was_in, simulation = self._blades.in_tissue, self._served.physics.simulation
+        self._waits = self._waits and bool(simulation.state.bodies.cutting.any())
+        if self._waits:
+            return
         self._blades.note(simulation)
         if was_in and not self._blades.in_tissue and simulation.cuts:
             self._log.info(f"a blade has left {self._name}; its cut: {simulation.cuts[-1]}")
-        if self._busy.acquire(blocking=False):
+        if not self._busy.acquire(blocking=False):
+            return
+        heals, sheets = self._heals, []
+        try:
             sheets = list(self._blades.due())
             if sheets:
-                threading.Thread(target=self._open, args=(sheets,), daemon=True).start()
-            else:
+                threading.Thread(target=self._open, args=(sheets, heals), daemon=True).start()
+        except BaseException:
+            sheets = []
+            raise
+        finally:
+            if not sheets:
                 self._busy.release()
 
-    def _open(self, sheets: Sequence[Sheet]) -> None:
+    def _open(self, sheets: Sequence[Sheet], heals: int) -> None:
         try:
             with self._node.mishaps.noted():
                 for sheet in sheets:
+                    if heals != self._heals:
+                        break  # the organ was reset, and these cuts with it
                     try:
-                        self._take_up(self._served.physics.simulation, (sheet,), time.monotonic(), self._heals)
+                        self._take_up(self._served.physics.simulation, (sheet,), time.monotonic(), heals)
                     except (UserError, TimeoutError) as error:
                         self._blades.refuse(str(error))
                         self._log.warning(f"a blade's cut of {self._name} was not opened: {error}")
