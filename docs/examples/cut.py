@@ -1,4 +1,4 @@
-"""Split the lower pole of a kidney, spread both halves with two grippers, and let go."""
+"""Split the lower pole of a kidney, spread both halves with two grippers, and release them."""
 
 import matplotlib.pyplot as plt
 import numpy as np

@@ -17,8 +17,8 @@ from helpers.ros import browser as browsers
 from helpers.ros.processes import Process
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
+from tissue_sim.ports import free_port
 from tissue_sim.rendering.guard import Guard, guarding, titled
-from tissue_sim.ros.probes.graph import free_port
 from tissue_sim.ros.viewer.tokens import chosen_token
 
 VISER = f"viser-v{viser.__version__}"

@@ -11,8 +11,8 @@ import pytest
 from helpers.patience import LIMIT, wait_for
 from helpers.ros.processes import STAND_IN, Process
 from tissue_sim.cli import main
+from tissue_sim.ports import free_port
 from tissue_sim.ros import demo
-from tissue_sim.ros.probes.graph import free_port
 from tissue_sim.ros.shared.children import Child
 
 SLEEPER = "import signal,time;{};print('up',flush=True);time.sleep(3600)"

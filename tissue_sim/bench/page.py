@@ -28,7 +28,8 @@ from tissue_sim.bench.processor_load import processor_load_during, processor_sec
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
 from tissue_sim.organ.shipped import shipped_file
-from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, free_port, ticks, told
+from tissue_sim.ports import free_port
+from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, ticks, told
 from tissue_sim.ros.probes.lossy_link import ADDRESSES, inside, lossy_link
 from tissue_sim.ros.shared.children import Child
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 
 from tissue_sim.array_types import Floats
+from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.blade_path import BladePath
 from tissue_sim.model.cutting.sheet import Sheet
@@ -72,9 +74,10 @@ class BladeCuts:
             if not np.linalg.det(stretch) > LEAST_STRETCH or not state.blades.embedded[held].all():
                 continue  # nearly flat; or the loop has taken one out meanwhile, whose place is gone
             back = np.linalg.inv(stretch)
-            blades, turn = simulation.shapes.blades, _matrix(state.body_pose[body, 3:])
-            forward = back @ turn @ blades.forward[held[0]]
-            along = back @ turn @ np.cross(blades.normal[held[0]], blades.forward[held[0]])
+            blades, turn = simulation.shapes.blades, tuple(state.body_pose[body, 3:].tolist())
+            ahead = blades.forward[held[0]]
+            forward = back @ rotate(turn, tuple(ahead.tolist()))
+            along = back @ rotate(turn, tuple(np.cross(blades.normal[held[0]], ahead).tolist()))
             reach = 0.5 * blades.width[held[0]] * along
             swept = np.concatenate([places - reach, places, places + reach])
             if tool not in self._paths:
@@ -95,15 +98,16 @@ class BladeCuts:
     def due(self) -> Iterator[Sheet]:
         """Yield the sheets by which cuts have grown so much that they should be opened."""
         left, self._left = self._left, []
-        for path in (*left, *self._paths.values()):
-            if path in left and path.is_open:
-                continue
-            if path in left or path.has_grown:
+        for path in left:
+            if not path.is_open:
                 try:
                     yield path.sheet()
                 except UserError as error:
-                    if path in left:
-                        self.refuse(str(error))
+                    self.refuse(str(error))
+        for path in tuple(self._paths.values()):
+            if path.has_grown:
+                with suppress(UserError):  # of a cut that is too shallow still
+                    yield path.sheet()
 
     def refuse(self, problem: str) -> None:
         """Count a cut that could not be opened.
@@ -114,15 +118,3 @@ class BladeCuts:
             The reason.
         """
         self.refused, self.problem = self.refused + 1, problem
-
-
-def _matrix(quaternion: Floats) -> Floats:
-    """Return the rotation matrix (3, 3) of a unit quaternion xyzw."""
-    x, y, z, w = quaternion
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )

@@ -1,4 +1,4 @@
-"""What is seen of a scene: surfaces of its organs, with the walls of cuts, and the bodies of its tools."""
+"""Drawn parts of a scene: surfaces of its organs, with the walls of cuts, and the bodies of its tools."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Pictured:
-    """What a scene has to be looked at by."""
+    """Pictures and a page of a scene."""
 
     names: list[str]
     tools: ToolSet

@@ -12,8 +12,9 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.drawn_scene import SeenSurface, body_shapes
 from tissue_sim.contact.tools import ToolSet
+from tissue_sim.ports import free_port
 from tissue_sim.rendering.organ_view import FIELD_OF_VIEW, OrganView, camera_for, light
-from tissue_sim.rendering.page_server import LOOPBACK, NOTEBOOKS, free_port, started, stopped
+from tissue_sim.rendering.page_server import LOOPBACK, NOTEBOOKS, started, stopped
 
 FRAME_TIME = 1.0 / 30.0  # s between two pictures
 METAL = (150, 155, 165)

@@ -178,7 +178,7 @@ class Simulation:
         self.frequency = largest_frequency(self.model) * math.sqrt(stiffest(self.model))
         self.set_substeps()
         self.scratch = make_scratch(self.model, n_bodies, len(shapes.blades.body))
-        if len(shapes.blades.body):
+        if len(shapes.blades.body) and not organ.n_virtual:  # those of a cut organ come by open_cuts
             self.model = self.model._replace(cut_cells=cut_cells_of(organ))
         self.refer()
         self.reset()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import socket
 from collections.abc import Iterator
 
 import viser
@@ -75,10 +74,3 @@ def serving(host: str, port: int, token: str | None) -> Iterator[viser.ViserServ
         yield server
     finally:
         stopped(server)
-
-
-def free_port() -> int:
-    """Return a port that nobody serves on this machine at present."""
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        return int(probe.getsockname()[1])

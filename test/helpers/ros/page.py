@@ -14,7 +14,7 @@ from rclpy.node import Node
 from helpers.patience import LIMIT
 from helpers.ros.participant import Participant
 from helpers.ros.processes import shipped
-from tissue_sim.ros.probes.graph import free_port
+from tissue_sim.ports import free_port
 from tissue_sim.ros.viewer.loop import Viewer
 from tissue_sim.ros.viewer.poke import beside
 from tissue_sim.ros.viewer.view import PATIENCE

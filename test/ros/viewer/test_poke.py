@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from helpers.ros.clients import Client
 from helpers.ros.participant import Participant
 from helpers.ros.processes import UNHURRIED, Process, shipped, start_node
-from tissue_sim.ros.probes.graph import free_port
+from tissue_sim.ports import free_port
 from tissue_sim.ros.viewer.poked_tool import ACCELERATION, TOP_SPEED, PokedTool, follow
 
 pytest.importorskip("viser")

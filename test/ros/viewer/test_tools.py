@@ -7,8 +7,8 @@ from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.contact.tools import Tool, ToolSet
+from tissue_sim.ports import free_port
 from tissue_sim.ros.node.output.tool_markers import ToolMarkers
-from tissue_sim.ros.probes.graph import free_port
 from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
 from tissue_sim.ros.viewer.view import PATIENCE
 

@@ -20,9 +20,9 @@ from helpers.patience import LIMIT
 from helpers.ros.processes import STAND_IN, Process
 from helpers.ros.stand_in import ball, cloud
 from tissue_sim.cli import main
+from tissue_sim.ports import free_port
 from tissue_sim.rendering import organ_view as drawing
 from tissue_sim.rendering.appearance import SCALE, tissue_colour
-from tissue_sim.ros.probes.graph import free_port
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.viewer.tool_view import ToolView, arrow
 

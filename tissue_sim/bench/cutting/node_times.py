@@ -30,7 +30,7 @@ WHEN = BEFORE, AROUND = "before", "around"
 
 
 class CutInNode(NamedTuple):
-    """What was measured of one cut."""
+    """Measurements around one cut."""
 
     cut: Cut
     before: Window

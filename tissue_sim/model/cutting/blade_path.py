@@ -65,11 +65,10 @@ class BladePath:
             self._axes = self._frame(places, forward, along)
         length, depth, aside = self._axes @ places.T
         self._ends = min(self._ends[0], float(length.min())), max(self._ends[1], float(length.max()))
-        order = np.argsort(length)
-        size = BIN * self._edge
-        first, last = np.floor(length[order[[0, -1]]] / size).astype(int)
-        for number in range(first, last + 1):
-            within = np.floor(length / size).astype(int) == number
+        order, size = np.argsort(length), BIN * self._edge
+        bins = np.floor(length / size).astype(int)
+        for number in range(bins[order[0]], bins[order[-1]] + 1):
+            within = bins == number
             # Between two places of the edge, it is where the line between them is.
             middle = (number + 0.5) * size
             deep = float(depth[within].max()) if within.any() else float(np.interp(middle, length[order], depth[order]))
@@ -130,12 +129,18 @@ class BladePath:
         if abs(normal @ self._axes[2]) < ALIKE * np.linalg.norm(normal):
             return False
         length, depth, aside = self._axes @ places.mean(axis=0)
-        numbers = np.array(sorted(self._deepest))
-        at = (numbers + 0.5) * BIN * self._edge
-        beside = abs(aside - np.interp(length, at, [self._aside[number] for number in numbers])) < self._edge
-        deep = depth < np.interp(length, at, [self._deepest[number] for number in numbers]) + self._edge
+        _, at, deepest, off = self._swept()
+        beside = abs(aside - np.interp(length, at, off)) < self._edge
+        deep = depth < np.interp(length, at, deepest) + self._edge
         within = self._ends[0] - self._edge < length < self._ends[1] + self._edge
         return bool(beside and deep and within)
+
+    def _swept(self) -> tuple[list[int], Floats, Floats, Floats]:
+        """Return the bins in order, and of each its middle along the cut, the depth there and the offset aside, m."""
+        numbers = sorted(self._deepest)
+        deep = np.array([self._deepest[number] for number in numbers])
+        off = np.array([self._aside[number] for number in numbers])
+        return numbers, (np.array(numbers) + 0.5) * BIN * self._edge, deep, off
 
     @property
     def has_grown(self) -> bool:
@@ -169,11 +174,9 @@ class BladePath:
         if self._axes is None:
             raise UserError("the blade has not been in the organ")
         size = BIN * self._edge
-        numbers = np.array(sorted(self._deepest))
-        along = np.clip((numbers + 0.5) * size, *self._ends)
-        deep = np.array([self._deepest[number] for number in numbers])
+        numbers, along, deep, off = self._swept()
+        along = np.clip(along, *self._ends)
         more = np.where([self._is_through(number) for number in numbers], self._size, 0.0)
-        off = np.array([self._aside[number] for number in numbers])
         at = np.concatenate([[self._ends[0]], along, [self._ends[1]]])
         apart = np.concatenate([[True], np.diff(at) > 0.1 * size])
         apart[-1] = True

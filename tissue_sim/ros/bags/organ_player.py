@@ -92,7 +92,6 @@ class OrganPlayer:
             shape_gravity=config["shape_gravity"],
         )
         self.simulation = self._new_simulation(organ)
-        self.simulation.restore(recording.state)
         self.cut_surface: CutSurface | None = None
         self._cuts = {cut.tick: cut for cut in recording.cuts if cut.tick >= 0}
         self._finders = [(0, ContactFinder(organ, tools))]  # with the number of the first set of each
@@ -101,6 +100,7 @@ class OrganPlayer:
                 self.cut_surface, self._finders = cut.surface, [(0, self._finder_of(cut))]
                 if cut.surface is not None:
                     self.simulation.open_cuts(cut.surface, cut.sides)
+        self.simulation.restore(recording.state)
         first = self.tick = int(self.simulation.state.status.tick)
         journal = recording.journal
         self.inputs = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import socket
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -50,13 +49,6 @@ def first_within[Found](find: Callable[[], Found], seconds: float, problem: str)
             raise UserError(f"{problem} within {seconds:g} s")
         time.sleep(0.002)
     return found
-
-
-def free_port() -> int:
-    """Return a TCP port that nothing is served at."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Graph(ExitStack):
