@@ -17,7 +17,8 @@ import math
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.blade_entry import enters
-from tissue_sim.model.contact.blade_places import leave_tissue, locate, times, turned_by, write_inverse
+from tissue_sim.model.contact.blade_places import leave_tissue, locate, times, turned_by, write_back
+from tissue_sim.model.contact.impulses import count_on_body, push_bodies
 from tissue_sim.model.data.blades import CORNERS, LIP_NODES, BladeRow, BladeSample
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.world import World
@@ -72,33 +73,25 @@ def find_blades(world: World, step: float) -> int:
 
 
 @kernel
-def _write_sum(first: Floats, second: Floats, result: Floats) -> None:
-    for axis in range(3):
-        result[axis] = first[axis] + second[axis]
-
-
-@kernel
 def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) -> None:
     """Write where a place is, what holds it there, and how both yield."""
     state, shapes, scratch, cells = world.state, world.shapes, world.scratch, world.model.cut_cells
     blades, rotation, cell = shapes.blades, scratch.rotation[row.body], sample.cell
-    _write_sum(blades.at[row.sample], sample.offset, scratch.blade_at)
+    for axis in range(3):
+        scratch.blade_at[axis] = blades.at[row.sample, axis] + sample.offset[axis]
     turned_by(rotation, scratch.blade_at, row.arm)
     turned_by(rotation, blades.forward[row.sample], row.forward)
     turned_by(rotation, blades.normal[row.sample], row.normal)
     f, n, e = row.forward, row.normal, row.along
     e[0], e[1], e[2] = n[1] * f[2] - n[2] * f[1], n[2] * f[0] - n[0] * f[2], n[0] * f[1] - n[1] * f[0]
-    stretch, position = scratch.blade_stretch, state.position
-    stretch[:] = 0.0
+    position = state.position
+    write_back(cells, cell, position, scratch, row.back)
     own = other = middle = 0.0
     origin = scratch.origin[row.body]
     for corner in range(CORNERS):
         first, second, weight = cells.nodes[cell, corner], cells.others[cell, corner], row.weight[corner]
         row.node[corner], row.node[CORNERS + corner] = first, second
         for axis in range(3):
-            at = 0.5 * (position[first, axis] + position[second, axis])
-            for c in range(3):
-                stretch[3 * axis + c] += at * cells.slope[cell, corner, c]
             own += n[axis] * weight * position[first, axis]
             other += n[axis] * weight * position[second, axis]
     for axis in range(3):
@@ -116,7 +109,6 @@ def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) ->
             row.across_weight[place] = row.weight[place]
             if row.side != 0.0 and not is_one:
                 row.across_weight[place] = weight if (half == 1) == takes_other else 0.0
-    write_inverse(stretch, row.back)
     give = across = 0.0
     for place in range(LIP_NODES):
         mobility = scratch.mobility[row.node[place]]
@@ -229,12 +221,19 @@ def _give(world: World, row: BladeRow, more: tuple[float, float, float], step: f
             move = scratch.mobility[node] * (row.weight[place] * within + row.across_weight[place] * across)
             state.velocity[node, axis] += move
             state.position[node, axis] += step * move
-    give, tools = scratch.give[row.body], world.shapes.tool
-    if give > 0.0:
-        for other in range(len(tools)):
-            if tools[other] == tools[row.body]:
-                for axis in range(3):
-                    scratch.origin[other, axis] -= give * (more[0] * f[axis] + more[1] * e[axis] + more[2] * n[axis])
+    if scratch.give[row.body] > 0.0:
+        push_bodies(world.shapes.tool, row.body, scratch, _in_space(row, more))
+
+
+@kernel
+def _in_space(row: BladeRow, values: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the vector that has some values forward, along and across."""
+    f, e, n = row.forward, row.along, row.normal
+    return (
+        values[0] * f[0] + values[1] * e[0] + values[2] * n[0],
+        values[0] * f[1] + values[1] * e[1] + values[2] * n[1],
+        values[0] * f[2] + values[1] * e[2] + values[2] * n[2],
+    )
 
 
 @kernel
@@ -271,16 +270,7 @@ def end_blades(world: World, found: int, step: float) -> None:
         most = MOST_SPEED * step
         ahead, aside = min(max(ahead, -most), most), min(max(aside, -most), most)
         _advance(world, row, sample, (ahead, aside, min(max(across, -most), most)))
-        impulse, arm = scratch.impulse[row.body], row.arm
-        px = pushed[0] * f[0] + pushed[1] * e[0] + pushed[2] * n[0]
-        py = pushed[0] * f[1] + pushed[1] * e[1] + pushed[2] * n[1]
-        pz = pushed[0] * f[2] + pushed[1] * e[2] + pushed[2] * n[2]
-        impulse[0] += px
-        impulse[1] += py
-        impulse[2] += pz
-        impulse[3] += arm[1] * pz - arm[2] * py
-        impulse[4] += arm[2] * px - arm[0] * pz
-        impulse[5] += arm[0] * py - arm[1] * px
+        count_on_body(scratch, row.body, row.arm, _in_space(row, (pushed[0], pushed[1], pushed[2])))
         for axis in range(3):
             sample.force[axis] = pushed[axis] / step
 
@@ -311,13 +301,7 @@ def _advance(world: World, row: BladeRow, sample: BladeSample, way: tuple[float,
     ahead, aside, across = way
     if ahead == 0.0 and aside == 0.0 and across == 0.0:
         return
-    f, e, n = row.forward, row.along, row.normal
-    x, y, z = times(
-        row.back,
-        ahead * f[0] + aside * e[0] + across * n[0],
-        ahead * f[1] + aside * e[1] + across * n[1],
-        ahead * f[2] + aside * e[2] + across * n[2],
-    )
+    x, y, z = times(row.back, *_in_space(row, way))
     sample.rest[0] += x
     sample.rest[1] += y
     sample.rest[2] += z

@@ -9,10 +9,11 @@ from tissue_sim.model.contact.active_contact import ActiveContact
 from tissue_sim.model.contact.blade_places import (
     leave_tissue,
     locate,
+    place_in,
     put_into,
     times,
     turned_by,
-    write_inverse,
+    write_back,
     write_offset,
 )
 from tissue_sim.model.data.blades import CORNERS, Blades
@@ -47,21 +48,13 @@ def enters(world: World, number: int) -> bool:
     if chosen < 0:
         return False
     beside, sample, cell = state.blades[chosen], state.blades[number], state.blades[chosen].cell
-    stretch, at, weight = scratch.blade_stretch, scratch.blade_at, scratch.blade_weight
+    at, weight = scratch.blade_at, scratch.blade_weight
     if not locate(cells, beside, weight):
         return False
-    stretch[:] = 0.0
     turned_by(scratch.rotation[body], blades.at[number], at)
     for axis in range(3):
-        at[axis] += scratch.origin[body, axis]
-    for corner in range(CORNERS):
-        first, second = cells.nodes[cell, corner], cells.others[cell, corner]
-        for axis in range(3):
-            place = 0.5 * (state.position[first, axis] + state.position[second, axis])
-            at[axis] -= weight[corner] * place
-            for c in range(3):
-                stretch[3 * axis + c] += place * cells.slope[cell, corner, c]
-    write_inverse(stretch, scratch.blade_back)
+        at[axis] += scratch.origin[body, axis] - place_in(cells, cell, state.position, weight, axis)
+    write_back(cells, cell, state.position, scratch, scratch.blade_back)
     x, y, z = times(scratch.blade_back, at[0], at[1], at[2])
     leave_tissue(sample)
     sample.rest[0], sample.rest[1], sample.rest[2] = beside.rest[0] + x, beside.rest[1] + y, beside.rest[2] + z

@@ -7,6 +7,7 @@ import math
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.blades import CORNERS, BladeSample, CutCells
+from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
 
@@ -139,6 +140,58 @@ def write_inverse(a: Floats, inverse: Floats) -> None:
 
 
 @kernel
+def place_in(cells: CutCells, cell: int, position: Floats, weight: Floats, axis: int) -> float:
+    """Return a coordinate, m, of the place that a cell's weights say, in the middle between both sides of a cut.
+
+    Parameters
+    ----------
+    cells : CutCells
+        The cells.
+    cell : int
+        Index of the cell.
+    position : Floats, shape (n, 3), m
+        Positions of the nodes.
+    weight : Floats, shape (4,) or more
+        Barycentric weights.
+    axis : int
+        Which coordinate.
+    """
+    place = 0.0
+    for corner in range(CORNERS):
+        first, second = cells.nodes[cell, corner], cells.others[cell, corner]
+        place += 0.5 * weight[corner] * (position[first, axis] + position[second, axis])
+    return place
+
+
+@kernel
+def write_back(cells: CutCells, cell: int, position: Floats, scratch: Scratch, back: Floats) -> None:
+    """Write what turns displacements in a cell into those at rest, in the middle between both sides of a cut.
+
+    Parameters
+    ----------
+    cells : CutCells
+        The cells.
+    cell : int
+        Index of the cell.
+    position : Floats, shape (n, 3), m
+        Positions of the nodes.
+    scratch : Scratch
+        Working memory; updated.
+    back : Floats, shape (9,)
+        Receives the matrix, row by row; see write_inverse.
+    """
+    stretch = scratch.blade_stretch
+    stretch[:] = 0.0
+    for corner in range(CORNERS):
+        first, second = cells.nodes[cell, corner], cells.others[cell, corner]
+        for axis in range(3):
+            at = 0.5 * (position[first, axis] + position[second, axis])
+            for c in range(3):
+                stretch[3 * axis + c] += at * cells.slope[cell, corner, c]
+    write_inverse(stretch, back)
+
+
+@kernel
 def write_offset(world: World, number: int, weight: Floats) -> None:
     """Note where tissue holds a place of a blade, so that it enters without a jump.
 
@@ -155,11 +208,7 @@ def write_offset(world: World, number: int, weight: Floats) -> None:
     sample, body, away = state.blades[number], blades.body[number], scratch.blade_way
     rotation, origin = scratch.rotation[body], scratch.origin[body]
     for axis in range(3):
-        place = 0.0
-        for corner in range(CORNERS):
-            first, second = cells.nodes[sample.cell, corner], cells.others[sample.cell, corner]
-            place += 0.5 * weight[corner] * (state.position[first, axis] + state.position[second, axis])
-        away[axis] = place - origin[axis]
+        away[axis] = place_in(cells, sample.cell, state.position, weight, axis) - origin[axis]
     for axis in range(3):
         back = rotation[axis] * away[0] + rotation[3 + axis] * away[1] + rotation[6 + axis] * away[2]
         sample.offset[axis] = back - blades.at[number, axis]

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import math
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.active_contact import ActiveContact, gather_contacts, place_again, whole_impulse
 from tissue_sim.model.contact.blade import end_blades, find_blades, press_blades
 from tissue_sim.model.contact.blade_entry import begin_cuts
 from tissue_sim.model.contact.gap import gap_and_normal, point_in_body
+from tissue_sim.model.contact.impulses import count_on_body, push_bodies
 from tissue_sim.model.contact.lips import find_lips, press_lips
 from tissue_sim.model.contact.volume_limit import (
     COMPRESSED_PASSES,
@@ -276,20 +277,4 @@ def count_impulse(state: State, scratch: Scratch, contact: ActiveContact) -> Non
             state.contact_impulse[node, 2] += weight * pz
     # The lever arm is that of the place of the normal, so that a ball without friction feels no moment about its
     # centre.
-    arm, impulse = contact.arm, scratch.impulse[contact.body]
-    impulse[0] += px
-    impulse[1] += py
-    impulse[2] += pz
-    impulse[3] += arm[1] * pz - arm[2] * py
-    impulse[4] += arm[2] * px - arm[0] * pz
-    impulse[5] += arm[0] * py - arm[1] * px
-
-
-@kernel
-def push_bodies(tools: Longs, body: int, scratch: Scratch, impulse: tuple[float, float, float]) -> None:
-    """Move every body of a body's tool by an impulse on the tissue, N s."""
-    give = scratch.give[body]
-    for other in range(len(tools)):
-        if tools[other] == tools[body]:
-            for axis in range(3):
-                scratch.origin[other, axis] -= give * impulse[axis]
+    count_on_body(scratch, contact.body, contact.arm, (px, py, pz))

@@ -17,7 +17,7 @@ from tissue_sim.model.cutting.virtual_nodes import Copies
 from tissue_sim.organ.organ import Organ, signed_volume
 
 MOST_LOST = 1e-4  # of the volume, by holes that are filled where cuts meet
-_FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # corners of a cell's face opposite to each
 
 
 class CutSurface(NamedTuple):
@@ -159,7 +159,7 @@ def _partners(points: _Points, crossing: Crossing, n: int) -> tuple[Longs, Longs
 def _owners(organ: Organ) -> Longs:
     """Return the cell (t,) of which each triangle is a face; -1 where it was too flat to be made."""
     n = organ.n_nodes
-    faces = _face_keys(organ.cell_nodes[:, _FACES].reshape(-1, 3), n)
+    faces = _face_keys(organ.cell_nodes[:, FACES].reshape(-1, 3), n)
     order = np.argsort(faces, kind="stable")
     key = _face_keys(organ.surface_triangles, n)
     place = order[np.searchsorted(faces[order], key).clip(0, len(faces) - 1)]
