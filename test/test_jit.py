@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import tissue_sim
-from tissue_sim.jit import VERSIONS, cache_folder, folder_of, is_compiled
+from tissue_sim.jit import VERSIONS, CacheFile, cache_folder, folder_of, is_compiled
 
 LOAD = "from tissue_sim.jit import folder_of; print(folder_of('model'))"
 
@@ -79,6 +79,37 @@ def test_what_two_processes_need_at_once_is_compiled_by_one(tmp_path):
         child.stdin.write("\n")
         child.stdin.flush()
     assert sorted(int(child.communicate()[0]) for child in both) == [0, 1]
+
+
+def test_a_version_is_never_loaded_for_other_types(tmp_path):
+    """Not even by one who reads while another writes, or beside one who came with an older stamp or an older index."""
+    CacheFile(str(tmp_path), "kernel", "older").save("integers", "code for integers")
+    seen = []
+
+    class Watched(CacheFile):
+        def _save_index(self, overloads):
+            super()._save_index(overloads)
+            seen.append(CacheFile(str(tmp_path), "kernel", "new").load("floats"))
+
+    Watched(str(tmp_path), "kernel", "new").save("floats", "code for floats")
+    assert seen == ["code for floats"]
+
+    class Late(CacheFile):
+        def _load_index(self):
+            before = super()._load_index()
+            CacheFile(str(tmp_path), "kernel", "new").save("bytes", "code for bytes")
+            return before
+
+    Late(str(tmp_path), "kernel", "new").save("longs", "code for longs")
+    last = CacheFile(str(tmp_path), "kernel", "new")
+    for key in ("floats", "bytes", "longs"):
+        assert last.load(key) in (f"code for {key}", None)
+
+
+def test_all_that_is_cached_is_compiled_once():
+    """Numba's own cache is not safe where several processes share it."""
+    package = Path(tissue_sim.__file__).parent
+    assert not [path for path in package.rglob("*.py") if "cache=True" in path.read_text()]
 
 
 def test_versions_used_longest_ago_go_where_a_new_one_comes(monkeypatch, tmp_path):

@@ -18,7 +18,7 @@ from numba.experimental import structref
 from numba.experimental.jitclass.base import imp_dtor
 from numba.extending import NativeValue, intrinsic, unbox
 
-from tissue_sim.jit import folder_of
+from tissue_sim.jit import compiled_once, folder_of
 
 _PAYLOAD = 3  # index of the pointer to the content in Numba's reference-counted memory
 
@@ -272,4 +272,4 @@ def place_of(made: Any) -> int:
 
 
 numba.config.CACHE_DIR = folder_of("model")
-_refer, _place = numba.njit(cache=True)(_refer), numba.njit(cache=True)(_place)
+_refer, _place = compiled_once(numba.njit(_refer)), compiled_once(numba.njit(_place))

@@ -10,6 +10,7 @@ import os
 import shutil
 import tempfile
 import time
+import uuid
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any
 
 import numba
 from numba.core import event as events
+from numba.core.caching import IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import overload
 
@@ -135,20 +137,47 @@ def _compiled(function: Callable[..., Any], inline: str) -> Any:
     counts = not function.__module__.startswith("tissue_sim.model.")
     # No kernel is called from C: a wrapper for it would only take time to compile.
     options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts, "inline": inline}
-    return _compiled_once(numba.njit(cache=True, **options)(function))
+    return compiled_once(numba.njit(**options)(function))
 
 
-def _compiled_once(dispatcher: Any) -> Any:
-    """Let one process compile what several need, as node, viewer and recorder do when they first start.
+class CacheFile(IndexDataCacheFile):  # type: ignore[misc]
+    """Versions of one kernel on disk, each in a file whose name nobody else takes.
+
+    Numba numbers the files and writes the index first: of two processes that save at the same time, or one that loads
+    while another saves, one would take machine code that was compiled for other types, and crash.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        """Save a version under its key: first the data, then the index that names it."""
+        name = f"{Path(self._index_name).stem}.{uuid.uuid4().hex}.nbc"
+        self._save_data(name, data)
+        self._save_index(self._load_index() | {key: name})
+
+
+def compiled_once(dispatcher: Any) -> Any:
+    """Keep what a dispatcher compiles on disk, and let one process compile what several need when they first start.
 
     The others wait, and load it. Numba's index of a kernel's versions is also written by one process at a time: if two
     wrote it together, one version would be lost, and compiled again by the next process.
+
+    Parameters
+    ----------
+    dispatcher : Any
+        The dispatcher, without a cache so far.
+
+    Returns
+    -------
+    Any
+        The same dispatcher; the function itself where nothing is compiled.
     """
     if numba.config.DISABLE_JIT:
         return dispatcher
-    compile_one, save = dispatcher.compile, dispatcher._cache.save_overload
+    dispatcher.enable_caching()
+    cache, plain = dispatcher._cache, dispatcher._cache._cache_file
+    cache._cache_file = CacheFile(plain._cache_path, plain._index_name.removesuffix(".nbi"), plain._source_stamp)
+    compile_one, save = dispatcher.compile, cache.save_overload
     name = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}"
-    folder = Path(dispatcher._cache.cache_path)
+    folder = Path(cache.cache_path)
 
     def compile_once(signature: Any) -> Any:
         version = hashlib.sha256(str(signature).encode()).hexdigest()[:16]
@@ -160,7 +189,7 @@ def _compiled_once(dispatcher: Any) -> Any:
         with alone(folder / f"{name}.lock"):
             save(signature, compiled)
 
-    dispatcher.compile, dispatcher._cache.save_overload = compile_once, save_alone
+    dispatcher.compile, cache.save_overload = compile_once, save_alone
     return dispatcher
 
 
