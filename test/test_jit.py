@@ -101,7 +101,12 @@ def test_a_version_is_never_loaded_for_other_types(tmp_path):
             return before
 
     Late(str(tmp_path), "kernel", "new").save("longs", "code for longs")
+    CacheFile(str(tmp_path), "kernels", "new").save("another", "kernel's code")
     last = CacheFile(str(tmp_path), "kernel", "new")
+    last.save("more", "code for more")
+    there = {path.name for path in tmp_path.glob("kernel.*.nbc")}
+    assert there <= set(last._load_index().values()), "nothing is left that no index names"
+    assert CacheFile(str(tmp_path), "kernels", "new").load("another") == "kernel's code"
     for key in ("floats", "bytes", "longs"):
         assert last.load(key) in (f"code for {key}", None)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import functools
+import glob
 import hashlib
 import os
 import shutil
@@ -149,9 +150,15 @@ class CacheFile(IndexDataCacheFile):  # type: ignore[misc]
 
     def save(self, key: Any, data: Any) -> None:
         """Save a version under its key: first the data, then the index that names it."""
-        name = f"{Path(self._index_name).stem}.{uuid.uuid4().hex}.nbc"
+        kernel, folder = Path(self._index_name).stem, Path(self._cache_path)
+        name = f"{kernel}.{uuid.uuid4().hex}.nbc"
         self._save_data(name, data)
-        self._save_index(self._load_index() | {key: name})
+        named = self._load_index() | {key: name}
+        self._save_index(named)
+        # What no index names was compiled for an older stamp of the source; whoever is about to load it compiles anew.
+        for path in folder.glob(f"{glob.escape(kernel)}.*.nbc"):
+            if path.name not in named.values():
+                path.unlink(missing_ok=True)
 
 
 def compiled_once(dispatcher: Any) -> Any:
