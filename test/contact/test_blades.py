@@ -11,6 +11,7 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_batch import SceneBatch
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
+from tissue_sim.model.simulation import Simulation
 
 TOUGHNESS = 20.0  # J/m^2
 SPEED = 2e-5  # m a tick
@@ -249,6 +250,59 @@ def test_tissue_without_toughness_is_cut():
     made.step(SPEED, 600)
     assert made.area > 1e-4
     assert made.simulation.cuts
+
+
+class Refusing:
+    """A blade that has cut without that anything was opened."""
+
+    def __init__(self, patch):
+        def refuse(*_):
+            raise UserError("no cut now")
+
+        self.made = Cutting()
+        self.made.begin()
+        patch.setattr(Simulation, "prepared_sheet", refuse)
+        with pytest.warns(UserWarning, match="was not opened: no cut now; it is tried again when the blade has cut on"):
+            self.made.step(SPEED, 300)
+        assert self.counted > 0
+        assert not self.made.simulation.cuts
+
+    @property
+    def counted(self):
+        return self.made.scene.organs[0].blade_cuts.refused
+
+    def leave(self):
+        self.made.step(-5e-5, 400)
+        assert not self.made.is_cutting
+
+
+def test_a_stage_that_is_refused_is_tried_again_when_the_blade_leaves(monkeypatch):
+    with monkeypatch.context() as patch:
+        refusing = Refusing(patch)
+    counted, area = refusing.counted, refusing.made.area
+    refusing.leave()
+    (report,) = refusing.made.simulation.cuts
+    assert report.area == pytest.approx(area, rel=0.3)
+    assert refusing.counted == counted
+
+
+def test_a_stage_that_is_refused_when_the_blade_has_left_is_told(monkeypatch):
+    refusing = Refusing(monkeypatch)
+    counted = refusing.counted
+    with pytest.warns(UserWarning, match="it stays shut, as the blade has left; cut there again"):
+        refusing.leave()
+    assert refusing.counted == counted + 1
+
+
+def test_a_scratch_is_counted_as_one_and_not_as_a_refused_cut():
+    made = Cutting(tool=knife(cautery_speed=0.02), toughness=1e4)
+    while not made.is_cutting or made.blades.deepest.max() < 1e-3:
+        made.step(1e-5, 1)
+    made.step(-5e-5, 400)
+    assert not made.is_cutting
+    stages = made.scene.organs[0].blade_cuts
+    assert not made.simulation.cuts
+    assert (stages.scratches, stages.refused) == (1, 0)
 
 
 def test_a_hook_moves_freely_in_its_own_cut():

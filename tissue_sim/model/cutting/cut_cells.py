@@ -37,8 +37,8 @@ def sides_of(cut: CutOrgan) -> Sides:
         found[cut.cell_of[copies]] = cut.organ.cell_nodes[copies]
     is_cut = np.zeros(len(cells), dtype=np.int64)
     middle = cut.uncut.rest_positions[cells].mean(axis=1)
-    divided = np.unique(cut.cell_of[cut.side != 0])
-    for sheet in cut.sheets:
+    for sheet, side in zip(cut.sheets, cut.sides.T, strict=True):
+        divided = np.unique(cut.cell_of[side != 0])  # others lie beside it, or in the front of another cut
         is_cut[divided] |= sheet.covers(sheet.place(middle[divided]))
     return Sides(below, above, is_cut)
 

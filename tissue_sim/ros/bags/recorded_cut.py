@@ -125,7 +125,19 @@ def _sides_of(fields: Mapping[str, NDArray[Any]], organ: Organ) -> Sides | None:
             raise ValueError("its cut has sides of another type")
         if side.min(initial=0) < 0 or side.max(initial=0) >= organ.n_nodes:
             raise ValueError("its cut has sides without nodes")
-    return Sides(*(side.astype(np.int64) for side in (below, above, is_cut)))
+    sides = Sides(*(side.astype(np.int64) for side in (below, above, is_cut)))
+    if not _are_of_all_cells(sides, organ):
+        raise ValueError("its cut has sides of other cells than its organ")
+    return sides
+
+
+def _are_of_all_cells(sides: Sides, organ: Organ) -> bool:
+    """Return whether sides are those of the cells from which a cut organ was made: a blade is in one of these."""
+    source = np.concatenate([np.arange(organ.n_uncut), organ.virtual_of]).astype(np.int64)
+    cells, count = source[organ.cell_nodes], len(sides.below)
+    # The first copies come in the order of the cells, and all others are of the same.
+    own = all(np.array_equal(source[side], cells[:count]) for side in (sides.below, sides.above))
+    return own and len(np.unique(cells, axis=0)) == count
 
 
 def _check_surface(surface: CutSurface) -> None:
