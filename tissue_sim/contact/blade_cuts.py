@@ -70,7 +70,8 @@ class BladeCuts:
                     del self._first[tool]
                 continue
             places, cell = state.blades.rest[held], state.blades.cell[held]
-            corner = 0.5 * (state.position[cells.nodes[cell]] + state.position[cells.others[cell]])
+            part = cells.part[cell][:, :, None]
+            corner = (1.0 - part) * state.position[cells.nodes[cell]] + part * state.position[cells.others[cell]]
             stretch = np.einsum("kax,kac->xc", corner, cells.slope[cell]) / len(held)
             if not np.linalg.det(stretch) > LEAST_STRETCH or not state.blades.embedded[held].all():
                 continue  # nearly flat; or the loop has taken one out meanwhile, whose place is gone

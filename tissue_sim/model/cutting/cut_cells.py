@@ -60,9 +60,10 @@ def cut_cells_of(organ: Organ, sides: Sides | None = None) -> CutCells:
     slope = np.ascontiguousarray(shapes_of(organ.rest_positions, cells)[0])
     # The weight of a corner is 1 at its own place.
     base = 1.0 - np.einsum("cax,cax->ca", slope, organ.rest_positions[cells])
+    part = np.where(above == below, 0.0, organ.mass[above] / (organ.mass[below] + organ.mass[above]))
     first = np.zeros(organ.n_uncut, dtype=np.int64)
     first[cells.ravel()] = np.repeat(np.arange(len(cells)), CORNERS)
-    return CutCells(below.copy(), above.copy(), base, slope, is_cut, _neighbours(cells), first)
+    return CutCells(below.copy(), above.copy(), part, base, slope, is_cut, _neighbours(cells), first)
 
 
 def _neighbours(cells: Longs) -> Longs:
