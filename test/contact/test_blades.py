@@ -12,6 +12,7 @@ from tissue_sim.contact.scene_batch import SceneBatch
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.organ import Organ
 
 TOUGHNESS = 20.0  # J/m^2
 SPEED = 2e-5  # m a tick
@@ -104,6 +105,38 @@ def test_what_is_swept_is_opened(cut):
     (report,) = cut.simulation.cuts
     assert report.area == pytest.approx(cut.area, rel=0.15)
     assert report.depth == pytest.approx(cut.blades.deepest[:ALONG].max(), abs=0.002)
+
+
+def test_the_hand_does_not_feel_that_the_cut_opens():
+    made, before, forces, opened = Cutting(), 0, [], []
+    made.begin()
+    for tick in range(350):
+        forces.append(made.step(SPEED, 1)[0])
+        if made.simulation.cuts and made.simulation is not before:
+            before = made.simulation
+            opened.append(tick)
+    falls = [1.0 - min(forces[tick + 1 : tick + 11]) / np.mean(forces[tick - 2 : tick + 1]) for tick in opened]
+    assert len(falls) > 2
+    assert max(falls) < 0.1
+
+
+@pytest.mark.extended
+def test_nothing_goes_with_a_blade_that_leaves():
+    """The last places held light copies of nodes, which went with it out of a kidney, and then jumped."""
+    scene = Scene(Organ.shipped("kidney"), [knife(radius=0.0015, length=0.02, height=0.012)])
+    scene.simulation.settings.toughness = 75.0
+    turn = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]).as_quat()
+
+    def move(depth):
+        scene.move("knife", [0.0705, 0.0149 + depth, -0.011], turn)
+        scene.step()
+        return float(np.linalg.norm(scene.wrench("knife")[:3]))
+
+    forces = [move(depth) for depth in np.arange(-0.002, 0.02, 4e-5)]
+    assert max(forces) > 1.0
+    forces = [move(depth) for depth in np.arange(0.02, -0.004, -4e-5)]
+    assert not scene.simulation.state.bodies.cutting.any()
+    assert max(forces[-75:]) < 0.1, "from 1 mm above the surface on"
 
 
 def test_twice_the_toughness_needs_twice_the_force():
