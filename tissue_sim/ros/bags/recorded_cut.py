@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Longs
 from tissue_sim.model.cutting.cut_cells import Sides, sides_of
-from tissue_sim.model.cutting.cut_surface import CutSurface
+from tissue_sim.model.cutting.cut_surface import CutSurface, without_idle_points
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -111,6 +111,8 @@ def _cut_of(fields: Mapping[str, NDArray[Any]]) -> RecordedCut:
     if file.dtype != np.uint8 or origin is None or origin.dtype.kind != "i" or origin.ndim != 1:
         raise ValueError("its cut is of another type")
     organ = organ_in(file.tobytes())
+    if surface is not None:  # bags of earlier versions have points that no triangle has
+        surface = without_idle_points(surface, organ.n_surface)
     return RecordedCut(_whole(fields, "tick"), NEVER, organ, origin.astype(np.int64), surface, _sides_of(fields, organ))
 
 
