@@ -11,6 +11,8 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_batch import SceneBatch
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.organ import Organ
 
 TOUGHNESS = 20.0  # J/m^2
 SPEED = 2e-5  # m a tick
@@ -103,6 +105,38 @@ def test_what_is_swept_is_opened(cut):
     (report,) = cut.simulation.cuts
     assert report.area == pytest.approx(cut.area, rel=0.15)
     assert report.depth == pytest.approx(cut.blades.deepest[:ALONG].max(), abs=0.002)
+
+
+def test_the_hand_does_not_feel_that_the_cut_opens():
+    made, before, forces, opened = Cutting(), 0, [], []
+    made.begin()
+    for tick in range(350):
+        forces.append(made.step(SPEED, 1)[0])
+        if made.simulation.cuts and made.simulation is not before:
+            before = made.simulation
+            opened.append(tick)
+    falls = [1.0 - min(forces[tick + 1 : tick + 11]) / np.mean(forces[tick - 2 : tick + 1]) for tick in opened]
+    assert len(falls) > 2
+    assert max(falls) < 0.1
+
+
+@pytest.mark.extended
+def test_nothing_goes_with_a_blade_that_leaves():
+    """The last places held light copies of nodes, which went with it out of a kidney, and then jumped."""
+    scene = Scene(Organ.shipped("kidney"), [knife(radius=0.0015, length=0.02, height=0.012)])
+    scene.simulation.settings.toughness = 75.0
+    turn = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]).as_quat()
+
+    def move(depth):
+        scene.move("knife", [0.0705, 0.0149 + depth, -0.011], turn)
+        scene.step()
+        return float(np.linalg.norm(scene.wrench("knife")[:3]))
+
+    forces = [move(depth) for depth in np.arange(-0.002, 0.02, 4e-5)]
+    assert max(forces) > 1.0
+    forces = [move(depth) for depth in np.arange(0.02, -0.004, -4e-5)]
+    assert not scene.simulation.state.bodies.cutting.any()
+    assert max(forces[-75:]) < 0.1, "from 1 mm above the surface on"
 
 
 def test_twice_the_toughness_needs_twice_the_force():
@@ -249,6 +283,59 @@ def test_tissue_without_toughness_is_cut():
     made.step(SPEED, 600)
     assert made.area > 1e-4
     assert made.simulation.cuts
+
+
+class Refusing:
+    """A blade that has cut without that anything was opened."""
+
+    def __init__(self, patch):
+        def refuse(*_):
+            raise UserError("no cut now")
+
+        self.made = Cutting()
+        self.made.begin()
+        patch.setattr(Simulation, "prepared_sheet", refuse)
+        with pytest.warns(UserWarning, match="was not opened: no cut now; it is tried again when the blade has cut on"):
+            self.made.step(SPEED, 300)
+        assert self.counted > 0
+        assert not self.made.simulation.cuts
+
+    @property
+    def counted(self):
+        return self.made.scene.organs[0].blade_cuts.refused
+
+    def leave(self):
+        self.made.step(-5e-5, 400)
+        assert not self.made.is_cutting
+
+
+def test_a_stage_that_is_refused_is_tried_again_when_the_blade_leaves(monkeypatch):
+    with monkeypatch.context() as patch:
+        refusing = Refusing(patch)
+    counted, area = refusing.counted, refusing.made.area
+    refusing.leave()
+    (report,) = refusing.made.simulation.cuts
+    assert report.area == pytest.approx(area, rel=0.3)
+    assert refusing.counted == counted
+
+
+def test_a_stage_that_is_refused_when_the_blade_has_left_is_told(monkeypatch):
+    refusing = Refusing(monkeypatch)
+    counted = refusing.counted
+    with pytest.warns(UserWarning, match="it stays shut, as the blade has left; cut there again"):
+        refusing.leave()
+    assert refusing.counted == counted + 1
+
+
+def test_a_scratch_is_counted_as_one_and_not_as_a_refused_cut():
+    made = Cutting(tool=knife(cautery_speed=0.02), toughness=1e4)
+    while not made.is_cutting or made.blades.deepest.max() < 1e-3:
+        made.step(1e-5, 1)
+    made.step(-5e-5, 400)
+    assert not made.is_cutting
+    stages = made.scene.organs[0].blade_cuts
+    assert not made.simulation.cuts
+    assert (stages.scratches, stages.refused) == (1, 0)
 
 
 def test_a_hook_moves_freely_in_its_own_cut():

@@ -33,9 +33,10 @@ class BladeCuts:
         self._paths: dict[int, BladePath] = {}  # by tool
         self._first: dict[int, int] = {}  # of each tool the body that has entered first
         self._left: list[BladePath] = []  # of blades that are out again
-        self._earlier: list[BladePath] = []  # all since the last reset
-        self.refused = 0  # cuts that could not be opened
-        self.problem = ""  # why the last one could not
+        self._earlier: dict[int, BladePath] = {}  # all since the last reset, by their marks
+        self._marks = 0  # so far; none is given twice, as a cut may still be made while the organ is reset
+        self.refused = 0  # stages of cuts that could not be opened
+        self.scratches = 0  # left by blades, too shallow to open
 
     def __bool__(self) -> bool:
         return bool(self._edges)
@@ -69,7 +70,8 @@ class BladeCuts:
                     del self._first[tool]
                 continue
             places, cell = state.blades.rest[held], state.blades.cell[held]
-            corner = 0.5 * (state.position[cells.nodes[cell]] + state.position[cells.others[cell]])
+            part = cells.part[cell][:, :, None]
+            corner = (1.0 - part) * state.position[cells.nodes[cell]] + part * state.position[cells.others[cell]]
             stretch = np.einsum("kax,kac->xc", corner, cells.slope[cell]) / len(held)
             if not np.linalg.det(stretch) > LEAST_STRETCH or not state.blades.embedded[held].all():
                 continue  # nearly flat; or the loop has taken one out meanwhile, whose place is gone
@@ -89,32 +91,50 @@ class BladeCuts:
 
     def _path(self, places: Floats, forward: Floats, along: Floats) -> BladePath:
         """Return the path of a blade that has entered: that of an earlier cut in which it is, or a new one."""
-        for path in self._earlier:
+        for path in self._earlier.values():
             if path.continues(places, forward, along):
                 return path
-        self._earlier.append(BladePath(self._organ, len(self._earlier) + 1))
-        return self._earlier[-1]
+        self._marks += 1
+        self._earlier[self._marks] = BladePath(self._organ, self._marks)
+        return self._earlier[self._marks]
 
     def due(self) -> Iterator[Sheet]:
-        """Yield the sheets by which cuts have grown so much that they should be opened."""
+        """Yield the sheets by which cuts have grown so much that they should be opened, or opened once more.
+
+        Tell of each whether it was: `opened` or `refuse`.
+        """
         left, self._left = self._left, []
         for path in left:
             if not path.is_open:
                 try:
                     yield path.sheet()
-                except UserError as error:
-                    self.refuse(str(error))
+                except UserError:
+                    self.scratches += 1
         for path in tuple(self._paths.values()):
             if path.has_grown:
                 with suppress(UserError):  # of a cut that is too shallow still
                     yield path.sheet()
 
-    def refuse(self, problem: str) -> None:
-        """Count a cut that could not be opened.
+    def opened(self, sheet: Sheet) -> None:
+        """Note that a stage of a cut was opened.
 
         Parameters
         ----------
-        problem : str
-            The reason.
+        sheet : Sheet
+            Its sheet.
         """
-        self.refused, self.problem = self.refused + 1, problem
+        if sheet.mark in self._earlier:  # or the organ was reset meanwhile
+            self._earlier[sheet.mark].note_opened()
+
+    def refuse(self, sheet: Sheet) -> str:
+        """Count a stage of a cut that could not be opened; return what becomes of it, as words.
+
+        Parameters
+        ----------
+        sheet : Sheet
+            Its sheet.
+        """
+        self.refused += 1
+        if self._earlier.get(sheet.mark) in self._paths.values():
+            return "it is tried again when the blade has cut on, or leaves"
+        return "it stays shut, as the blade has left; cut there again"

@@ -368,8 +368,6 @@ class ContactFinder:
         """
         node, _ = nearest_node(position, self.n_points, point[0], point[1], point[2])
         around = self._node_triangle[self._node_start[node] : self._node_start[node + 1]]
-        if not len(around):  # the surface of a cut may have points that none of its triangles has
-            around = np.arange(len(self.triangles))
         corners = position[self.triangles[around]]
         weight, distance = nearest_weights(corners, np.repeat(point[None], len(around), axis=0))
         chosen = int(np.argmin(distance))

@@ -363,11 +363,12 @@ class Scene(Pictured):
                 try:
                     made = one.simulation.prepared_sheet(sheet)
                 except UserError as error:
-                    one.blade_cuts.refuse(str(error))
+                    then = one.blade_cuts.refuse(sheet)
                     warnings.warn(
-                        f"a blade's cut of organ '{self.names[number]}' was not opened: {error}", stacklevel=3
+                        f"a blade's cut of organ '{self.names[number]}' was not opened: {error}; {then}", stacklevel=3
                     )
                     continue
+                one.blade_cuts.opened(sheet)
                 made.continue_from(one.simulation)
                 one.exchange(made)
                 self._take_up(number)

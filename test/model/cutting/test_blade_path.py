@@ -64,6 +64,7 @@ def test_it_is_opened_again_when_it_has_grown():
     path = pressed(0.004)
     assert path.has_grown
     first = path.sheet()
+    path.note_opened()
     assert not path.has_grown
     assert path.is_open
     path.note(line(0.0045), FORWARD, ALONG)
@@ -72,6 +73,17 @@ def test_it_is_opened_again_when_it_has_grown():
     assert path.has_grown
     assert not path.is_open
     assert path.sheet().deepens(first)
+
+
+def test_a_sheet_along_which_nothing_was_cut_is_not_open():
+    path = pressed(0.004)
+    path.sheet()
+    assert not path.has_grown, "it is tried again when it has grown"
+    assert not path.is_open
+    path.note_opened()
+    path.note(line(0.009), FORWARD, ALONG)
+    path.sheet()
+    assert not path.is_open
 
 
 def test_blades_of_other_cuts_do_not_take_its_place():

@@ -59,3 +59,11 @@ def test_both_sides_of_a_cut():
     assert sides.is_cut.any()
     assert not sides.is_cut[~np.isin(np.arange(len(middle)), divided)].any()
     assert deepest >= INCISION[0][0][2] - INCISION[2] - 1e-9
+
+
+def test_the_front_of_a_cut_is_not_cut_by_a_deeper_one_beside_it():
+    deep = [[0.011, -0.01, 0.031], [0.011, 0.04, 0.031]], INCISION[1], 0.025
+    shallow = [[0.0265, -0.01, 0.031], [0.0265, 0.04, 0.031]], INCISION[1], 0.012
+    alone = [sides_of(Simulation(slab()).cut(*one).cut_organ).is_cut for one in (deep, shallow)]
+    both = sides_of(Simulation(slab()).cut(*deep).cut(*shallow).cut_organ).is_cut
+    assert np.array_equal(both, alone[0] | alone[1])

@@ -23,6 +23,7 @@ SHAPES = {
 
 def assert_closed(surface):
     assert len(open_edges(surface.triangles.astype(np.int64))) == 0
+    assert np.array_equal(np.unique(surface.triangles), np.arange(len(surface.nodes))), "points without a triangle"
     assert np.isfinite(surface.weights).all()
     np.testing.assert_allclose(surface.weights.sum(axis=1), 1.0, rtol=1e-12)
 

@@ -50,6 +50,7 @@ def parted(*names):
 def closed_surface(made):
     points = made.surface.at(made.organ.rest_positions)
     assert len(open_edges(made.surface.triangles.astype(np.int64))) == 0
+    assert np.array_equal(np.unique(made.surface.triangles), np.arange(len(made.surface.nodes)))
     np.testing.assert_allclose(made.surface.weights.sum(axis=1), 1.0, rtol=1e-12)
     return trimesh.Trimesh(points, made.surface.triangles, process=False)
 

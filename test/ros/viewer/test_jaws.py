@@ -12,8 +12,13 @@ from tissue_sim.ros.viewer.poked_jaws import PokedJaws
 from tissue_sim.ros.viewer.poked_tool import LONGEST_STEP, TOP_SPEED
 
 pytest.importorskip("viser")
+import viser
+
 from helpers.paths import CONFIG
 from helpers.ros.told import values
+from tissue_sim.ports import free_port
+from tissue_sim.ros.viewer.jaws import JawSlider
+from tissue_sim.ros.viewer.tool_view import ToolView
 
 EVERY = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)  # a busy machine loses none
 
@@ -45,6 +50,18 @@ def test_jaws_turn_without_a_blow_and_then_are_silent(graph):
     finally:
         jaws.close()
         listener.close()
+
+
+@pytest.mark.parametrize(("shape", "shown"), [("gripper", True), ("scissors", True), ("blade", False), ("urdf", False)])
+def test_the_slider_is_there_for_jaws_that_turn(graph, shape, shown):
+    server = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
+    try:
+        slider = JawSlider(server, graph, ToolView(server, "left", 0))
+        slider.use(ToolLink.told(values(left__shape=shape), "left", "tissue_sim"))
+        assert slider._slider.visible is shown
+        slider.remove()
+    finally:
+        server.stop()
 
 
 @pytest.mark.extended

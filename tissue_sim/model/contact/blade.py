@@ -102,8 +102,8 @@ def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) ->
     takes_other = row.side * (other - own) > 0.0
     for corner in range(CORNERS):
         weight, is_one = row.weight[corner], row.node[corner] == row.node[CORNERS + corner]
-        row.weight[corner] = weight if is_one else 0.5 * weight
-        row.weight[CORNERS + corner] = 0.0 if is_one else 0.5 * weight
+        row.weight[CORNERS + corner] = cells.part[cell, corner] * weight
+        row.weight[corner] = weight - row.weight[CORNERS + corner]
         for half in range(2):
             place = corner + half * CORNERS
             row.across_weight[place] = row.weight[place]

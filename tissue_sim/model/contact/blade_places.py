@@ -140,8 +140,16 @@ def write_inverse(a: Floats, inverse: Floats) -> None:
 
 
 @kernel
+def corner_at(cells: CutCells, cell: int, corner: int, position: Floats, axis: int) -> float:
+    """Return a coordinate, m, of a corner of a cell, between its copies on both sides of a cut."""
+    part = cells.part[cell, corner]
+    first, second = position[cells.nodes[cell, corner], axis], position[cells.others[cell, corner], axis]
+    return (1.0 - part) * first + part * second
+
+
+@kernel
 def place_in(cells: CutCells, cell: int, position: Floats, weight: Floats, axis: int) -> float:
-    """Return a coordinate, m, of the place that a cell's weights say, in the middle between both sides of a cut.
+    """Return a coordinate, m, of the place that a cell's weights say, between both sides of a cut.
 
     Parameters
     ----------
@@ -158,14 +166,13 @@ def place_in(cells: CutCells, cell: int, position: Floats, weight: Floats, axis:
     """
     place = 0.0
     for corner in range(CORNERS):
-        first, second = cells.nodes[cell, corner], cells.others[cell, corner]
-        place += 0.5 * weight[corner] * (position[first, axis] + position[second, axis])
+        place += weight[corner] * corner_at(cells, cell, corner, position, axis)
     return place
 
 
 @kernel
 def write_back(cells: CutCells, cell: int, position: Floats, scratch: Scratch, back: Floats) -> None:
-    """Write what turns displacements in a cell into those at rest, in the middle between both sides of a cut.
+    """Write what turns displacements in a cell into those at rest, between both sides of a cut.
 
     Parameters
     ----------
@@ -183,9 +190,8 @@ def write_back(cells: CutCells, cell: int, position: Floats, scratch: Scratch, b
     stretch = scratch.blade_stretch
     stretch[:] = 0.0
     for corner in range(CORNERS):
-        first, second = cells.nodes[cell, corner], cells.others[cell, corner]
         for axis in range(3):
-            at = 0.5 * (position[first, axis] + position[second, axis])
+            at = corner_at(cells, cell, corner, position, axis)
             for c in range(3):
                 stretch[3 * axis + c] += at * cells.slope[cell, corner, c]
     write_inverse(stretch, back)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -20,6 +22,14 @@ NEAR = 0.1  # mean edges, within which places count as on the surface
 MEETS = 0.2  # mean edges between the two blades of scissors, below which nothing holds what is between them
 ALIKE = 0.9  # cosine between the planes of a blade and of a cut that it goes on with
 GROWN = 0.35  # mean edges by which a cut has grown when it is opened again
+
+
+class _Extent(NamedTuple):
+    """How far a cut went when its sheet was made."""
+
+    deepest: dict[int, float]  # m, by bin
+    ends: tuple[float, float]  # m along the cut
+    through: int  # bins in which both blades of scissors had passed each other
 
 
 class BladePath:
@@ -46,8 +56,8 @@ class BladePath:
         self._aside: dict[int, float] = {}  # m
         self._met: set[int] = set()  # bins in which both blades of scissors have passed each other
         self._ends = (np.inf, -np.inf)  # m along the cut
-        self._through = 0  # of these bins, as the cut was opened last
-        self._opened: tuple[dict[int, float], tuple[float, float]] = ({}, (np.inf, -np.inf))
+        # As the last sheet was made, and as that was which has been opened: the organ may refuse one.
+        self._made = self._opened = _Extent({}, (np.inf, -np.inf), 0)
 
     def note(self, places: Floats, forward: Floats, along: Floats) -> None:
         """Note where the edge is.
@@ -144,27 +154,31 @@ class BladePath:
 
     @property
     def has_grown(self) -> bool:
-        """Whether the cut has grown by so much since it was opened that it should be again."""
-        return self._growth() >= GROWN * self._edge
+        """Whether the cut has grown by so much since its last sheet that another one should be opened."""
+        return self._growth(self._made) >= GROWN * self._edge
 
     @property
     def is_open(self) -> bool:
         """Whether all of it but a hair has been opened."""
-        return self._growth() < 0.25 * GROWN * self._edge
+        return self._growth(self._opened) < 0.25 * GROWN * self._edge
 
-    def _growth(self) -> float:
-        """Return by how much the cut is deeper or longer than what was opened, m."""
-        deepest, (first, last) = self._opened
+    def _growth(self, since: _Extent) -> float:
+        """Return by how much the cut is deeper or longer than it was, m."""
         if not self._deepest:
             return 0.0
-        if not deepest:
+        if not since.deepest:
             return float("inf")
-        deeper = max(deep - deepest.get(number, -np.inf) for number, deep in self._deepest.items() if number in deepest)
-        through = np.inf if len(self._met) > self._through else 0.0
+        deepest, (first, last) = since.deepest, since.ends
+        deeper = max(deep - deepest[number] for number, deep in self._deepest.items() if number in deepest)
+        through = np.inf if len(self._met) > since.through else 0.0
         return max(deeper, first - self._ends[0], self._ends[1] - last, through)
 
+    def note_opened(self) -> None:
+        """Note that the organ was cut along the last sheet."""
+        self._opened = self._made
+
     def sheet(self) -> Sheet:
-        """Return the sheet that the blade has swept; it counts as opened from here on.
+        """Return the sheet that the blade has swept so far; see note_opened.
 
         Raises
         ------
@@ -197,7 +211,7 @@ class BladePath:
                 f"the cut is {1e3 * max(reached, 0.0):.2g} mm deep, too shallow to open a surface with edges of"
                 f" {1e3 * self._edge:.2g} mm"
             )
-        self._opened, self._through = (dict(self._deepest), self._ends), len(self._met)
+        self._made = _Extent(dict(self._deepest), self._ends, len(self._met))
         rise = min(rise, CUT_EDGES * self._edge) + self._edge
         return Sheet(corners, into, float(depth.max()), rise, across(into), reached, depth, self._mark)
 

@@ -37,8 +37,8 @@ def sides_of(cut: CutOrgan) -> Sides:
         found[cut.cell_of[copies]] = cut.organ.cell_nodes[copies]
     is_cut = np.zeros(len(cells), dtype=np.int64)
     middle = cut.uncut.rest_positions[cells].mean(axis=1)
-    divided = np.unique(cut.cell_of[cut.side != 0])
-    for sheet in cut.sheets:
+    for sheet, side in zip(cut.sheets, cut.sides.T, strict=True):
+        divided = np.unique(cut.cell_of[side != 0])  # others lie beside it, or in the front of another cut
         is_cut[divided] |= sheet.covers(sheet.place(middle[divided]))
     return Sides(below, above, is_cut)
 
@@ -60,9 +60,10 @@ def cut_cells_of(organ: Organ, sides: Sides | None = None) -> CutCells:
     slope = np.ascontiguousarray(shapes_of(organ.rest_positions, cells)[0])
     # The weight of a corner is 1 at its own place.
     base = 1.0 - np.einsum("cax,cax->ca", slope, organ.rest_positions[cells])
+    part = np.where(above == below, 0.0, organ.mass[above] / (organ.mass[below] + organ.mass[above]))
     first = np.zeros(organ.n_uncut, dtype=np.int64)
     first[cells.ravel()] = np.repeat(np.arange(len(cells)), CORNERS)
-    return CutCells(below.copy(), above.copy(), base, slope, is_cut, _neighbours(cells), first)
+    return CutCells(below.copy(), above.copy(), part, base, slope, is_cut, _neighbours(cells), first)
 
 
 def _neighbours(cells: Longs) -> Longs:

@@ -107,7 +107,8 @@ def cut_surface(organ: Organ, cuts: Sequence[CutCells]) -> CutSurface:
         triangles = np.concatenate([triangles, filling])
         wall = np.concatenate([wall, np.full(len(filling), cut.numbers[0] + 1)])
     kept = triangles[:, 0] >= 0
-    found = CutSurface(nodes, weights, triangles[kept].astype(np.int32), wall[kept], partner, side)
+    whole = CutSurface(nodes, weights, triangles[kept].astype(np.int32), wall[kept], partner, side)
+    found = without_idle_points(whole, organ.n_surface)
     if any(not cut.copies for cut in cuts):
         volume = signed_volume(found.at(organ.rest_positions[_sources(organ, cuts)]), found.triangles)
         if len(open_edges(triangles[kept])) or abs(volume / organ.volume - 1.0) > MOST_LOST:
@@ -115,6 +116,28 @@ def cut_surface(organ: Organ, cuts: Sequence[CutCells]) -> CutSurface:
                 "the cuts meet where cells of the organ are too flat to be divided; move it by a millimetre"
             )
     return found
+
+
+def without_idle_points(surface: CutSurface, own: int) -> CutSurface:
+    """Return a surface without points that no triangle has, such as those inside a front, where both sides meet.
+
+    Parameters
+    ----------
+    surface : CutSurface
+        The surface.
+    own : int
+        Number of the organ's surface nodes, which stay.
+    """
+    used = np.zeros(len(surface.nodes), dtype=bool)
+    used[:own] = used[surface.triangles] = True
+    number = np.cumsum(used) - 1
+    paired = used[surface.partner]
+    partner = np.where(paired, surface.partner, np.arange(len(used)))
+    side = np.where(paired, surface.side, 0)
+    triangles = number[surface.triangles].astype(np.int32)
+    return CutSurface(
+        surface.nodes[used], surface.weights[used], triangles, surface.wall, number[partner[used]], side[used]
+    )
 
 
 def _sources(organ: Organ, cuts: Sequence[CutCells]) -> Longs:

@@ -47,7 +47,7 @@ class BladeRow(Record):
     sample: int
     body: int
     node: Annotated[Longs, (LIP_NODES,)]  # of the cell's copies on both sides of a cut
-    weight: Annotated[Floats, (LIP_NODES,)]  # of each in the middle between both sides
+    weight: Annotated[Floats, (LIP_NODES,)]  # of each between both sides
     across_weight: Annotated[Floats, (LIP_NODES,)]  # in what the flank touches: the middle, or one lip
     side: float  # of the lip that the flank touches, along the normal: -1 or 1; 0 where both are one
     arm: Vector  # m, from the tool's origin
@@ -72,6 +72,9 @@ class CutCells(NamedTuple):
 
     nodes: Longs  # (c, 4) as they are, or of the copy on the negative side of a cut
     others: Longs  # (c, 4) of the copy on the positive side
+    # (c, 4) of the mass of both copies of a corner, what `others` has; 0 where they are one. What is held or pressed
+    # there is the middle of this mass: when copies part, their forces move it no more than the whole node.
+    part: Floats
     base: Floats  # (c, 4) barycentric weights of a place X at rest: base + slope X
     slope: Floats  # (c, 4, 3) 1/m
     is_cut: Longs  # (c,) 1 for those whose middle a cut has passed
@@ -122,5 +125,5 @@ def no_cut_cells() -> CutCells:
     """Return cells that no blade can cut: none."""
     none = np.zeros((0, CORNERS), dtype=np.int64)
     return CutCells(
-        none, none, np.zeros((0, CORNERS)), np.zeros((0, CORNERS, 3)), none[:, 0], none, np.zeros(0, dtype=np.int64)
+        none, none, *np.zeros((2, 0, CORNERS)), np.zeros((0, CORNERS, 3)), none[:, 0], none, np.zeros(0, dtype=np.int64)
     )

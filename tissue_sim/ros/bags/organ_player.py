@@ -196,7 +196,9 @@ class OrganPlayer:
         before, organ = self.simulation, found.organ
         made = self._new_simulation(organ)
         origin, surface = found.origin, found.surface
-        inside = surface is None or surface.nodes.max(initial=0) < organ.n_nodes
+        cells = len(organ.cell_nodes if found.sides is None else found.sides.below)
+        inside = surface is None or bool(surface.nodes.max(initial=0) < organ.n_nodes)
+        inside = inside and cells == (len(before.model.cut_cells.nodes) or cells)  # in which blades are
         if len(origin) != organ.n_nodes or not 0 <= origin.min() <= origin.max() < before.organ.n_nodes or not inside:
             raise UserError("the bag's cut doesn't fit its organ: the bag is damaged")
         made.take_settings(before.settings)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Longs
 from tissue_sim.model.cutting.cut_cells import Sides, sides_of
-from tissue_sim.model.cutting.cut_surface import CutSurface
+from tissue_sim.model.cutting.cut_surface import CutSurface, without_idle_points
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -111,6 +111,8 @@ def _cut_of(fields: Mapping[str, NDArray[Any]]) -> RecordedCut:
     if file.dtype != np.uint8 or origin is None or origin.dtype.kind != "i" or origin.ndim != 1:
         raise ValueError("its cut is of another type")
     organ = organ_in(file.tobytes())
+    if surface is not None:  # bags of earlier versions have points that no triangle has
+        surface = without_idle_points(surface, organ.n_surface)
     return RecordedCut(_whole(fields, "tick"), NEVER, organ, origin.astype(np.int64), surface, _sides_of(fields, organ))
 
 
@@ -125,7 +127,19 @@ def _sides_of(fields: Mapping[str, NDArray[Any]], organ: Organ) -> Sides | None:
             raise ValueError("its cut has sides of another type")
         if side.min(initial=0) < 0 or side.max(initial=0) >= organ.n_nodes:
             raise ValueError("its cut has sides without nodes")
-    return Sides(*(side.astype(np.int64) for side in (below, above, is_cut)))
+    sides = Sides(*(side.astype(np.int64) for side in (below, above, is_cut)))
+    if not _are_of_all_cells(sides, organ):
+        raise ValueError("its cut has sides of other cells than its organ")
+    return sides
+
+
+def _are_of_all_cells(sides: Sides, organ: Organ) -> bool:
+    """Return whether sides are those of the cells from which a cut organ was made: a blade is in one of these."""
+    source = np.concatenate([np.arange(organ.n_uncut), organ.virtual_of]).astype(np.int64)
+    cells, count = source[organ.cell_nodes], len(sides.below)
+    # The first copies come in the order of the cells, and all others are of the same.
+    own = all(np.array_equal(source[side], cells[:count]) for side in (sides.below, sides.above))
+    return own and len(np.unique(cells, axis=0)) == count
 
 
 def _check_surface(surface: CutSurface) -> None:

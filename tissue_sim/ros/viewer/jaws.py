@@ -1,4 +1,4 @@
-"""The slider that opens and closes a gripper's jaws from the browser."""
+"""The slider that opens and closes the jaws of a gripper or of scissors from the browser."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from tissue_sim.ros.viewer.tool_view import ToolView
 WIDEST = 90.0  # degrees
 STEP = 0.5  # degrees
 UNTOUCHED = 1.0  # s after which the slider shows the jaws' angle again
+JAWED = ("gripper", "scissors")  # whose jaws turn; the joint of an instrument may be a slide
 
 
 class JawSlider:
@@ -54,7 +55,7 @@ class JawSlider:
         if self._jaws is not None and self._jaws.link == link:
             return
         self.close()
-        if link.tool.shape == "gripper":
+        if link.tool.shape in JAWED:
             self._jaws = PokedJaws(self._node, link)
             self._slider.hint = f"Opening of the jaws. Moving the slider publishes {self._jaws.topic}"
         self._slider.visible = self._jaws is not None

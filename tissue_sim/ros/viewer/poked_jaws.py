@@ -20,7 +20,7 @@ SHORTEST = 0.005  # m from hinge to tips, for the speed of the tips
 
 
 class PokedJaws:
-    """Publisher of a gripper's measured_js in a separate thread, from a `turn` until the jaws reach the goal.
+    """Publisher of a tool's measured_js in a separate thread, from a `turn` until the jaws reach the goal.
 
     Their tips move like a held tool: no faster, and without a jump in speed.
 

@@ -235,8 +235,11 @@ class OrganCutting:
                     try:
                         self._take_up(self._served.physics.simulation, (sheet,), time.monotonic(), heals)
                     except (UserError, TimeoutError) as error:
-                        self._blades.refuse(str(error))
-                        self._log.warning(f"a blade's cut of {self._name} was not opened: {error}")
+                        if heals == self._heals:
+                            then = self._blades.refuse(sheet)
+                            self._log.warning(f"a blade's cut of {self._name} was not opened: {error}; {then}")
+                    else:
+                        self._blades.opened(sheet)
         finally:
             self._busy.release()
 
@@ -259,6 +262,8 @@ class OrganCutting:
         report.values |= {f"{before}cuts": len(self.cuts), f"{before}cuts_made": self.made}
         if self.made:
             report.values[f"{before}cut_seconds"] = self.seconds
+        if self._blades:
+            report.values[f"{before}scratches"] = self._blades.scratches
         report.problems[f"{before}cuts_refused"] = self.refused + self._blades.refused
 
 
