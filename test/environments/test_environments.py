@@ -17,7 +17,6 @@ import tissue_sim.environments  # noqa: E402, F401
 from tissue_sim.environments.copies import TaskCopies  # noqa: E402
 from tissue_sim.environments.observations import SIZE, VIEW, Camera  # noqa: E402
 from tissue_sim.environments.registration import NAMES  # noqa: E402
-from tissue_sim.environments.steering import facing  # noqa: E402
 from tissue_sim.environments.tasks import HELD, RADIUS  # noqa: E402
 from tissue_sim.organ.organ import Organ  # noqa: E402
 from tissue_sim.rendering.pinhole import Pinhole, matrix_of  # noqa: E402
@@ -166,15 +165,6 @@ def test_a_find_ends_the_episode_right_or_wrong():
     assert stepped.succeeded.tolist() == [True, False]
     assert stepped.reward[0] > 9.0
     assert -3.1 < stepped.reward[1] <= -3.0
-
-
-@pytest.mark.parametrize("direction", [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.6, 0.0, 0.8], [0.0, -1.0, 0.0]])
-def test_a_shaft_lies_behind_its_direction(direction):
-    from scipy.spatial.transform import Rotation
-
-    np.testing.assert_allclose(
-        Rotation.from_quat(facing(np.array(direction))).apply([0.0, 0.0, 1.0]), direction, atol=1e-12
-    )
 
 
 def test_what_is_not_there_is_named():

@@ -47,7 +47,15 @@ class Grasp(NamedTuple):
     closed: float
 
 
-def at_lower_pole(vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, scale: float = 1.0) -> Grasp:
+def lower_pole(vertices: Floats) -> Floats:
+    """Return the axes (3, 3) of points (n, 3): the longest one, downwards, +z being up; the second; and the third."""
+    long, across, thick = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2]
+    return np.stack([long if long[2] <= 0.0 else -long, across, thick])
+
+
+def at_lower_pole(
+    vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, scale: float = 1.0, out: Floats | None = None
+) -> Grasp:
     """Return a grasp of a closed surface at the lower end of its longest axis, +z being up.
 
     The jaws close along its second axis.
@@ -62,6 +70,8 @@ def at_lower_pole(vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, 
         The gripper.
     scale : float, optional
         Factor of the depth, for organs smaller than a kidney.
+    out : Floats | None, optional, shape (3,)
+        Unit direction from which the gripper comes, in place of that axis; the others are turned with it.
 
     Returns
     -------
@@ -73,8 +83,10 @@ def at_lower_pole(vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, 
     ValueError
         Where the jaws can't take hold, with the reason.
     """
-    long, across, thick = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2]
-    out = long if long[2] <= 0.0 else -long
+    axes = lower_pole(vertices)
+    if out is not None:
+        axes = axes @ _shortest_turn(axes[0], out).T
+    out, across, thick = axes
     tip = vertices[np.argmax(vertices @ out)]
     depth = min(scale * DEPTH, WITHIN * jaws.length)
     outline = _cut(vertices[triangles], (tip - depth * out), out)
@@ -91,6 +103,14 @@ def at_lower_pole(vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, 
     except ValueError as error:
         raise ValueError(f"its lower pole is {1e3 * width:.3g} mm wide, and {error}") from None
     return Grasp(place, np.asarray(turn), out, depth, width, opened, closed)
+
+
+def _shortest_turn(start: Floats, end: Floats) -> Floats:
+    """Return the matrix (3, 3) that turns one unit direction to another, which isn't the opposite one."""
+    axis = np.cross(start, end)
+    sine = float(np.linalg.norm(axis))
+    angle = np.arctan2(sine, start @ end)
+    return np.asarray(Rotation.from_rotvec(angle / max(sine, 1e-12) * axis).as_matrix())
 
 
 def _cut(pieces: Floats, point: Floats, normal: Floats) -> Floats:

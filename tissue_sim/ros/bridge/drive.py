@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         metavar=("X", "Y", "Z"),
         help="point in the organ's frame, m, to which the surface point of the goal is nearest (default: the middle of"
-        " the front)",
+        " the front; of Retract the lower pole)",
     )
     add("--force", type=client.number(0.01, 20.0, "N"), default=0.3, help="wanted force, N")
     add("--seconds", type=client.number(0.1, 3600.0, "s"), help="longest time (default: that of the task's episodes)")
@@ -75,8 +75,9 @@ def run(args: argparse.Namespace) -> int:
             mesh = client.wait_until(meshes.take, args.wait, stop)
         if mesh is None:
             return 0 if stop else _not_there(args, f"mesh on {below}mesh")
-        goal = goal_of(*client.mesh_arrays(mesh), args)
-        start = goal.place + (task.tool().radius + CLEAR) * goal.outward
+        goal = goal_of(*client.mesh_arrays(mesh), args, task)
+        radius = 0.0 if task.has_jaws else task.tool().radius
+        start = goal.place + (radius + CLEAR) * goal.outward
         tool = DrivenTool(node, args.node, link, below)
         with progress.task(f"waiting for wrenches of '{link.tool.name}'"):
             is_there = tool.meet(start, goal, args.wait, stop)
@@ -101,7 +102,7 @@ def told(learned: Learned, goal: Goal, done: Done, step: float) -> str:
     way = done.tip - goal.place
     beside = 1e3 * float(np.linalg.norm(way - (way @ goal.outward) * goal.outward))
     force = float(done.force @ goal.outward)
-    wanted = "" if learned.task == "Retract" else f" of {goal.force:.3f} N"
+    wanted = "" if learned.task == "Retract" else f" of {goal.wanted:.3f} N"
     share = f" in {100.0 * done.share:.0f} % of the steps" if learned.task == "Hold" else ""
     met = f"goal {'' if done.is_met else 'not '}met{share}"
     return f"{learned.task}: {met}: {force:.3f} N{wanted}, {beside:.1f} mm beside the place, {after}"
@@ -121,8 +122,10 @@ def link_of(values: Mapping[str, Any], args: argparse.Namespace, task: Task) -> 
     return link
 
 
-def goal_of(vertices: Floats, triangles: Any, args: argparse.Namespace) -> Goal:
-    """Return the goal at the surface point nearest to the place that is chosen."""
+def goal_of(vertices: Floats, triangles: Any, args: argparse.Namespace, task: Task) -> Goal:
+    """Return the goal at the surface point nearest to the place that is chosen, or a grasp from its side."""
+    from tissue_sim.contact.grasp import lower_pole
+    from tissue_sim.environments.tasks import Retract
     from tissue_sim.organ.normals import surface_normals
     from tissue_sim.ros.bridge.contact_locations import FRONT, Surface
     from tissue_sim.ros.bridge.driven_tool import Goal
@@ -134,7 +137,13 @@ def goal_of(vertices: Floats, triangles: Any, args: argparse.Namespace) -> Goal:
     else:
         place = np.array(args.place)
     node = int(np.argmin(np.linalg.norm(vertices - place, axis=1)))
-    return Goal(node, vertices[node], surface_normals(vertices, triangles)[node], args.force)
+    outward = surface_normals(vertices, triangles)[node]
+    if not isinstance(task, Retract):
+        return Goal(node, vertices[node], vertices[node], outward, args.force)
+    grasp = task.grasp(vertices, triangles, lower_pole(vertices)[0] if args.place is None else outward)
+    place = grasp.place + grasp.depth * grasp.out
+    node = int(np.argmin(np.linalg.norm(vertices - place, axis=1)))
+    return Goal(node, vertices[node], place, grasp.out, grasp.width, grasp.turn, grasp.opened)
 
 
 def _not_there(args: argparse.Namespace, what: str) -> int:
