@@ -9,7 +9,7 @@ import pytest
 
 from tissue_sim import cli
 from tissue_sim.organ.organ import Organ
-from tissue_sim.unexpected_errors import TRACEBACK, place_of, told
+from tissue_sim.unexpected_errors import TRACEBACK, place_of, described
 
 ORGAN = "tissue_sim.organ.organ"
 # A program whose reading of an organ fails as nobody thinks: at first as a user sees it, then as a developer asks.
@@ -85,8 +85,8 @@ def test_place_is_the_innermost_inside_the_package():
         Organ.load(7)
     assert re.fullmatch(r"tissue_sim/organ/\S+\.py:\d+", place_of(caught.value))
     assert place_of(ValueError()) == ""
-    assert told(ValueError("in\n two  lines")) == "ValueError: in two lines"
-    assert told(KeyboardInterrupt()) == "KeyboardInterrupt"
+    assert described(ValueError("in\n two  lines")) == "ValueError: in two lines"
+    assert described(KeyboardInterrupt()) == "KeyboardInterrupt"
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_what_a_terminal_obeys_is_told_and_not_sent(capsys):
     assert "\x1b" not in told_line
     assert told_line.count("\n") == 1
     assert "no\\x1b[2Jorgan\\n.npz" in told_line
-    assert len(told(ValueError("x" * 10_000))) < 700
+    assert len(described(ValueError("x" * 10_000))) < 700
 
 
 def test_caller_of_main_keeps_its_hooks():

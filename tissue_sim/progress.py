@@ -359,8 +359,8 @@ class _Teller:
         seconds = now - one.started
         if one.counted and one.total is not None:
             path = self._path().removesuffix(one.text) + one.name
-            told = "" if one.unit == "%" else f" {one.done:g}/{one.total:g}"
-            shape = "{l_bar}{bar}|" + told + " [{elapsed}<{remaining}{postfix}]"
+            count = "" if one.unit == "%" else f" {one.done:g}/{one.total:g}"
+            shape = "{l_bar}{bar}|" + count + " [{elapsed}<{remaining}{postfix}]"
             line = tqdm.format_meter(
                 one.done, one.total, seconds, ncols=columns, prefix=path, postfix=one.remark, bar_format=shape
             )

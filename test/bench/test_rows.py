@@ -32,7 +32,7 @@ def test_what_was_measured_stays_and_what_follows_has_nothing_to_do(capsys):
             if one == 2:
                 interrupted()
             found.append(one)
-            rows.tell(f"load {one}", "3 %", "4 N")
+            rows.report(f"load {one}", "3 %", "4 N")
     assert (found, rows.stopped()) == ([0, 1], True)
     assert list(rows.each(range(5), "other loads")) == []
     captured = capsys.readouterr()

@@ -70,10 +70,10 @@ def run(args: argparse.Namespace) -> int:
         for threads in rows.each(sorted({1, 2, len(os.sched_getaffinity(0))}), "batches"):
             batch = SceneBatch(scene, args.copies, threads=threads)
             measured.append(of_batch(batch, presses, args.seconds))
-            rows.tell(measured[-1].name, f"{measured[-1].steps_a_second:.0f} steps/s")
+            rows.report(measured[-1].name, f"{measured[-1].steps_a_second:.0f} steps/s")
         for name, step in rows.each([] if args.no_peers else PEERS, "MuJoCo"):
             peers.append(of_flex(name, step, presses, args.seconds))
-            rows.tell(name, f"{peers[-1].steps_a_second:.1f} steps/s")
+            rows.report(name, f"{peers[-1].steps_a_second:.1f} steps/s")
     found = as_json(organ, measured, peers, batch.bytes_a_copy, differing(scene, presses))
     emit(found, text(found), args.json)
     return exit_code(found, check=args.check)

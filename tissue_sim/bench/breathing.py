@@ -67,7 +67,7 @@ def measure(
     with rows.until_stopped():
         for rate, name in rows.each([(rate, name) for rate in rates for name in ways], "breaths"):
             found.append(_breathed(organ, body, rate, name, np.array(ways[name])))
-            rows.tell(f"{rate:g} a minute, {name}", f"error at most {1e3 * found[-1].most_off:.3f} mm")
+            rows.report(f"{rate:g} a minute, {name}", f"error at most {1e3 * found[-1].most_off:.3f} mm")
     return found
 
 

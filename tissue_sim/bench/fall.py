@@ -75,7 +75,7 @@ def measure(organ: Organ, count: int, shares: Sequence[float] = TRACTIONS) -> li
     with rows.until_stopped():
         for share, case in rows.each(todo, "loads"):
             found.append(fallen(simulation, share, cases.kind[case], share * cases.force[case]))
-            rows.tell(f"{share:g} E, {cases.kind[case]}", f"difference {100.0 * found[-1].off:.2f} %")
+            rows.report(f"{share:g} E, {cases.kind[case]}", f"difference {100.0 * found[-1].off:.2f} %")
     return found
 
 

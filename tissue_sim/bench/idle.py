@@ -70,7 +70,7 @@ def measure(organ_file: str, seconds: float) -> dict[str, Any]:
             with progress.still(), rows.until_stopped():
                 for turn in rows.each(range(max(1, round(seconds / TURN))), "turns"):
                     turns.append(processor_load_during(spent, partial(viewer.look, TURN)))
-                    rows.tell(f"turn {turn + 1}", *(f"{name} {share:.2f} %" for name, share in turns[-1].items()))
+                    rows.report(f"turn {turn + 1}", *(f"{name} {share:.2f} %" for name, share in turns[-1].items()))
     return as_json(turns, seen_after)
 
 

@@ -110,9 +110,9 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
                 for name, trip in turn.items():
                     trips[name].append(trip)
                 p50 = turn[wrench_row_name(RATES[0])].as_json()["p50_us"]
-                rows.tell(f"turn {number + 1}", f"{wrench_row_name(RATES[0])}: p50 {p50:.0f} us")
-        told = {name: together(parts).as_json() for name, parts in trips.items()}
-        found = as_json(seconds, told, (done, late), np.concatenate(bare_late), busy)
+                rows.report(f"turn {number + 1}", f"{wrench_row_name(RATES[0])}: p50 {p50:.0f} us")
+        percentiles = {name: together(parts).as_json() for name, parts in trips.items()}
+        found = as_json(seconds, percentiles, (done, late), np.concatenate(bare_late), busy)
         smoothed = [] if rows.stopped() else smoothing.as_json(smoothing.measure(organ))
         return {"realtime_priority": priority, **found, "smoothing": smoothed}
 

@@ -68,9 +68,9 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
     def phase(name: str) -> None:
         with progress.task(f"{name}, s", seconds) as poking:
             phases[name] = _phase(hand, seconds, priority, poking.advance)
-        told = phases[name]
-        rows.tell(
-            f"{_whose(node)}, {name}", f"{told['ticks_per_second']:.1f} ticks/s", f"{told['late_percent']:.2f} % late"
+        figures = phases[name]
+        rows.report(
+            f"{_whose(node)}, {name}", f"{figures['ticks_per_second']:.1f} ticks/s", f"{figures['late_percent']:.2f} % late"
         )
 
     with Graph() as graph:
@@ -114,7 +114,7 @@ def _phase(hand: PokeProbe, seconds: float, priority: int, watch: Callable[[], o
     turns = max(1, round(BARE_SHARE * seconds / BARE_TURN))
     late = []
     for _ in range(turns):
-        late.append(bare(BARE_SHARE * seconds / turns, found.told[-1].busy, priority))
+        late.append(bare(BARE_SHARE * seconds / turns, found.reports[-1].busy, priority))
         watch()
     bare_late = late_percent(np.concatenate(late))
     return phase_json(found, bare_late)
@@ -125,9 +125,9 @@ def _phase(hand: PokeProbe, seconds: float, priority: int, watch: Callable[[], o
 
 def phase_json(found: PokeFigures, bare_percent: float) -> dict[str, Any]:
     """Return the figures of one phase: the node's between its first report and its last, and the forces."""
-    first, last = found.told[0], found.told[-1]
+    first, last = found.reports[0], found.reports[-1]
     done, wall = last.tick - first.tick, last.seconds - first.seconds
-    between = np.diff([told.seconds for told in found.told])
+    between = np.diff([report.seconds for report in found.reports])
     return {
         "peaks_n": found.peaks.tolist(),
         "longest_gap_ms": 1e3 * found.gap,
@@ -135,8 +135,8 @@ def phase_json(found: PokeFigures, bare_percent: float) -> dict[str, Any]:
         "late_percent": 100.0 * (last.late - first.late) / max(1, done),
         "bare_late_percent": bare_percent,
         "dropped": last.dropped - first.dropped,
-        "simulated_share": float(np.average([told.pace for told in found.told[1:]], weights=between)),
-        "degraded": sorted({told.degraded for told in found.told} - {"none"}),
+        "simulated_share": float(np.average([report.pace for report in found.reports[1:]], weights=between)),
+        "degraded": sorted({report.degraded for report in found.reports} - {"none"}),
     }
 
 

@@ -64,14 +64,14 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"--points {args.points} is outside 100..100000")
     if args.loss is not None:
         found = arriving.behind_link(path, args.loss, args.seconds)
-        told = arriving.text(found)
+        table = arriving.text(found)
     elif args.points is not None:
         found = arriving.of_large_organ(args.points, args.seconds)
-        told = arriving.text(found)
+        table = arriving.text(found)
     else:
         found = as_json(measure_colours(path, args.seconds))
-        told = text(found)
-    emit(found, told, args.json)
+        table = text(found)
+    emit(found, table, args.json)
     return exit_code(found, check=args.check)
 
 
@@ -130,7 +130,7 @@ def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict
             for number in rows.each(turns, f"turns, {colour}"):
                 found.append(turn(spent, both))
                 shares = (f"{name} {one['percent']:.2f} % at {one['hz']:.0f} Hz" for name, one in found[-1].items())
-                rows.tell(f"turn {number + 1}, {colour}", *shares)
+                rows.report(f"turn {number + 1}, {colour}", *shares)
         return found
 
 

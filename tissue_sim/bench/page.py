@@ -29,7 +29,7 @@ from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
 from tissue_sim.organ.shipped import shipped_file
 from tissue_sim.ports import free_port
-from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, ticks, told
+from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, ticks, last_line
 from tissue_sim.ros.probes.lossy_link import ADDRESSES, inside, lossy_link
 from tissue_sim.ros.shared.children import Child
 
@@ -106,7 +106,7 @@ def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) 
 
         spent = {name: partial(processor_seconds, child.pid) for name, child in children.items()}
         shares = processor_load_during(spent, note)
-        watched = json.loads(told(watcher))
+        watched = json.loads(last_line(watcher))
     return as_json(scene, watched, sent, shares, seconds)
 
 

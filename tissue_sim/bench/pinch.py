@@ -78,7 +78,7 @@ def measure(organ: Organ) -> tuple[list[Pinch], Floats]:
         with rows.until_stopped():
             for one in rows.each(todo, "pinches"):
                 found.append(pinched(organ, *one))
-                rows.tell(f"{one[0]}, {'xyz'[one[2]]}, {100.0 * one[3]:g} %", f"{found[-1].force:.2f} N")
+                rows.report(f"{one[0]}, {'xyz'[one[2]]}, {100.0 * one[3]:g} %", f"{found[-1].force:.2f} N")
         return found, noise_burst(2000)
 
 

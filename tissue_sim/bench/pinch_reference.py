@@ -213,7 +213,7 @@ def measure(organ: Organ, table: dict[str, Any]) -> list[Compared]:
                 )
                 found.append(one)
                 off = "not converged" if one.off is None else f"error {one.off:.1f} %"
-                rows.tell(f"{one.axis}, {one.share:g} %", off)
+                rows.report(f"{one.axis}, {one.share:g} %", off)
     return found
 
 

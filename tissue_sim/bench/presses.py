@@ -204,7 +204,7 @@ def measure(files: Sequence[str], n_places: int, friction: float | None = None) 
                     if pressed:
                         lost = sum(one.is_lost for one in pressed)
                         name = f"{organ.name}, {form.name}, place {number + 1}"
-                        rows.tell(name, f"{len(pressed)} presses", f"{lost} failed")
+                        rows.report(name, f"{len(pressed)} presses", f"{lost} failed")
     return found
 
 

@@ -246,10 +246,10 @@ def save(figure: Any, path: Path, dpi: float = 140.0) -> None:
         figure.savefig(path, dpi=dpi)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}") from None
-    told([path])
+    print_pictures([path])
 
 
-def told(pictures: Iterable[Path]) -> None:
+def print_pictures(pictures: Iterable[Path]) -> None:
     """Name the pictures that were written on the standard error.
 
     Parameters

@@ -161,7 +161,7 @@ def _soak(
             if len(samples) == LEAST_SAMPLES:
                 rows.keep()
             if second % 60 == 0:
-                rows.tell(f"minute {second // 60}", f"{samples[-1].megabytes:.2f} MB", f"{samples[-1].late} late ticks")
+                rows.report(f"minute {second // 60}", f"{samples[-1].megabytes:.2f} MB", f"{samples[-1].late} late ticks")
             under_way.advance()
     return samples, [(at, made.result()) for at, made in turns]
 

@@ -14,7 +14,7 @@ from typing import Any
 from tissue_sim import progress
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import emit, told, write_json
+from tissue_sim.bench.printing import emit, print_pictures, write_json
 from tissue_sim.bench.sweeps.cells import AXES, QUICK_AXES, SMALL_ORGAN, Cell, axes_named, cells_of
 from tissue_sim.bench.sweeps.trial import Record, made_for, organ_of, run_cell, simulation_of
 from tissue_sim.calibration.cohort import on_cluster
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         picture = Path(args.out) / "stability.png"
         draw_map(records, f"Stability of {report['organ']}: {len(records)} runs", picture)
         write_json(report, picture.with_suffix(".json"))
-        told([picture])
+        print_pictures([picture])
     return int(bool(args.check and violations(records)))
 
 

@@ -111,7 +111,7 @@ def measure(organ: Path, wanted: Sequence[str]) -> dict[str, Any]:
                         for name, code in PEERS.items():
                             peers[name].append(peer_start(code, environment))
             starts[kernels] = min(tries[-TIMES:], key=lambda start: start["wall"])
-            rows.tell(f"a new process, {kernels}", f"{starts[kernels]['wall']:.2f} s to its first tick")
+            rows.report(f"a new process, {kernels}", f"{starts[kernels]['wall']:.2f} s to its first tick")
             for _ in range(1 if kernels == TO_COMPILE else 2):
                 with _cache(kernels) as environment, progress.task("a node"):
                     nodes[kernels], remark = built_or_skipped(partial(node_start, organ, environment))

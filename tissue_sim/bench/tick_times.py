@@ -21,7 +21,7 @@ from tissue_sim.bench.printing import (
     exit_code,
     figure,
     noise_lines,
-    told,
+    print_pictures,
     with_remarks,
 )
 from tissue_sim.bench.tick_rows import (
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out:
         from tissue_sim.bench.plots import write_plots
 
-        told(write_plots(found, Path(args.out)))
+        print_pictures(write_plots(found, Path(args.out)))
     return exit_code(found, check=args.check)
 
 

@@ -40,7 +40,7 @@ def drawn(found: dict[str, Any]) -> Any:
     if front:
         axis.step(*zip(*front, strict=True), where="post", color="#bbbbbb", linewidth=7, zorder=0, label="Pareto front")
     names: list[tuple[tuple[float, float], str, _Kind]] = []
-    told: dict[str, _Kind] = {}
+    labelled: dict[str, _Kind] = {}
     for name in dict.fromkeys(row["name"] for row in rows):
         line = [row for row in rows if row["name"] == name]
         kind = _kind(name, line[0]["ours"])
@@ -51,10 +51,10 @@ def drawn(found: dict[str, Any]) -> Any:
             color=kind.colour,
             markersize=8 if name == CALIBRATED else 6,
             linewidth=kind.line,
-            label=None if kind.name in told else kind.name,
+            label=None if kind.name in labelled else kind.name,
             zorder=3 if kind is _CELLS else 2,
         )
-        told[kind.name] = kind
+        labelled[kind.name] = kind
         if name == CALIBRATED:
             for row in line:
                 aim = f", {BALANCED}" if row["points"] == found["surface_points"] else ""

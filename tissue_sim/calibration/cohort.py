@@ -145,17 +145,17 @@ def _in_process(work: tuple[Callable[[Any], Any], Any], stopped: threading.Event
         command = [sys.executable, "-m", "tissue_sim.calibration.cohort", folder]
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
         with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
-            told = _told(process, stopped)
+            errors = _errors_of(process, stopped)
         answer = Path(folder) / _ANSWERED
         if process.returncode == 0 and answer.is_file():
             return pickle.loads(answer.read_bytes())
     if process.returncode < 0:
         name = signal.Signals(-process.returncode).name
         return UserError(f"its process was ended by {name}; it may need more memory")
-    return UserError(f"its process failed: {told.splitlines()[-1] if told else process.returncode}")
+    return UserError(f"its process failed: {errors.splitlines()[-1] if errors else process.returncode}")
 
 
-def _told(process: subprocess.Popen[bytes], stopped: threading.Event | None) -> str:
+def _errors_of(process: subprocess.Popen[bytes], stopped: threading.Event | None) -> str:
     """Return what a process wrote to its standard error until it ended or was killed."""
     while True:
         try:

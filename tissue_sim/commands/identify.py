@@ -176,8 +176,8 @@ def _from_bag(args: argparse.Namespace, organ: Organ) -> Measurement:
     return found_in(Stream(str(path), stream.time, stream.positions, sign * stream.forces), organ, radius)
 
 
-def _write_json(path: Path, told: dict[str, object]) -> None:
+def _write_json(path: Path, values: dict[str, object]) -> None:
     try:
-        path.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}") from None

@@ -201,9 +201,9 @@ class Learned:
         """
         names = type(self._policy).weights
         named = dict(zip(names, self.weights.tolist(), strict=True))
-        told = {"format": FORMAT, "task": self.task, "weights": named, "about": self.about}
+        record = {"format": FORMAT, "task": self.task, "weights": named, "about": self.about}
         try:
-            Path(path).write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+            Path(path).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
         except OSError as error:
             raise UserError(f"cannot write {path}: {error.strerror}") from None
 
@@ -225,15 +225,15 @@ class Learned:
         if path is None:
             raise UserError(f"there is no policy '{name}'; name a file that 'tissue_sim learn' has written")
         try:
-            told = json.loads(path.read_text(encoding="utf-8"))
+            record = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise UserError(f"cannot read policy {name}: {error}") from None
-        if not isinstance(told, dict) or told.get("format") != FORMAT or not isinstance(told.get("weights"), dict):
+        if not isinstance(record, dict) or record.get("format") != FORMAT or not isinstance(record.get("weights"), dict):
             raise UserError(f"{name} is not a policy of format {FORMAT}; learn it anew with 'tissue_sim learn'")
-        wanted = policy_class(str(told.get("task"))).weights
-        if tuple(told["weights"]) != wanted:
-            raise UserError(f"policy {name} has weights {', '.join(told['weights'])}; expected: {', '.join(wanted)}")
-        weights = np.array([told["weights"][one] for one in wanted], dtype=np.float64)
+        wanted = policy_class(str(record.get("task"))).weights
+        if tuple(record["weights"]) != wanted:
+            raise UserError(f"policy {name} has weights {', '.join(record['weights'])}; expected: {', '.join(wanted)}")
+        weights = np.array([record["weights"][one] for one in wanted], dtype=np.float64)
         if not np.isfinite(weights).all():
             raise UserError(f"policy {name} has weights that are not finite")
-        return cls(told["task"], weights, told.get("about"))
+        return cls(record["task"], weights, record.get("about"))

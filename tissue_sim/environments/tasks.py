@@ -60,7 +60,7 @@ class Judged(NamedTuple):
 class Task:
     """Press: reach a force at a place. Others change what differs."""
 
-    organ, actions = "kidney", 3  # the shipped organ; velocity, and what else a step is told
+    organ, actions = "kidney", 3  # the shipped organ; velocity, and what else a step takes
     has_jaws, declares = False, False  # whether the last action moves jaws, or says: here it is
     ends = True  # whether an episode ends where the goal is met for HELD steps
     shift = 0.005  # m by which the organ is moved at most, along each axis

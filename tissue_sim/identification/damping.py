@@ -53,7 +53,7 @@ class Damping(NamedTuple):
 
 
 def losses_of(sinusoids: Sequence[Sinusoid], has_times: bool) -> tuple[Loss | None, str]:
-    """Return the loss factor of sinusoids, or None; and why it can't be told."""
+    """Return the loss factor of sinusoids, or None; and why there is none."""
     before = "damping: not identifiable from this recording: "
     if not has_times:
         return None, before + "its samples have no times"

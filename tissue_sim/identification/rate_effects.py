@@ -26,7 +26,7 @@ class RateEffects(NamedTuple):
     damping: Damping | None
     lines: list[str]
 
-    def told(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return the figures, as JSON can hold them."""
         found: dict[str, Any] = {}
         if self.friction is not None:

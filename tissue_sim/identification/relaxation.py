@@ -77,13 +77,13 @@ def relaxation_of(holds: Sequence[Hold], elastic: Sequence[Floats], has_times: b
             f"{before}its time constant, {found.time:.1f} s with a standard deviation of {found.time_deviation:.1f} s,"
             f" isn't settled by holds of {longest:.1f} s: hold longer, or come in faster"
         )
-    told = (
+    line = (
         f"relaxation: {100 * found.share:.1f} % of the force decay with a time constant of {found.time:.2f} s (standard"
         f" deviations {100 * found.share_deviation:.1f} % and {found.time_deviation:.2f} s; holds: {found.holds})"
     )
     if found.left > UNFIT:
-        told += f"; one time constant leaves {100 * found.left:.0f} % of the force unexplained"
-    return found, told
+        line += f"; one time constant leaves {100 * found.left:.0f} % of the force unexplained"
+    return found, line
 
 
 def _thinned(hold: Hold, elastic: Floats) -> _Thinned:

@@ -64,7 +64,7 @@ def report_page(found: Identified) -> str:
         residuals=_residuals(found),
         places=places,
         places_caption=caption,
-        told=flat(provenance_of(found)),
+        provenance=flat(provenance_of(found)),
     )
 
 

@@ -1,6 +1,6 @@
 """Measured presses from a CSV file.
 
-Three layouts are told apart by the names of their columns, in SI units; lines that begin with # are left out:
+Three layouts are distinguished by the names of their columns, in SI units; lines that begin with # are left out:
 
 - one sample a row: `press,depth,force`, and where the place is known `x,y,z` (m, where the tool's surface first
   touched) and `nx,ny,nz` (the outward normal there);

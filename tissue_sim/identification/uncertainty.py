@@ -28,7 +28,7 @@ DEPTHS = (0.25, 0.5, 0.75, 1.0)  # radii, of presses that are considered
 ENOUGH = 1.1  # times the least variance, at which a press is deep enough
 SAMPLES = 20  # of a press that is considered
 CLEAR = 3.0  # mean edges from the clamp
-TOLD = 3  # places that are proposed
+PROPOSED = 3  # places that are proposed
 
 
 class Interval(NamedTuple):
@@ -149,7 +149,7 @@ def _farthest(organ: Organ, points: Floats) -> Floats:
         free = cKDTree(surface.positions[organ.fixed]).query(surface.positions)[0] > CLEAR * mean_edge(organ)
     candidates, taken = surface.positions[free], points
     chosen = []
-    for _ in range(min(TOLD, len(candidates))):
+    for _ in range(min(PROPOSED, len(candidates))):
         chosen.append(candidates[int(cKDTree(taken).query(candidates)[0].argmax())])
         taken = np.vstack([taken, chosen[-1]])
     return np.array(chosen).reshape(-1, 3)

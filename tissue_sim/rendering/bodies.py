@@ -33,7 +33,7 @@ class Look:
     texture : float
         Period of the tissue's texture, m; 0 for none.
     inner : tuple[float, float, float] | None
-        Colour of the vertices that are told to lie in other tissue; None where there is none.
+        Colour of the vertices that are marked as other tissue; None where there is none.
     """
 
     colour: tuple[float, float, float] = (0.57, 0.20, 0.18)

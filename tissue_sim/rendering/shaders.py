@@ -158,7 +158,7 @@ void main() {
 """
 
 # What is seen at each pixel: its distance along the axis, and its label.
-TOLD = """
+DATA = """
 #version 330
 uniform int label;
 in vec3 seen_at;

@@ -85,7 +85,7 @@ def measure(folder: Path, slab: Organ | None = None) -> list[SetErrors]:
             curves["linear"] = _shared(*bonded_layer(*given, thickness), len(presses))
             found.append(errors_of(name, presses, curves, organ.youngs_modulus))
             one = found[-1].errors["model"]
-            rows.tell(name, f"{100 * one.one:.1f} % with one modulus", f"{100 * one.mapped:.1f} % with a map")
+            rows.report(name, f"{100 * one.one:.1f} % with one modulus", f"{100 * one.mapped:.1f} % with a map")
     return found
 
 

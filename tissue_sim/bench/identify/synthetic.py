@@ -106,7 +106,7 @@ def measure(organ: Organ, runs: int = RUNS) -> list[Recovered]:
     with rows.until_stopped():
         for number, name in enumerate(CASES):
             found.append(recovered(name, truth, np.random.default_rng(number), runs))
-            rows.tell(name, f"error {np.abs(found[-1].off).max():.1f} %", f"{found[-1].held} of {runs} intervals hold")
+            rows.report(name, f"error {np.abs(found[-1].off).max():.1f} %", f"{found[-1].held} of {runs} intervals hold")
     return found
 
 

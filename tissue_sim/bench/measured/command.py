@@ -11,7 +11,7 @@ from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import check_shared
 from tissue_sim.bench.measured import beam, truth_cube
 from tissue_sim.bench.measured.plots import write_pictures
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, print_pictures
 from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.errors import UserError
 
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
             raise UserError(f"{data / file} does not exist; name the folder of the measured tables with --data")
     found, pictures = in_one_thread(measure, data, Path(args.out), tuple(args.bodies))
     emit(found, text(found), args.json)
-    told(pictures)
+    print_pictures(pictures)
     return exit_code(found, check=args.check)
 
 

@@ -17,7 +17,7 @@ from scipy.interpolate import RegularGridInterpolator
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.measured.body import Rate, built, calibrated, solve_prescribed_surface, timed
 from tissue_sim.bench.measured.lattice import places, shell
-from tissue_sim.bench.rows import tell, until_stopped
+from tissue_sim.bench.rows import report, until_stopped
 from tissue_sim.calibration.calibrate import Progress
 from tissue_sim.calibration.fe_mesh import FeMesh, coordinates
 from tissue_sim.calibration.fem import Body
@@ -136,7 +136,7 @@ def measure(data: Path, folder: Path, progress: Progress) -> list[Compressed]:
                     seconds,
                 )
             )
-            tell(f"truth cube, {strain:g} %", f"error {found[-1].off['model'].mean():.3f} mm")
+            report(f"truth cube, {strain:g} %", f"error {found[-1].off['model'].mean():.3f} mm")
             done()
     return found
 

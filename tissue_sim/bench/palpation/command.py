@@ -12,7 +12,7 @@ import argparse
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.palpation import finger
-from tissue_sim.bench.printing import emit, exit_code, told
+from tissue_sim.bench.printing import emit, exit_code, print_pictures
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -64,5 +64,5 @@ def run(args: argparse.Namespace) -> int:
     if args.out and not rows.stopped():
         from tissue_sim.bench.palpation.plot import write_plots
 
-        told(write_plots(organ, felt, maps, args.out))
+        print_pictures(write_plots(organ, felt, maps, args.out))
     return exit_code(found, check=args.check)

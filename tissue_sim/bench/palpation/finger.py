@@ -68,7 +68,7 @@ def measure(organ: Organ) -> list[PressForces]:
             scene = finger(organ)
             reference, plain = (by_elements(one, press) for one in (organ, with_inclusions(organ, [])))
             found.append(PressForces(inclusion, press, forces(scene, press, DEPTHS), reference, plain))
-            rows.tell(f"node {press.node}", f"error at most {found[-1].off.max():.2f} %")
+            rows.report(f"node {press.node}", f"error at most {found[-1].off.max():.2f} %")
     return found
 
 
@@ -78,7 +78,7 @@ def measure_maps(organ: Organ, felt: Sequence[PressForces]) -> list[Map]:
     with rows.until_stopped():
         for one in rows.each(felt, "maps"):
             found.append(mapped(organ, one.press))
-            rows.tell(f"map around node {one.press.node}", f"{len(found[-1].nodes)} points")
+            rows.report(f"map around node {one.press.node}", f"{len(found[-1].nodes)} points")
     return found + [Map(np.zeros(0, dtype=np.int64), np.zeros(0))] * (len(felt) - len(found))
 
 

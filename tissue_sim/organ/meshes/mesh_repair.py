@@ -117,7 +117,7 @@ def close_seams(positions: Floats, triangles: Longs, across: bool) -> tuple[Long
     tuple[Longs, tuple[str, ...]]
         The triangles, and lines that describe what was done.
     """
-    told: list[str] = []
+    repairs: list[str] = []
     triangles = triangles[_three_corners(triangles)]
     if not len(once_used_edges(triangles)):
         return triangles, ()
@@ -129,14 +129,14 @@ def close_seams(positions: Floats, triangles: Longs, across: bool) -> tuple[Long
         merged += more
         rim = once_used_edges(triangles)
     if merged:
-        told.append(f"merged {merged} coinciding points")
+        repairs.append(f"merged {merged} coinciding points")
     if across and len(rim):
         length = np.linalg.norm(positions[rim[:, 0]] - positions[rim[:, 1]], axis=1)
         reach = min(_SEAM * size, _SEAM_EDGE * float(np.median(length)))
         merged, triangles = _merge(positions, triangles, np.unique(rim), reach)
         if merged:
-            told.append(f"joined {merged} rim points across seams of up to {reach / size * 100.0:.2g} % of the size")
-    return triangles, tuple(told)
+            repairs.append(f"joined {merged} rim points across seams of up to {reach / size * 100.0:.2g} % of the size")
+    return triangles, tuple(repairs)
 
 
 def _three_corners(triangles: Longs) -> NDArray[np.bool_]:

@@ -106,7 +106,7 @@ class _Live:
         values = self._wait(parameters.poll, f"no answer from /{target}/get_parameters")
         notes = self._differing(values, client.mesh_arrays(mesh)[0])
         for tool in tools_of(recording.config):
-            link = ToolLink.told(values, tool.name, target)
+            link = ToolLink.from_parameters(values, tool.name, target)
             if link is None:
                 raise UserError(f"/{target} has no tool '{tool.name}', which the bag has")
             if link.topics.wrench_type != "WrenchStamped" or link.topics.turns_wrench or not link.to_organ.is_identity:

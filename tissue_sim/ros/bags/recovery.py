@@ -172,10 +172,10 @@ def _complete(folder: Path) -> int:
     store, files = get_typestore(Stores.ROS2_JAZZY), []
     with _opened(folder) as readers:
         for reader in readers:
-            told = reader.statistics
-            assert told is not None
-            counts = {topic.topic: told.channel_message_counts.get(topic.id, 0) for topic in reader.connections}
-            files.append(metadata.File(Path(str(reader.path)).name, told.start_time, told.end_time, counts))
+            statistics = reader.statistics
+            assert statistics is not None
+            counts = {topic.topic: statistics.channel_message_counts.get(topic.id, 0) for topic in reader.connections}
+            files.append(metadata.File(Path(str(reader.path)).name, statistics.start_time, statistics.end_time, counts))
         topics = [topic._replace(digest=store.hash_rihs01(topic.msgtype)) for topic in readers[0].connections]
         metadata.write(folder, files, topics)
     return files[-1].end - files[0].start

@@ -86,11 +86,11 @@ def run(args: argparse.Namespace) -> int:
         steps = NAMES[learned.task] if args.seconds is None else round(args.seconds / STEP)
         done = tool.drive(learned, goal, start, steps, stop)
         tool.leave(done.tip, goal)
-    print(told(learned, goal, done, STEP))
+    print(result_line(learned, goal, done, STEP))
     return 0 if done.is_met or bool(stop) else 1
 
 
-def told(learned: Learned, goal: Goal, done: Done, step: float) -> str:
+def result_line(learned: Learned, goal: Goal, done: Done, step: float) -> str:
     """Return the line about what an agent did."""
     x, y, z = 1e3 * done.tip
     after = (
@@ -114,7 +114,7 @@ def link_of(values: Mapping[str, Any], args: argparse.Namespace, task: Task) -> 
 
     there = tuple(values.get("tools", ()))
     name = args.tool or (there[0] if there else "")
-    link = ToolLink.told(values, name, args.node)
+    link = ToolLink.result_line(values, name, args.node)
     if link is None:
         raise UserError(f"/{args.node} has no tool '{name}'; it has {', '.join(there) or 'none'}: choose with --tool")
     check_tool(task, link.tool, args.node)

@@ -77,8 +77,8 @@ def run(args: argparse.Namespace) -> int:
         registration = Registration(node, args.node, parameters)
 
         def relinked() -> dict[str, ToolLink]:
-            told = registration.poll() or {}
-            found = {link.tool.name: ToolLink.told(told, link.tool.name, args.node) for link in links}
+            changed = registration.poll() or {}
+            found = {link.tool.name: ToolLink.from_parameters(changed, link.tool.name, args.node) for link in links}
             return {name: link for name, link in found.items() if link is not None}
 
         player = Player(tools, args.seconds, relinked)
@@ -110,9 +110,9 @@ def organ_of(values: Mapping[str, Any], args: argparse.Namespace) -> str:
     UserError
         For an organ that the node doesn't have.
     """
-    from tissue_sim.ros.shared.parameters import TOLD
+    from tissue_sim.ros.shared.parameters import ORGANS
 
-    names = list(values.get(TOLD, ()))  # a node without this parameter has one organ
+    names = list(values.get(ORGANS, ()))  # a node without this parameter has one organ
     if args.organ and args.organ not in names:
         there = f"it serves {', '.join(names)}" if names else "it serves one organ, without a name"
         raise UserError(f"/{args.node} has no organ '{args.organ}': {there}")

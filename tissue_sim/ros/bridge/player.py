@@ -47,7 +47,7 @@ def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
         if there and name not in there:
             raise UserError(f"/{args.node} has no tool '{name}'; it has {', '.join(there)}: choose with --tools")
     links = [
-        ToolLink.told(values, name, args.node) or ToolLink.by_default(name, "organ")
+        ToolLink.from_parameters(values, name, args.node) or ToolLink.by_default(name, "organ")
         for name in args.tools or there or TOOLS
     ]
     script = args.script or SCRIPT[: len(SCRIPT) if len(links) > 1 else -1]

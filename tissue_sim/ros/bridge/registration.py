@@ -23,8 +23,8 @@ class Registration:
 
     def poll(self) -> Mapping[str, Any] | None:
         """Return the node's parameters once they have been read anew, else None. Doesn't wait."""
-        told = client.physics_status(self._reports.take_all(), self._target)
-        if told is not None and told.get("registrations") != self._count:
-            self._count = told.get("registrations")
+        status = client.physics_status(self._reports.take_all(), self._target)
+        if status is not None and status.get("registrations") != self._count:
+            self._count = status.get("registrations")
             self._parameters.ask()
         return self._parameters.poll()

@@ -19,7 +19,7 @@ from tissue_sim.ros.shared import dds
 from tissue_sim.ros.shared.executors import OLD_RCLPY, make_executor
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, Spec
 from tissue_sim.ros.shared.shutdown_handler import Interrupted, ShutdownHandler
-from tissue_sim.unexpected_errors import tell, told, write_error
+from tissue_sim.unexpected_errors import report_error, described, write_error
 from tissue_sim.version import __version__
 
 RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
@@ -77,7 +77,7 @@ def serve(arguments: list[str], ending: ShutdownHandler) -> int:
     except Interrupted:
         return 0
     except UserError as error:
-        tell(error, PROGRAM)
+        report_error(error, PROGRAM)
         return 2
     except LoopEnded as error:
         write_error(f"{PROGRAM}: error: internal: {error}\n")
@@ -101,7 +101,7 @@ def _go_on(node: TissueNode, executor: Executor, ending: ShutdownHandler) -> Non
             ending.asked.wait(AFTER_FAILURE)
         if node.loop.ended:
             why = node.loop.failure
-            raise LoopEnded("the physics loop ended" + (f": {told(why)}" if why is not None else ""))
+            raise LoopEnded("the physics loop ended" + (f": {described(why)}" if why is not None else ""))
 
 
 def _noted(node: TissueNode, error: BaseException | None) -> None:

@@ -180,7 +180,7 @@ def ticks(node: Child) -> None:
     first_within(tells, START_TIME, "the node did not tick")
 
 
-def told(child: Child) -> str:
+def last_line(child: Child) -> str:
     """Return the last line that a process has printed, when it has ended.
 
     Parameters

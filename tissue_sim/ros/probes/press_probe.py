@@ -84,15 +84,15 @@ class PressProbe(Hand):
         Raises UserError when the loop never does them.
         """
         self._reports.take_all()
-        told: list[int] = []
+        done: list[int] = []
 
         def is_over() -> bool:
             self._send_and_feel(self._last)
             time.sleep(1.0 / self._rate)
             values = client.physics_status(self._reports.take_all(), self._target)
             if values is not None:
-                told.append(int(values["tick"]))
-            return len(told) > 0 and told[-1] >= told[0] + ticks
+                done.append(int(values["tick"]))
+            return len(done) > 0 and done[-1] >= done[0] + ticks
 
         first_within(is_over, START_TIME, f"the loop did not do {ticks} ticks")
         return force_in_the_end(self._felt)

@@ -175,7 +175,7 @@ TOOL_SPECS = (
 
 RENAMED = {"measured_cf": "external_cf"}  # former and present names of a tool's parameters
 OFF = "off"  # YAML, and so rcl and the ros2 command line, read it as false
-TOLD = "organs"  # read-only parameter with the organs that were found
+ORGANS = "organs"  # read-only parameter with the organs that were found
 OF_RCLPY = ("qos_overrides.", "start_type_description_service", "use_sim_time")
 
 
@@ -419,8 +419,8 @@ class Parameters:
         text = "names of a scene's organs, with which their topics begin; empty for a single organ"
         # Dynamic: rclpy takes an empty list for one of bytes.
         descriptor = ParameterDescriptor(description=text, dynamic_typing=True, read_only=True)
-        self._node.declare_parameter(TOLD, list(names), descriptor, ignore_override=True)
-        self._specs[TOLD] = Spec(TOLD, list(names), text)
+        self._node.declare_parameter(ORGANS, list(names), descriptor, ignore_override=True)
+        self._specs[ORGANS] = Spec(ORGANS, list(names), text)
 
     def values(self) -> dict[str, Any]:
         """Return all parameters by name, as plain values."""
@@ -429,9 +429,9 @@ class Parameters:
     # inside ------------------------------------------------------------------------------------
     def _declare(self, name: str, spec: Spec) -> None:
         descriptor = ParameterDescriptor(description=spec.text, read_only=not spec.live)
-        told = ["one of " + ", ".join(spec.choices)] if spec.choices else []
-        told.append("may change while the node runs" if spec.live else "fixed when the node starts")
-        descriptor.additional_constraints = "; ".join(told)
+        constraints = ["one of " + ", ".join(spec.choices)] if spec.choices else []
+        constraints.append("may change while the node runs" if spec.live else "fixed when the node starts")
+        descriptor.additional_constraints = "; ".join(constraints)
         if spec.low is not None and spec.high is not None:
             if isinstance(spec.default, int):
                 bounds = IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=1)
@@ -463,7 +463,7 @@ class Parameters:
     def _warn_of_unknown(self) -> None:
         """Warn about unknown parameters: a misspelt one changes nothing, though a shared file may hold others' too."""
         for name in self._node._parameter_overrides:
-            if self._node.has_parameter(name) or name.startswith(OF_RCLPY) or name == TOLD:
+            if self._node.has_parameter(name) or name.startswith(OF_RCLPY) or name == ORGANS:
                 continue
             tool, _, was = name.partition(".")
             if tool in self.tools and was in RENAMED:
@@ -506,8 +506,8 @@ class Parameters:
         if _plain(self._as_meant(parameter).value) == _plain(self[parameter.name]):
             return SetParametersResult(successful=True)
         reason = f"'{parameter.name}' can't change while the node runs; restart the node with the new value"
-        if parameter.name == TOLD:
-            reason = f"'{TOLD}' reports which organs the node serves, and can't be set"
+        if parameter.name == ORGANS:
+            reason = f"'{ORGANS}' reports which organs the node serves, and can't be set"
         return SetParametersResult(successful=False, reason=reason)
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:

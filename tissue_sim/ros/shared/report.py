@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from tissue_sim.unexpected_errors import place_of, told
+from tissue_sim.unexpected_errors import place_of, described
 
 MOST_LINES = 8  # lines kept about one part's troubles
 STARVED = "the physics loop hangs, or gets no processor time: no forces until it continues"
@@ -114,7 +114,7 @@ class UnexpectedErrors:
         error : BaseException
             The error.
         """
-        place, line = place_of(error), f"{self._part} failed: {told(error)}"
+        place, line = place_of(error), f"{self._part} failed: {described(error)}"
         with self._lock:
             self._counts[place] += 1
             is_new = self._is_new(place, line)

@@ -48,7 +48,7 @@ class ToolLink:
         return cls(ToolTopics(usual_topics(name), frame_id), Transform(), Tool(name))
 
     @classmethod
-    def told(cls, values: Mapping[str, Any], name: str, target: str) -> ToolLink | None:
+    def from_parameters(cls, values: Mapping[str, Any], name: str, target: str) -> ToolLink | None:
         """Return the link by a node's parameters; None when it has no tool of that name.
 
         Parameters

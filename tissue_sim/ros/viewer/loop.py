@@ -16,7 +16,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.rendering.organ_view import FIELD_OF_VIEW, camera_for, light
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.node_parameters import NodeParameters
-from tissue_sim.ros.shared.parameters import TOLD
+from tissue_sim.ros.shared.parameters import ORGANS
 from tissue_sim.ros.viewer.pace import Pace
 from tissue_sim.ros.viewer.panel import SOLID, TRANSLUCENT, Panel, detail, headline
 from tissue_sim.ros.viewer.scene import LigamentView
@@ -78,9 +78,9 @@ class Viewer:
         if sum(one.take_mesh() for one in self.organs):  # of all of them
             self._look()
             self._parameters.ask()  # it may be another node of that name
-        told = self._parameters.poll()
-        if told is not None:
-            self._name(tuple(told.get(TOLD, ())) or ("",))
+        parameters = self._parameters.poll()
+        if parameters is not None:
+            self._name(tuple(parameters.get(ORGANS, ())) or ("",))
         self._take_report()
         self._services.poll(self._panel.wishes, self._tell)
         for one in self.organs:
@@ -93,8 +93,8 @@ class Viewer:
                 one.draw(eye, self._panel.opacity.value)
             self._draw_ligaments()
             self.tools.take(self._tool_markers.take(), now)
-            if told is not None:
-                self.tools.use(told)
+            if parameters is not None:
+                self.tools.use(parameters)
             self.tools.update(now, watchers, *self._points())
         return bool(watchers)
 

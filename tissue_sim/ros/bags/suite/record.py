@@ -67,7 +67,7 @@ def record(scene: Scene, organ: Organ, organ_file: Path, target: Path) -> dict[s
     shutil.rmtree(folder, ignore_errors=True)
     values = {"use_sim_time": "true", "record": "true", "record_folder": json.dumps(str(folder))}
     # Paths as they are given: a bag holds its parameters, and a relative path is the same on every machine.
-    values |= {"organ_file": json.dumps(str(organ_file))} | RATES | scene.told()
+    values |= {"organ_file": json.dumps(str(organ_file))} | RATES | scene.as_parameters()
     words = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
     node = Child("node", [sys.executable, "-m", "tissue_sim.ros.node.program", "--ros-args", *words], os.environ)
     try:

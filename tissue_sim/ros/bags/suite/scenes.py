@@ -69,7 +69,7 @@ class Scene:
             return [Tool(name, shape="gripper", length=0.06, mesh="config/jaws/flat.obj") for name in self.tools]
         return [Tool(name, radius=self.radius) for name in self.tools]
 
-    def told(self) -> dict[str, str]:
+    def as_parameters(self) -> dict[str, str]:
         """Return the node's parameters."""
         values = {"tools": f"[{', '.join(self.tools)}]"}
         for tool in self.made_tools():

@@ -67,7 +67,7 @@ class ContactSearch:
         n_bodies = len(self._port_of)
         self._positions = np.zeros((len(served.physics.simulation.model.rest), 3))
         self._extents = finder.tools.shapes.extent
-        self._told = np.full(n_bodies, -1)  # life, by `releases`, in which a held-off body was reported
+        self._reported = np.full(n_bodies, -1)  # life, by `releases`, in which a held-off body was reported
         self._last_goals = np.zeros((n_bodies, 7))
         self._last_time = time.monotonic()
         self._last_key: tuple[object, ...] = ()
@@ -174,9 +174,9 @@ class ContactSearch:
         """Notify ports of bodies that nothing resists: each time that one was outside before, stopped or was reset."""
         outside = (engaged == Engaged.YES) | (engaged == Engaged.CUTS)
         held_off = ~outside & ((engaged == Engaged.HELD_OFF) | bodies.held_off.astype(bool))
-        is_new = held_off & (self._told != bodies.releases)
-        self._told[is_new] = bodies.releases[is_new]
-        self._told[outside] = -1
+        is_new = held_off & (self._reported != bodies.releases)
+        self._reported[is_new] = bodies.releases[is_new]
+        self._reported[outside] = -1
         for port in {id(port): port for port, new in zip(self._port_of, is_new.tolist(), strict=True) if new}.values():
             port.note_inactive(self._organ)
 

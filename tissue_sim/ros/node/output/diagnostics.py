@@ -54,8 +54,8 @@ class Diagnostics:
             status.level, status.message = DiagnosticStatus.WARN, "; ".join(lines)
         if report.failures:
             status.level, status.message = DiagnosticStatus.ERROR, report.failures[0]
-        told = {**report.values, **report.problems}
-        status.values = [KeyValue(key=key, value=_text(value)) for key, value in told.items()]
+        values = {**report.values, **report.problems}
+        status.values = [KeyValue(key=key, value=_text(value)) for key, value in values.items()]
         return status
 
 

@@ -114,7 +114,7 @@ class ServedScene:
             simulation.settings.stiffness_scale *= stiffness
 
 
-def told(names: Sequence[str], organs: Sequence[Organ]) -> str:
+def described(names: Sequence[str], organs: Sequence[Organ]) -> str:
     """Return what is served, for people.
 
     Parameters
