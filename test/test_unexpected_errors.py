@@ -9,7 +9,7 @@ import pytest
 
 from tissue_sim import cli
 from tissue_sim.organ.organ import Organ
-from tissue_sim.unexpected_errors import TRACEBACK, place_of, described
+from tissue_sim.unexpected_errors import TRACEBACK, described, place_of
 
 ORGAN = "tissue_sim.organ.organ"
 # A program whose reading of an organ fails as nobody thinks: at first as a user sees it, then as a developer asks.

@@ -156,7 +156,7 @@ def test_soft_organ_gains_no_energy_of_its_modal_region():
     assert record.energy_gain < 1e-3
 
 
-def test_step_axis_sets_the_substep_to_a_share_of_the_critical_one():
+def test_step_axis_sets_the_substep_to_a_fraction_of_the_critical_one():
     simulation = simulation_of(cell("step", 0.5))
     simulation.apply_force([0], [[0.0, 0.0, 0.01]])
     simulation.step()

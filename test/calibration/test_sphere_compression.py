@@ -38,7 +38,7 @@ def above(depths):
 def test_a_sphere_is_pushed_back_as_hertz_has_it():
     """F = 4/3 E / (1 - nu^2) sqrt(R) d^1.5, times (1 - nu) ln(3 - 4 nu) / (1 - 2 nu) where it sticks (Spence 1968).
 
-    And a share of sqrt(R d) over the block's height more, as its foot is bonded (Dimitriadis et al. 2002).
+    And a fraction of sqrt(R d) over the block's height more, as its foot is bonded (Dimitriadis et al. 2002).
     """
     depths = DEPTH * np.array([0.4, 1.0])
     fine = block([2.0, 4.0, 6.0, 10.0, 18.0, 30.0], [1.0, 2.0, 4.0, 8.0, 15.0, 30.0])
@@ -46,8 +46,8 @@ def test_a_sphere_is_pushed_back_as_hertz_has_it():
     force = np.array([step.forces[0, 2] for step in steps])
     assert all(step.settled for step in steps)
     sticking = (1.0 - NU) * np.log(3.0 - 4.0 * NU) / (1.0 - 2.0 * NU)
-    share = 2.0 / np.pi * (1.2876 - 1.4678 * NU + 1.3442 * NU**2) / (1.0 - NU) * np.sqrt(RADIUS * depths) / 0.03
-    wanted = (1.0 + share + share**2) * sticking * 4.0 / 3.0 * E / (1.0 - NU**2) * np.sqrt(RADIUS) * depths**1.5
+    fraction = 2.0 / np.pi * (1.2876 - 1.4678 * NU + 1.3442 * NU**2) / (1.0 - NU) * np.sqrt(RADIUS * depths) / 0.03
+    wanted = (1.0 + fraction + fraction**2) * sticking * 4.0 / 3.0 * E / (1.0 - NU**2) * np.sqrt(RADIUS) * depths**1.5
     assert -force == pytest.approx(wanted, rel=0.04)
     assert np.abs(steps[-1].forces[0, :2]).max() < 0.03 * -force[-1]  # the mesh is not symmetric
 

@@ -120,8 +120,11 @@ class Nip(Touching):
     def lead(self, place, angle, ticks):
         """Move the gripper to a place (3,) m and open or close it to an angle, within so many ticks."""
         start, began = self.at, self.angle
-        for share in np.linspace(0.0, 1.0, ticks):
-            self.at, self.angle = (1.0 - share) * start + share * place, (1.0 - share) * began + share * angle
+        for fraction in np.linspace(0.0, 1.0, ticks):
+            self.at, self.angle = (
+                (1.0 - fraction) * start + fraction * place,
+                (1.0 - fraction) * began + fraction * angle,
+            )
             self.scene.move(0, self.at, self.grasp.turn, self.angle)
             self.scene.step()
 

@@ -75,8 +75,8 @@ def test_points_between_nodes_give_way_by_more():
     nodes = parts**2 * local_compliance(organ, 2.0 * edge)
     assert {1, 2, 3} >= set(np.count_nonzero(found.weight, axis=1)) > {1}
     for node, weight, compliance in zip(found.node, found.weight, found.compliance, strict=True):
-        mean = sum(share * nodes[which] for share, which in zip(weight, node, strict=True))
-        more = 1.0 + OF_BALLS.between * (1.0 - sum(share**2 for share in weight))
+        mean = sum(fraction * nodes[which] for fraction, which in zip(weight, node, strict=True))
+        more = 1.0 + OF_BALLS.between * (1.0 - sum(fraction**2 for fraction in weight))
         np.testing.assert_allclose(compliance, more * mean, rtol=1e-12)
 
 

@@ -84,12 +84,12 @@ def test_the_number_of_threads_changes_no_bit(threads):
     np.testing.assert_array_equal(some.save(), others.save())
 
 
-def test_copies_of_tissue_that_stiffens_share_nothing_that_changes():
+def test_copies_of_tissue_that_stiffens_fraction_nothing_that_changes():
     scene = Scene(replace(ball_of_cells(), stiffening=20.0), [FINGER])
     copies = SceneBatch(scene, 2)._scenes
     first, second = (one.simulation.model.tissue for one in copies)
     for name in ("rows", "work", "squeezed_cells", "stiff", "shortening"):
-        assert not np.shares_memory(getattr(first, name), getattr(second, name)), name
+        assert not np.fractions_memory(getattr(first, name), getattr(second, name)), name
 
 
 @pytest.mark.extended

@@ -27,10 +27,10 @@ def test_stages_are_watched_in_order_and_timed(tmp_path):
     organ_from_mask(mask, Request(name="ball", points=100, atoms=3), progress=progress)
     stages = list(dict.fromkeys(stage for stage, _ in seen))
     assert stages == ["wall", "balloon", "skeleton", "springs"] == list(progress.record.seconds)
-    shares = [done for stage, done in seen if stage == "balloon"]
-    assert len(shares) > 4
-    assert shares == sorted(shares)
-    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    fractions = [done for stage, done in seen if stage == "balloon"]
+    assert len(fractions) > 4
+    assert fractions == sorted(fractions)
+    assert (fractions[0], fractions[-1]) == (0.0, 1.0)
     assert all(seconds > 0.0 for seconds in progress.record.seconds.values())
     assert progress.record.wall is not None
     assert progress.record.organ.n_surface == 100

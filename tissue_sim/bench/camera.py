@@ -24,7 +24,7 @@ from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_co
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
-from tissue_sim.ros.probes.graph import NODE, Graph, ticks, last_line
+from tissue_sim.ros.probes.graph import NODE, Graph, last_line, ticks
 from tissue_sim.ros.shared.children import Child
 from tissue_sim.ros.shared.priority import below, is_allowed
 

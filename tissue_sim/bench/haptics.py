@@ -34,7 +34,7 @@ from tissue_sim.bench.device_loop import (
 )
 from tissue_sim.bench.devices import DEVICES, GRIP, NO_HAND, Device
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, save
-from tissue_sim.bench.rows import each, stopped, report, until_stopped
+from tissue_sim.bench.rows import each, report, stopped, until_stopped
 from tissue_sim.model.contact.virtual_coupling import passive_stiffness
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ

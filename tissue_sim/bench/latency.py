@@ -144,7 +144,7 @@ def as_json(
     lateness of the bare loop's ticks, s; busy: us of each.
     """
     period, (done, late) = 1.0 / RATE, ticks
-    shares = 100.0 * late / max(1.0, done), late_percent(bare_late)
+    percents = 100.0 * late / max(1.0, done), late_percent(bare_late)
     ticks_beyond = TICKS_BEYOND * 1e6 * period
     woken, echo_woken = (trips[name] for name in WOKEN)
     felt = [
@@ -156,13 +156,13 @@ def as_json(
     bounds = [
         *felt,
         Bound("that ends a nap, p50", woken["p50_us"], MOST_OF_ECHO * echo_woken["p50_us"] + ticks_beyond, "us"),
-        late_bound("ticks late by more than a period", *shares),
+        late_bound("ticks late by more than a period", *percents),
     ]
     return {
         "seconds": seconds,
         "rate_hz": RATE,
         "round_trips": trips,
-        "late": {"node_percent": shares[0], "bare_percent": shares[1], "ticks": done, "busy_us": busy},
+        "late": {"node_percent": percents[0], "bare_percent": percents[1], "ticks": done, "busy_us": busy},
         "bounds": [bound.as_json() for bound in bounds],
     }
 

@@ -34,7 +34,7 @@ PHASES = QUIET, BUSY, AFTER = "quiet", "busy", "quiet again"
 SHORTEST = 4.0  # s of a phase
 WARMING_UP = 3.0  # s of poking that aren't counted
 BARE_TURN = 5.0  # s that the bare loop runs at once
-BARE_SHARE = 0.25  # fraction of a phase's time for the bare loop after it
+BARE_FRACTION = 0.25  # fraction of a phase's time for the bare loop after it
 LONGEST_BACK = 90.0  # s for the node to recover from degradation
 MOST_FELT = 10.0  # %, largest difference of a poke's highest force from the undisturbed ones'
 MOST_LACKING = 1.0  # % of the ticks
@@ -70,7 +70,9 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
             phases[name] = _phase(hand, seconds, priority, poking.advance)
         figures = phases[name]
         rows.report(
-            f"{_whose(node)}, {name}", f"{figures['ticks_per_second']:.1f} ticks/s", f"{figures['late_percent']:.2f} % late"
+            f"{_whose(node)}, {name}",
+            f"{figures['ticks_per_second']:.1f} ticks/s",
+            f"{figures['late_percent']:.2f} % late",
         )
 
     with Graph() as graph:
@@ -111,10 +113,10 @@ def spinning() -> Iterator[None]:
 
 def _phase(hand: PokeProbe, seconds: float, priority: int, watch: Callable[[], object]) -> dict[str, Any]:
     found = hand.poke(seconds, watch)
-    turns = max(1, round(BARE_SHARE * seconds / BARE_TURN))
+    turns = max(1, round(BARE_FRACTION * seconds / BARE_TURN))
     late = []
     for _ in range(turns):
-        late.append(bare(BARE_SHARE * seconds / turns, found.reports[-1].busy, priority))
+        late.append(bare(BARE_FRACTION * seconds / turns, found.reports[-1].busy, priority))
         watch()
     bare_late = late_percent(np.concatenate(late))
     return phase_json(found, bare_late)

@@ -129,8 +129,8 @@ def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict
         with progress.still(), rows.until_stopped():
             for number in rows.each(turns, f"turns, {colour}"):
                 found.append(turn(spent, both))
-                shares = (f"{name} {one['percent']:.2f} % at {one['hz']:.0f} Hz" for name, one in found[-1].items())
-                rows.report(f"turn {number + 1}, {colour}", *shares)
+                loads = (f"{name} {one['percent']:.2f} % at {one['hz']:.0f} Hz" for name, one in found[-1].items())
+                rows.report(f"turn {number + 1}, {colour}", *loads)
         return found
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from tissue_sim.bench.organs import bean
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, figure
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.probes.graph import NODE, Graph, ticks, last_line
+from tissue_sim.ros.probes.graph import NODE, Graph, last_line, ticks
 from tissue_sim.ros.probes.lossy_link import lossy_link
 
 DELAY = 0.05  # s, each way

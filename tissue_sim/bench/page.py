@@ -29,7 +29,7 @@ from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
 from tissue_sim.organ.shipped import shipped_file
 from tissue_sim.ports import free_port
-from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, ticks, last_line
+from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, last_line, ticks
 from tissue_sim.ros.probes.lossy_link import ADDRESSES, inside, lossy_link
 from tissue_sim.ros.shared.children import Child
 
@@ -105,9 +105,9 @@ def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) 
                     under_way.reach(min(round(time.monotonic() - began), seconds))
 
         spent = {name: partial(processor_seconds, child.pid) for name, child in children.items()}
-        shares = processor_load_during(spent, note)
+        percents = processor_load_during(spent, note)
         watched = json.loads(last_line(watcher))
-    return as_json(scene, watched, sent, shares, seconds)
+    return as_json(scene, watched, sent, percents, seconds)
 
 
 def served_at(page: Child) -> str:
@@ -137,7 +137,7 @@ def as_json(
     scene: SceneFile,
     watched: Mapping[str, Any],
     sent: Sequence[float],
-    shares: Mapping[str, float],
+    percents: Mapping[str, float],
     seconds: float,
 ) -> dict[str, Any]:
     """Return the frames per second of each organ, on average and in the worst second, and the bounds.
@@ -168,7 +168,7 @@ def as_json(
         "organs": rows,
         "seconds": int(moving.sum()),
         "megabytes_a_second": watched["bytes"] / seconds / 1e6,
-        "shares_percent": dict(shares),
+        "shares_percent": dict(percents),
         "bounds": [bound.as_json() for bound in bounds],
     }
 
@@ -178,9 +178,9 @@ def text(found: Mapping[str, Any]) -> str:
     rows = [["organ", "points", "pictures a second", "in the worst second"]]
     for row in found["organs"]:
         rows.append([row["organ"], str(row["points"]), f"{row['pictures_hz']:.1f}", str(row["worst_second"])])
-    shares = [["% of a core", ""], *([name, f"{share:.1f}"] for name, share in found["shares_percent"].items())]
+    percents = [["% of a core", ""], *([name, f"{fraction:.1f}"] for name, fraction in found["shares_percent"].items())]
     about = (
         f"{found['seconds']} s in which all organs move; {found['megabytes_a_second']:.1f} MB a second over the"
         " websocket"
     )
-    return "\n".join([about, "", *aligned(rows), "", *aligned(shares), "", *bound_lines(found["bounds"])])
+    return "\n".join([about, "", *aligned(rows), "", *aligned(percents), "", *bound_lines(found["bounds"])])

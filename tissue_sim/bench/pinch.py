@@ -20,7 +20,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
-SHARES = (0.2, 0.4, 0.6)  # fractions of the organ's width by which the tools squeeze it
+FRACTIONS = (0.2, 0.4, 0.6)  # fractions of the organ's width by which the tools squeeze it
 NOT_COMPARED = (
     "forces are not compared: this organ has no table of finite elements; --reference FILE --remake makes one"
 )
@@ -73,7 +73,7 @@ def table_of(args: argparse.Namespace, organ: Organ) -> dict[str, Any] | None:
 def measure(organ: Organ) -> tuple[list[Pinch], Floats]:
     """Return every pair of tools on every axis by every fraction, and seconds of a fixed loop, in one thread."""
     with tempfile.TemporaryDirectory() as folder:
-        todo = [(*pair, axis, share) for pair in pairs(Path(folder)) for axis in range(3) for share in SHARES]
+        todo = [(*pair, axis, fraction) for pair in pairs(Path(folder)) for axis in range(3) for fraction in FRACTIONS]
         found = []
         with rows.until_stopped():
             for one in rows.each(todo, "pinches"):
@@ -88,7 +88,7 @@ def as_json(pinches: Sequence[Pinch], bursts: Floats, reference: dict[str, Any] 
         {
             "tools": one.tools,
             "axis": "xyz"[one.axis],
-            "share_percent": 100.0 * one.share,
+            "share_percent": 100.0 * one.fraction,
             "width_mm": 1e3 * one.width,
             "p50_us": 1e6 * float(np.percentile(one.seconds, 50)),
             "p99_us": 1e6 * float(np.percentile(one.seconds, 99)),

@@ -242,11 +242,11 @@ class JoinedTicks:
 def _time_joined(worlds: Any, joined: Any, loads: Any, phase: Any, clock: Any, times: Any) -> None:
     """Step len(times) ticks and write the ns that each took, in a compiled loop as in the node."""
     for index in range(len(times)):
-        share = swelling(phase)
+        fraction = swelling(phase)
         for organ in range(len(worlds)):
             nodes, forces = loads[organ]
             if len(nodes) > 0:
-                load_nodes(worlds[organ].state, nodes, share * forces)
+                load_nodes(worlds[organ].state, nodes, fraction * forces)
         start = now(clock)
         tick_coupled(worlds, joined)
         times[index] = now(clock) - start
@@ -332,6 +332,6 @@ def _table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
     for row in rows:
         figures = [figure(row[key]) for key in ("median_us", "p99_us")]
         late = "more than one core can compute at 1 kHz" if row["share_of_tick"] > 1.0 else ""
-        share = f"{100.0 * row['share_of_tick']:.0f} % of a core at 1 kHz"
-        table.append([row["name"], str(row["organs"]), *figures, str(row["samples"]), late or share])
+        fraction = f"{100.0 * row['share_of_tick']:.0f} % of a core at 1 kHz"
+        table.append([row["name"], str(row["organs"]), *figures, str(row["samples"]), late or fraction])
     return table

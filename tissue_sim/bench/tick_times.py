@@ -148,8 +148,8 @@ def bounds(measured: Figures) -> list[Bound]:
     ]
 
 
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100.0 * share
+def _percent(fraction: float | None) -> float | None:
+    return None if fraction is None else 100.0 * fraction
 
 
 def as_json(organ: Organ, measured: Figures) -> dict[str, Any]:

@@ -256,9 +256,9 @@ def swelling(phase: Any) -> float:
     float
         The fraction.
     """
-    share = 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / _LOAD_PERIOD))
+    fraction = 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / _LOAD_PERIOD))
     phase[0] = phase[0] % _LOAD_PERIOD + 1
-    return share
+    return fraction
 
 
 class _Load(NamedTuple):
@@ -280,8 +280,8 @@ def _time_ticks(world: Any, load: Any, guarded: bool, clock: Any, times: Any) ->
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     for index in range(len(times)):
         if len(load.nodes) > 0:
-            share = swelling(load.phase)
-            load_nodes(state, load.nodes, (1.0 if load.steady else share) * load.forces)
+            fraction = swelling(load.phase)
+            load_nodes(state, load.nodes, (1.0 if load.steady else fraction) * load.forces)
         for tool in range(len(state.body_pose)):
             goal = state.body_goal[tool].copy()
             take_pose(world, tool, goal, 0, state.bodies[tool].pose_sequence + 1)

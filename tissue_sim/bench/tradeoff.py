@@ -22,7 +22,7 @@ from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.peers.engine import Engine, Load
 from tissue_sim.bench.peers.rows import CALIBRATED, Row, rows_of
 from tissue_sim.bench.printing import built_or_skipped, emit, figure, noise_lines, save, with_remarks
-from tissue_sim.bench.rows import each, stopped, report, until_stopped
+from tissue_sim.bench.rows import each, report, stopped, until_stopped
 from tissue_sim.bench.scaling import exponent
 from tissue_sim.bench.sizes import Sized, sized
 from tissue_sim.bench.timing import Burst, Phase, Timing, in_one_thread, interleave, noise_burst

@@ -181,17 +181,17 @@ class _Squeeze:
 
     def go(self, start: Floats, end: Floats) -> Squeezed:
         """Return the equilibrium after the spheres have moved from centres (s, 3) m to others."""
-        at, share = 0.0, 1.0
+        at, fraction = 0.0, 1.0
         while True:
             kept = self._owner.copy(), self._place.copy(), self._moved
-            wanted = min(1.0, at + share)
+            wanted = min(1.0, at + fraction)
             settled = self._settle(start + wanted * (end - start))
             if settled:
-                at, share = wanted, 2.0 * share
-            elif share < 0.5**HALVINGS or np.array_equal(start, end):
+                at, fraction = wanted, 2.0 * fraction
+            elif fraction < 0.5**HALVINGS or np.array_equal(start, end):
                 break
             else:
-                share *= 0.5
+                fraction *= 0.5
                 self._owner, self._place, self._moved = kept
             if at >= 1.0:
                 break

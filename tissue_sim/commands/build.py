@@ -31,7 +31,7 @@ from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHI
 from tissue_sim.progress import task
 
 # Relative durations of the stages of a usual build; only the pace of the progress bar depends on them.
-_SHARE = {"read": 8, "segment": 40, "wall": 6, "balloon": 38, "skeleton": 6, "springs": 2, "report": 25}
+_FRACTION = {"read": 8, "segment": 40, "wall": 6, "balloon": 38, "skeleton": 6, "springs": 2, "report": 25}
 _UNITS = ("mm", "cm", "m", "um", "in")
 
 
@@ -359,13 +359,13 @@ def _given(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
 @contextmanager
 def _under_way(stages: list[str]) -> Iterator[Progress]:
     """Yield the receiver of what the stages report: lines on the standard output, and progress as parts of one task."""
-    start = dict(zip(stages, itertools.accumulate((_SHARE[stage] for stage in stages), initial=0.0), strict=False))
-    with task(stages[0], sum(_SHARE[stage] for stage in stages), "%") as whole:
+    start = dict(zip(stages, itertools.accumulate((_FRACTION[stage] for stage in stages), initial=0.0), strict=False))
+    with task(stages[0], sum(_FRACTION[stage] for stage in stages), "%") as whole:
 
         def watch(stage: str, done: float) -> None:
             if stage in start:
                 whole.name = stage
-                whole.reach(max(whole.done, start[stage] + done * _SHARE[stage]))  # never backwards
+                whole.reach(max(whole.done, start[stage] + done * _FRACTION[stage]))  # never backwards
 
         yield Progress(partial(print, flush=True), watch)
 

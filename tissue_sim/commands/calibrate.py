@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=tuple(INTERIOR_FRACTION),
         default=_DEFAULT.aim,
         help="purpose of the cells: more interior atoms take more time in every tick, and have a smaller error"
-        f" ({', '.join(f'{aim}: {100 * share:g}' for aim, share in INTERIOR_FRACTION.items())} for 100 surface"
+        f" ({', '.join(f'{aim}: {100 * fraction:g}' for aim, fraction in INTERIOR_FRACTION.items())} for 100 surface"
         f" points; default: {_DEFAULT.aim})",
     )
     add_law(parser)

@@ -91,8 +91,8 @@ class ContactOrgan:
         goal, places = state.body_goal.copy(), state.body_pose.copy()
         # A set before every tick holds everything on a tool's path; otherwise also what it may reach until the next
         # one.
-        share, last = (0.0, goal) if self._ticks_a_set == 1 or self.set_goal is None else (2.0, self.set_goal)
-        margins = reach_margins(places, goal, last, share, self.finder.tools.shapes.extent)
+        fraction, last = (0.0, goal) if self._ticks_a_set == 1 or self.set_goal is None else (2.0, self.set_goal)
+        margins = reach_margins(places, goal, last, fraction, self.finder.tools.shapes.extent)
         self.set_goal = goal
         releases = state.bodies.releases.copy()
         found = self.finder.find(self.simulation.positions, Sought(places, margins, fresh, pushing, releases))

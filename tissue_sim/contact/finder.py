@@ -141,8 +141,8 @@ class ContactFinder:
             room = np.zeros(len(each)) if is_fine else most_give(give, organ, size, each / parts)
             # A point has one part in the square of its parts of a node's area.
             whole = parts[0] ** 2
-            share = np.square(parts.astype(np.float64)) / whole
-            self.finenesses.append(fineness_of(surface, parts, np.stack([share, room], axis=1)))
+            fraction = np.square(parts.astype(np.float64)) / whole
+            self.finenesses.append(fineness_of(surface, parts, np.stack([fraction, room], axis=1)))
             compliance.append(whole * surface.compliance(size))
         self.compliance = np.reshape(compliance, (len(compliance), self.n_points, 2))
         self.between = np.array(
@@ -376,11 +376,11 @@ class ContactFinder:
         return int(around[chosen]), weight[chosen], float(distance[chosen])
 
 
-def reach_margins(places: Floats, goals: Floats, last: Floats, share: float, extents: Floats) -> Floats:
+def reach_margins(places: Floats, goals: Floats, last: Floats, fraction: float, extents: Floats) -> Floats:
     """Return the margins beyond MARGIN for bodies that move towards goals.
 
-    A margin covers the distance to the goal, and a possible motion until the next set, `share` times the motion since
-    the last one, beyond half of MARGIN; in whole mm, so that a journal can hold it.
+    A margin covers the distance to the goal, and a possible motion until the next set, `fraction` times the motion
+    since the last one, beyond half of MARGIN; in whole mm, so that a journal can hold it.
 
     Parameters
     ----------
@@ -390,7 +390,7 @@ def reach_margins(places: Floats, goals: Floats, last: Floats, share: float, ext
         Goals.
     last : Floats, shape (T, 7)
         Goals at the last set.
-    share : float
+    fraction : float
         Factor of the motion since the last set.
     extents : Floats, shape (T,), m
         `Shapes.extent`.
@@ -400,7 +400,7 @@ def reach_margins(places: Floats, goals: Floats, last: Floats, share: float, ext
     Floats, shape (T,), m
         Margins.
     """
-    covered = ways(places, goals, extents) + share * ways(last, goals, extents)
+    covered = ways(places, goals, extents) + fraction * ways(last, goals, extents)
     return 1e-3 * np.ceil(1e3 * np.clip(covered - 0.5 * MARGIN, 0.0, MOST_MARGIN))
 
 

@@ -103,6 +103,6 @@ def _cut(pieces: Floats, point: Floats, normal: Floats) -> Floats:
     crosses = above[:, first] != above[:, second]  # none or two edges of a triangle
     piece, edge = np.nonzero(crosses)
     start, end = height[piece, first[edge]], height[piece, second[edge]]
-    share = (start / (start - end))[:, None]
-    points = (1.0 - share) * pieces[piece, first[edge]] + share * pieces[piece, second[edge]]
+    fraction = (start / (start - end))[:, None]
+    points = (1.0 - fraction) * pieces[piece, first[edge]] + fraction * pieces[piece, second[edge]]
     return np.asarray(points.reshape(-1, n - 1, 3))

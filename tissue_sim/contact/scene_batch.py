@@ -19,7 +19,7 @@ from tissue_sim.contact.scene_copy import copied_scene, memory_of
 from tissue_sim.errors import UserError
 from tissue_sim.handles import row
 
-TAKEN = 0.5  # part of a thread's share of what is left that it takes at once
+TAKEN = 0.5  # part of a thread's equal share of what is left that it takes at once
 
 
 class SceneBatch:

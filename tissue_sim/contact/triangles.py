@@ -176,10 +176,10 @@ def nearest_of_face(corner: Any, point: Any, weight: Any) -> None:
             return
     least = math.inf
     for c in range(3):
-        share, apart = _nearest_of_edge(corner[c], corner[(c + 1) % 3], point)
+        fraction, apart = _nearest_of_edge(corner[c], corner[(c + 1) % 3], point)
         if apart < least:
             least = apart
-            weight[c], weight[(c + 1) % 3], weight[(c + 2) % 3] = 1.0 - share, share, 0.0
+            weight[c], weight[(c + 1) % 3], weight[(c + 2) % 3] = 1.0 - fraction, fraction, 0.0
 
 
 @kernel
@@ -189,8 +189,8 @@ def _nearest_of_edge(start: Any, end: Any, point: Any) -> tuple[float, float]:
     for c in range(3):
         along += (end[c] - start[c]) * (point[c] - start[c])
         length += (end[c] - start[c]) ** 2
-    share = 0.0 if length == 0.0 else min(max(along / length, 0.0), 1.0)
+    fraction = 0.0 if length == 0.0 else min(max(along / length, 0.0), 1.0)
     apart = 0.0
     for c in range(3):
-        apart += (start[c] + share * (end[c] - start[c]) - point[c]) ** 2
-    return share, apart
+        apart += (start[c] + fraction * (end[c] - start[c]) - point[c]) ** 2
+    return fraction, apart

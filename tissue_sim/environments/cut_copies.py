@@ -85,8 +85,8 @@ class CutCopies(TaskCopies):
 
     def _lines(self) -> Floats:
         """Return points (n, SAMPLES, 3) m of the lines."""
-        share = np.linspace(-1.0, 1.0, SAMPLES)[None, :, None]
-        return np.asarray(self._place[:, None] + share * self._half[:, None])
+        fraction = np.linspace(-1.0, 1.0, SAMPLES)[None, :, None]
+        return np.asarray(self._place[:, None] + fraction * self._half[:, None])
 
     def _across(self, copy: int, ways: Floats) -> Floats:
         """Return ways (k, 3) as they are seen along the normal at the place."""

@@ -228,7 +228,11 @@ class Learned:
             record = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise UserError(f"cannot read policy {name}: {error}") from None
-        if not isinstance(record, dict) or record.get("format") != FORMAT or not isinstance(record.get("weights"), dict):
+        if (
+            not isinstance(record, dict)
+            or record.get("format") != FORMAT
+            or not isinstance(record.get("weights"), dict)
+        ):
             raise UserError(f"{name} is not a policy of format {FORMAT}; learn it anew with 'tissue_sim learn'")
         wanted = policy_class(str(record.get("task"))).weights
         if tuple(record["weights"]) != wanted:

@@ -134,8 +134,8 @@ def _matched(own: Callable[[float], float], first: float, wanted: float) -> floa
             return np.nan
         near, far = far, (far[0] * step, own(far[0] * step))
     for _ in range(ROUNDS):
-        share = (wanted - near[1]) / (far[1] - near[1])
-        scale = near[0] * (far[0] / near[0]) ** share
+        fraction = (wanted - near[1]) / (far[1] - near[1])
+        scale = near[0] * (far[0] / near[0]) ** fraction
         between = scale, own(scale)
         if abs(between[1] - wanted) < CLOSE * wanted:
             break

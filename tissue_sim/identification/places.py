@@ -71,6 +71,12 @@ def thickness(organ: Organ, spot: PressPoint) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead = np.einsum("tx,tx->t", across, corner[:, 0]) / facing
         sideways = np.cross(corner[:, 0], spot.way)
-        shares = np.einsum("tx,tx->t", second, sideways) / facing, -np.einsum("tx,tx->t", first, sideways) / facing
-    met = (facing > 0.0) & (ahead > 0.0) & (shares[0] >= 0.0) & (shares[1] >= 0.0) & (shares[0] + shares[1] <= 1.0)
+        fractions = np.einsum("tx,tx->t", second, sideways) / facing, -np.einsum("tx,tx->t", first, sideways) / facing
+    met = (
+        (facing > 0.0)
+        & (ahead > 0.0)
+        & (fractions[0] >= 0.0)
+        & (fractions[1] >= 0.0)
+        & (fractions[0] + fractions[1] <= 1.0)
+    )
     return float(ahead[met].min(initial=np.inf))

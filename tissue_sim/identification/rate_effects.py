@@ -33,8 +33,8 @@ class RateEffects(NamedTuple):
             found["friction"] = self.friction.coefficient
         if self.relaxation is not None:
             found |= {
-                "relaxation_share_percent": 100.0 * self.relaxation.share,
-                "relaxation_share_deviation_percent": 100.0 * self.relaxation.share_deviation,
+                "relaxation_share_percent": 100.0 * self.relaxation.fraction,
+                "relaxation_share_deviation_percent": 100.0 * self.relaxation.fraction_deviation,
                 "relaxation_time_s": self.relaxation.time,
                 "relaxation_time_deviation_s": self.relaxation.time_deviation,
             }

@@ -14,7 +14,7 @@ CYCLES = 3  # at the least
 LEAST = 5e-5  # m, amplitude
 CROSSED = 0.3  # of the amplitude, beyond which a crossing of the middle counts: noise crosses it many times
 EVEN = 0.1  # of the mean period, deviation of a single one at most
-PURE = 0.95  # share of the depth's variance that one sinusoid must explain
+PURE = 0.95  # fraction of the depth's variance that one sinusoid must explain
 NEAR = 0.1  # of the frequency, within which it is refined
 
 
@@ -88,7 +88,7 @@ def _waves(frequency: float, time: Floats) -> Floats:
 
 
 def _left_over(frequency: float, time: Floats, values: Floats) -> float:
-    """Return the share of the variance of values that a sinusoid and drift don't explain."""
+    """Return the fraction of the variance of values that a sinusoid and drift don't explain."""
     waves = _waves(frequency, time)[:, :5]
     left = values - waves @ np.linalg.lstsq(waves, values, rcond=None)[0]
     return float(np.var(left) / np.var(values))

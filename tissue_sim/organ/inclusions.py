@@ -175,11 +175,11 @@ def cell_factors(inclusions: Sequence[Inclusion], points: Floats, cells: Longs |
     """
     if not inclusions:
         return np.ones(len(cells))
-    factors: Floats = stiffness_at(inclusions, _SHARES @ points[cells]).mean(axis=1)
+    factors: Floats = stiffness_at(inclusions, _FRACTIONS @ points[cells]).mean(axis=1)
     return factors
 
 
-def _shares() -> Floats:
+def _fractions() -> Floats:
     """Return barycentric coordinates (k, 4) of points spread evenly through a tetrahedron."""
     steps = np.arange(_FINEST)
     a, b, c = (part.ravel() for part in np.meshgrid(steps, steps, steps, indexing="ij"))
@@ -188,4 +188,4 @@ def _shares() -> Floats:
     return np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
 
 
-_SHARES = _shares()
+_FRACTIONS = _fractions()

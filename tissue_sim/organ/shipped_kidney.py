@@ -70,5 +70,8 @@ def with_tumour(kidney: Organ) -> Organ:
     middle = middles[under][middles[under, 1].argmin()]
     ball = trimesh.creation.icosphere(subdivisions=2, radius=TUMOUR)
     inclusion = Inclusion(ball.vertices + middle, ball.faces.astype("int32"), STIFFER)
-    provenance = {**kidney.provenance, "inclusions": f"a ball of {2e3 * TUMOUR:g} mm, {1e3 * UNDER:g} mm under the front"}
+    provenance = {
+        **kidney.provenance,
+        "inclusions": f"a ball of {2e3 * TUMOUR:g} mm, {1e3 * UNDER:g} mm under the front",
+    }
     return assemble_like(kidney, name="kidney with a tumour", inclusions=[inclusion], provenance=provenance)

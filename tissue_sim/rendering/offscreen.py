@@ -141,7 +141,7 @@ class Offscreen:
         vertices: ArrayLike,
         triangles: ArrayLike,
         look: Look | None = None,
-        share: ArrayLike | None = None,
+        fraction: ArrayLike | None = None,
     ) -> None:
         """Add a body, in place of one of the same name.
 
@@ -155,7 +155,7 @@ class Offscreen:
             Corner indices, counterclockwise seen from outside.
         look : Look, optional
             How it looks.
-        share : ArrayLike, shape (n,), optional
+        fraction : ArrayLike, shape (n,), optional
             1 for vertices that lie in other tissue, which have the look's inner colour, 0 for others; by default none
             does.
 
@@ -164,7 +164,7 @@ class Offscreen:
         UserError
             Where they are no surface.
         """
-        shape = checked(vertices, triangles, share)
+        shape = checked(vertices, triangles, fraction)
         self.remove(name)
         chosen = look or Look()
         with self._context:

@@ -75,8 +75,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     found = coverage.recovered(6, 0.05, np.random.default_rng(0), 40)
     assert 34 <= found.held <= 40
     assert np.abs(found.off).max() < 3.0 * 100.0 * found.width
-    for share, is_met in ((0.8, [False, True]), (0.95, [True, True]), (1.0, [True, False])):
-        rows = [{"intervals_that_hold": 100 * share, "runs": 100}]
+    for fraction, is_met in ((0.8, [False, True]), (0.95, [True, True]), (1.0, [True, False])):
+        rows = [{"intervals_that_hold": 100 * fraction, "runs": 100}]
         assert [bound.as_json()["met"] for bound in _exact_bounds(rows)] == is_met
 
 

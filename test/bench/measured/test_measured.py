@@ -37,7 +37,7 @@ def table_of_beads(path, squeeze=0.1):
     rows = [["no table yet"]]
     for i, j, k in np.ndindex(7, 7, 7):
         at = 10.0 * np.array([i, j, 6 - k])
-        states = [at * [1.0, 1.0, 1.0 - share * squeeze] for share in (0.0, 0.25, 0.6, 1.0)]
+        states = [at * [1.0, 1.0, 1.0 - fraction * squeeze] for fraction in (0.0, 0.25, 0.6, 1.0)]
         rows.append([i + 1, j + 1, k + 1, *np.concatenate(states)])
     with path.open("w", newline="") as stream:
         csv.writer(stream).writerows(rows)

@@ -123,8 +123,8 @@ class Browser:
         self.mouse("Moved", start, held=False)
         self.mouse("Pressed", start)
         for step in range(1, steps + 1):
-            share = step / steps
-            self.mouse("Moved", (start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])))
+            fraction = step / steps
+            self.mouse("Moved", (start[0] + fraction * (end[0] - start[0]), start[1] + fraction * (end[1] - start[1])))
             time.sleep(pause)
 
     def picture(self, file: Path | None = None) -> bytes:

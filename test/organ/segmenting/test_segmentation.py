@@ -28,7 +28,7 @@ def told():
 
 @pytest.fixture(scope="module")
 def small_kidney(small, told):
-    return segment(small.ct, small.seed_point, progress=lambda stage, share: told.append((stage, share)))
+    return segment(small.ct, small.seed_point, progress=lambda stage, fraction: told.append((stage, fraction)))
 
 
 @pytest.mark.extended
@@ -58,10 +58,10 @@ def test_any_seed_inside_gives_the_same_kidney(small, small_kidney, offset):
 
 @pytest.mark.extended
 def test_progress_runs_up(small_kidney, told):
-    shares = [share for _, share in told]
-    assert shares == sorted(shares)
-    assert shares[0] == 0.0
-    assert shares[-1] <= 1.0
+    fractions = [fraction for _, fraction in told]
+    assert fractions == sorted(fractions)
+    assert fractions[0] == 0.0
+    assert fractions[-1] <= 1.0
     assert all(stage for stage, _ in told)
 
 

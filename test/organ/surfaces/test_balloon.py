@@ -71,12 +71,12 @@ def test_the_papers_mesh_on_the_kidney(kidney_wall):
 
 
 def test_the_progress_rises_to_one(kidney_wall):
-    shares = []
-    balloon = inflate(kidney_wall, 200, progress=shares.append)
-    assert len(shares) > 5
-    assert shares == sorted(shares)
-    assert 0.0 <= shares[0] < 0.5
-    assert shares[-1] == 1.0
+    fractions = []
+    balloon = inflate(kidney_wall, 200, progress=fractions.append)
+    assert len(fractions) > 5
+    assert fractions == sorted(fractions)
+    assert 0.0 <= fractions[0] < 0.5
+    assert fractions[-1] == 1.0
     again = inflate(kidney_wall, 200)
     np.testing.assert_array_equal(again.positions, balloon.positions)
 

@@ -127,7 +127,7 @@ def test_ligaments_are_seen_where_they_are_until_they_are_deleted(graph, drawn):
 
 
 def pale(colours):
-    """Share of pixels that are as green as an inclusion is."""
+    """Fraction of pixels that are as green as an inclusion is."""
     return np.mean(colours[:, 1] > 0.75 * colours[:, 0])
 
 

@@ -115,8 +115,8 @@ def test_a_large_organ_reaches_its_viewers_whole(tmp_path):
         assert len(heard["markers"][0]) > 72 * len(organ.surface_triangles)
         # In motion: what is sent arrives, whole.
         top = np.array([0.0, -0.02, 0.0])
-        for share in np.linspace(0.0, 1.0, 100):
-            client.ask(top + [0.0, -0.008 + 0.012 * share, 0.0])
+        for fraction in np.linspace(0.0, 1.0, 100):
+            client.ask(top + [0.0, -0.008 + 0.012 * fraction, 0.0])
         rest = client_points(heard["surface"][0])
         for name in ("markers", "surface"):
             heard[name].clear()

@@ -203,8 +203,8 @@ def test_a_breath_that_is_told_is_followed_and_refused_where_it_is_none(scene_fi
         assert started.success, started.message
         bag = next(tmp_path.glob("tissue_sim-*"))
 
-        def tell(*shares, stamp=None):
-            message = JointState(position=list(shares))
+        def tell(*fractions, stamp=None):
+            message = JointState(position=list(fractions))
             message.header.stamp.sec = next(seconds) if stamp is None else stamp
             publisher.publish(message)
             return height()

@@ -103,7 +103,7 @@ def pixel(point):
     return 0.5 * SIZE[0] + scale * (ray @ right), 0.5 * SIZE[1] - scale * (ray @ np.cross(right, forward))
 
 
-def share_of_yellow(png):
+def fraction_of_yellow(png):
     """Of the organ's part of a screenshot, how much has the colour of a displacement of mm."""
     image = pytest.importorskip("PIL.Image").open(io.BytesIO(png)).convert("RGB")
     red, green, blue = np.asarray(image).astype(int).transpose(2, 0, 1)[:, :, : SIZE[0] - 350]  # beside the panel
@@ -149,7 +149,7 @@ def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
         assert client.spin_until(lambda: "A bridge already moves" in page.text()), "the client publishes too"
         client.node.destroy_publisher(client.pose)
         assert client.spin_until(lambda: "A bridge already moves" not in page.text())
-        assert share_of_yellow(page.picture()) < 0.001
+        assert fraction_of_yellow(page.picture()) < 0.001
 
         position, inward = beside(shipped().surface_positions, 0, RADIUS)
         arrow = position + 0.022 * inward  # on the one that points into the organ
@@ -182,7 +182,7 @@ def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
             return False
 
         browsers.wait_for(is_pressed, page.text)
-        browsers.wait_for(lambda: share_of_yellow(page.picture(tmp_path / "poked.png")) > 0.03, "no colour")
+        browsers.wait_for(lambda: fraction_of_yellow(page.picture(tmp_path / "poked.png")) > 0.03, "no colour")
         plotted = "Math.max(...Object.values(window.__viserTestpoints.uplots)[0].chart.data[1].filter(isFinite))"
         browsers.wait_for(lambda: (page.run(plotted) or 0.0) > 0.1, "no curve")
 

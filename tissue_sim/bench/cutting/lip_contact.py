@@ -166,9 +166,9 @@ class Lips:
         normal, corners, weights = normal[chosen], corners[chosen], weights[chosen]
         own, k, n = self._above[chosen], len(chosen), len(nodes)
         ends = np.concatenate([own[:, None], corners], axis=1)
-        share = np.concatenate([np.ones((k, 1)), -weights], axis=1)
+        fraction = np.concatenate([np.ones((k, 1)), -weights], axis=1)
         columns = (3 * ends[:, :, None] + np.arange(3)).reshape(k, 12)
-        values = (share[:, :, None] * normal[:, None, :]).reshape(k, 12)
+        values = (fraction[:, :, None] * normal[:, None, :]).reshape(k, 12)
         row = np.repeat(np.arange(k), 12)
         rows = coo_array((values.ravel(), (row, columns.ravel())), shape=(k, 3 * n)).tocsr()
         return Springs(rows, rows @ nodes.ravel(), stiffness[chosen])

@@ -93,7 +93,9 @@ def _exact_bounds(exact: list[dict[str, Any]]) -> list[Bound]:
 def _inclusion_bounds(around: list[dict[str, Any]]) -> list[Bound]:
     found = []
     for row in around:
-        reported, elsewhere = (100.0 * row[key] / row["runs"] for key in ("reported_over_inclusion", "reported_elsewhere"))
+        reported, elsewhere = (
+            100.0 * row[key] / row["runs"] for key in ("reported_over_inclusion", "reported_elsewhere")
+        )
         found += _row_bounds(row, OFF_OFFSETS)
         if row["case"] == inclusions.UNKNOWN:
             found.append(Bound(f"{row['case']}: reported over it", reported, REPORTED, "%", True))
@@ -129,9 +131,9 @@ def text(found: dict[str, Any]) -> str:
         table = [["presses by Hertz", *columns[1:]], *map(_columns, found["exact"])]
         lines += ["the law is exact, and every run has places of its own", *aligned(table), ""]
     if found["inclusions"]:
-        reported = ("reported_over_inclusion", "reported_elsewhere", "map_pays")
+        keys = ("reported_over_inclusion", "reported_elsewhere", "map_pays")
         table = [[*columns, "reported over it", "elsewhere", "map pays"]]
-        table += [[*_columns(row), *(f"{row[key]} of {row['runs']}" for key in reported)] for row in found["inclusions"]]
+        table += [[*_columns(row), *(f"{row[key]} of {row['runs']}" for key in keys)] for row in found["inclusions"]]
         lines += [f"around an inclusion, {inclusions.USED} presses a run", *aligned(table), ""]
     if found["sets"]:
         table = [

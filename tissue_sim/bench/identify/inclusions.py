@@ -80,7 +80,9 @@ def measure(organ: Organ, runs: int) -> list[Found]:
         for number, case in enumerate(around.truths):
             found.append(found_around(case, around, np.random.default_rng(100 + number), runs))
             one = found[-1]
-            rows.report(case, f"error {np.abs(one.recovered.off).max():.1f} %", f"reported in {one.reported} of {runs} runs")
+            rows.report(
+                case, f"error {np.abs(one.recovered.off).max():.1f} %", f"reported in {one.reported} of {runs} runs"
+            )
     return found
 
 

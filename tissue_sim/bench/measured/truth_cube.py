@@ -145,8 +145,8 @@ def on_facets(filling: FeMesh, corners: Floats, moved: Floats) -> Floats:
     """Return displacements (n, 3) m of a filling's surface nodes, linear on triangles (t, 3, 3) m; 0 inside."""
     found = np.zeros_like(filling.nodes)
     for column in filling.facets.T:
-        share = coordinates(filling.nodes[column], corners[filling.triangle])
-        found[column] = np.einsum("fc,fcx->fx", share, moved[filling.triangle])
+        fraction = coordinates(filling.nodes[column], corners[filling.triangle])
+        found[column] = np.einsum("fc,fcx->fx", fraction, moved[filling.triangle])
     return found
 
 

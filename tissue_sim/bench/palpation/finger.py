@@ -105,8 +105,8 @@ def by_elements(organ: Organ, press: Press) -> Floats:
     touched = np.linalg.norm(organ.surface_positions - organ.surface_positions[press.node], axis=1) < UNDER
     solid, nodes = touchable(organ, touched)
     starts = np.concatenate([[0.0], DEPTHS[:-1]])
-    shares = (np.arange(STEPS) + 1.0) / STEPS
-    deep = (starts[:, None] + np.outer(DEPTHS - starts, shares)).ravel()
+    fractions = (np.arange(STEPS) + 1.0) / STEPS
+    deep = (starts[:, None] + np.outer(DEPTHS - starts, fractions)).ravel()
     steps = squeezed(solid, nodes, np.array([[press.at(depth)] for depth in deep]), FINGER)
     found = np.full(len(deep), np.nan)
     for number, step in enumerate(steps):

@@ -33,7 +33,7 @@ _FEW = 3  # slices: fewer beside a stack are localizers or scraps
 _SPARE = 1 << 27  # bytes of address space that GDCM and ITK may reserve beside those of a file
 _SHOWN = 12  # series named in a message
 
-# Storage classes of segmentations: of a bit or a share for each segment, and of labels.
+# Storage classes of segmentations: of a bit or a fraction for each segment, and of labels.
 SEGMENTATIONS = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")
 
 

@@ -277,8 +277,8 @@ def _smooth(path: Floats, field: NDArray[np.float32], h: float) -> Floats:
     t = np.linspace(0.0, arc[-1], max(int(2.0 * arc[-1] / h), 16))
     even = np.stack([np.interp(t, arc, path[:, k]) for k in range(3)], axis=1)
     least = 0.9 * min(float(_sample(field, even, h).min()), h)
-    for share in (0.35, 0.2, 0.1, 0.05):
-        stiffness = (share * scale) ** 4 / (t[1] - t[0])
+    for fraction in (0.35, 0.2, 0.1, 0.05):
+        stiffness = (fraction * scale) ** 4 / (t[1] - t[0])
         line = np.stack([make_smoothing_spline(t, even[:, k], lam=stiffness)(t) for k in range(3)], axis=1)
         if np.all(_sample(field, line, h) > least):
             return line

@@ -385,17 +385,17 @@ def place_atoms(lines: list[Line], atoms: int) -> Tree:
             f" use {count + 1} or more, or --branches none"
         )
     length = np.array([stop - start for _, start, stop in segments])
-    shares = np.ones(count, dtype=np.int64)
+    counts = np.ones(count, dtype=np.int64)
     for _ in range(atoms - 1 - count):
-        shares[(length / shares).argmax()] += 1
+        counts[(length / counts).argmax()] += 1
     positions = [lines[0].points[0][None]]
     parent, branch = [-1], [0]
     node = {(0, 0.0): 0}
     for number, (k, start, stop) in enumerate(segments):
         line = lines[k]
         last = node[_junction(lines, k, start)]
-        positions.append(points_at(line.points, np.linspace(start, stop, shares[number] + 1)[1:]))
-        for _ in range(shares[number]):
+        positions.append(points_at(line.points, np.linspace(start, stop, counts[number] + 1)[1:]))
+        for _ in range(counts[number]):
             parent.append(last)
             branch.append(number)
             last = len(parent) - 1

@@ -164,10 +164,10 @@ class _Rising:
     def __init__(self, progress: Progress | None) -> None:
         self._progress, self._last = progress, -1.0
 
-    def __call__(self, share: float) -> None:
-        if self._progress is not None and share > self._last:
-            self._last = share
-            self._progress(share)
+    def __call__(self, fraction: float) -> None:
+        if self._progress is not None and fraction > self._last:
+            self._last = fraction
+            self._progress(fraction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +210,8 @@ class _Part:
     def __init__(self, whole: Progress, start: float, end: float) -> None:
         self._whole, self._start, self._end = whole, start, end
 
-    def __call__(self, share: float) -> None:
-        self._whole(self._start + min(max(share, 0.0), 1.0) * (self._end - self._start))
+    def __call__(self, fraction: float) -> None:
+        self._whole(self._start + min(max(fraction, 0.0), 1.0) * (self._end - self._start))
 
 
 def _inflate(

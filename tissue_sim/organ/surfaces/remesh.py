@@ -422,7 +422,7 @@ def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int,
     return moved
 
 
-def relax(positions: Floats, triangles: Ints, share: float) -> None:
+def relax(positions: Floats, triangles: Ints, fraction: float) -> None:
     """Move every point along the surface towards the area-weighted centroid of its triangles, in place.
 
     Parameters
@@ -431,14 +431,14 @@ def relax(positions: Floats, triangles: Ints, share: float) -> None:
         Points of the surface.
     triangles : Ints, shape (t, 3)
         Corner indices, counter-clockwise seen from outside.
-    share : float
+    fraction : float
         Fraction of the distance that is moved.
     """
-    relax_sized(positions, triangles, share, np.ones(len(positions)))
+    relax_sized(positions, triangles, fraction, np.ones(len(positions)))
 
 
 @kernel
-def relax_sized(positions: Floats, triangles: Ints, share: float, size: Floats) -> None:
+def relax_sized(positions: Floats, triangles: Ints, fraction: float, size: Floats) -> None:
     """Relax as `relax` does with areas weighted by size^-4, which spreads the points as densely as wanted.
 
     The exponent is that of centroidal Voronoi cells of a density in the plane (Du, Faber and Gunzburger 1999).
@@ -449,7 +449,7 @@ def relax_sized(positions: Floats, triangles: Ints, share: float, size: Floats) 
         Points of the surface.
     triangles : Ints, shape (t, 3)
         Corner indices, counter-clockwise seen from outside.
-    share : float
+    fraction : float
         Fraction of the distance that is moved.
     size : Floats, shape (n,)
         Wanted edge length at each point, relative.
@@ -483,4 +483,4 @@ def relax_sized(positions: Floats, triangles: Ints, share: float, size: Floats) 
             middle[i, m] = middle[i, m] / total[i] - positions[i, m]
             along += middle[i, m] * normal[i, m]
         for m in range(3):
-            positions[i, m] += share * 1.5 * (middle[i, m] - normal[i, m] * along)
+            positions[i, m] += fraction * 1.5 * (middle[i, m] - normal[i, m] * along)

@@ -266,8 +266,8 @@ def _smooth_distance(solid: Mask, h: float) -> NDArray[np.float32]:
 def _exact_away(smooth: NDArray[np.float32], h: float) -> NDArray[np.float32]:
     """Return exact distances to the smooth level's inside from 2.5 voxels on: smoothing alone flattens the ridges."""
     exact = _signed_distance(smooth < 0.0, np.full(3, h))
-    share = np.clip(np.abs(exact) / h - 1.5, 0.0, 1.0)
-    return (smooth + share * (exact - smooth)).astype(np.float32)
+    fraction = np.clip(np.abs(exact) / h - 1.5, 0.0, 1.0)
+    return (smooth + fraction * (exact - smooth)).astype(np.float32)
 
 
 def _resample(level: NDArray[np.float32], sampling: Floats, h: float) -> NDArray[np.float32]:

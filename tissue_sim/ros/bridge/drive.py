@@ -102,8 +102,8 @@ def result_line(learned: Learned, goal: Goal, done: Done, step: float) -> str:
     beside = 1e3 * float(np.linalg.norm(way - (way @ goal.outward) * goal.outward))
     force = float(done.force @ goal.outward)
     wanted = "" if learned.task == "Retract" else f" of {goal.force:.3f} N"
-    share = f" in {100.0 * done.share:.0f} % of the steps" if learned.task == "Hold" else ""
-    met = f"goal {'' if done.is_met else 'not '}met{share}"
+    fraction = f" in {100.0 * done.fraction:.0f} % of the steps" if learned.task == "Hold" else ""
+    met = f"goal {'' if done.is_met else 'not '}met{fraction}"
     return f"{learned.task}: {met}: {force:.3f} N{wanted}, {beside:.1f} mm beside the place, {after}"
 
 

@@ -41,7 +41,7 @@ class Done(NamedTuple):
 
     is_met: bool  # the goal was met for as many steps as in the environment, or the agent said: here it is
     steps: int
-    share: float  # of the steps in which the goal was met
+    fraction: float  # of the steps in which the goal was met
     late: int  # steps that began more than a tenth of a step late
     tip: Floats  # (3,) m, where the tool was in the end
     force: Floats  # (3,) N that the hand felt then
@@ -110,9 +110,9 @@ class DrivenTool:
             opened = moved_jaws(np.array([self._angle]), given)[0] if task.has_jaws else 0.0
             before_angle = self._angle
             for part in range(1, POSES + 1):
-                share = part / POSES
-                self._angle = before_angle + share * (opened - before_angle)
-                self._send(before + share * (tip - before), began + (count + share) * STEP)
+                fraction = part / POSES
+                self._angle = before_angle + fraction * (opened - before_angle)
+                self._send(before + fraction * (tip - before), began + (count + fraction) * STEP)
             count += 1
             judged = self._judge(task, goal, tip, declared(task, given))
             held = held + 1 if judged.is_good[0] else 0

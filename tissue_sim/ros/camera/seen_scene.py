@@ -89,12 +89,12 @@ class SeenOrgan:
         """Draw the surface at rest; where a cut goes through an inclusion, its walls have the colour of that."""
         if self.rest is None:
             return
-        look, share = self._look, np.zeros(len(self.rest))
+        look, fraction = self._look, np.zeros(len(self.rest))
         if self._inclusions is not None and len(self._inclusions[1]):
             vertices, triangles = self._inclusions
             look = replace(look, inner=screen(INCLUSION))
-            share = inside(self.rest, vertices, triangles.astype(np.int32)).astype(float)
-        self._drawn.add(self._body, self.rest, self._triangles, look, share)
+            fraction = inside(self.rest, vertices, triangles.astype(np.int32)).astype(float)
+        self._drawn.add(self._body, self.rest, self._triangles, look, fraction)
         if self._positions is not None and self._positions.shape == self.rest.shape:
             self._drawn.move(self._body, self._positions)
 

@@ -190,8 +190,8 @@ class TissueNode(GuardedNode):
         simulations = self.scene.simulations
         substeps = max(int(max(one.settings.substeps, one.settings.least_substeps)) for one in simulations)
         self.get_logger().info(
-            f"{described(self.scene.names, self.scene.organs)}; model {simulations[0].variant}, {simulations[0].rate:g} Hz,"
-            f" {substeps} substeps; tools: {', '.join(self.parameters.tools)}; {describe_discovery()}"
+            f"{described(self.scene.names, self.scene.organs)}; model {simulations[0].variant}, {simulations[0].rate:g}"
+            f" Hz, {substeps} substeps; tools: {', '.join(self.parameters.tools)}; {describe_discovery()}"
         )
 
         self._ready.publish(Bool(data=True))

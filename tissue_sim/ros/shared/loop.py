@@ -177,15 +177,15 @@ class Loop:
         """Number of resets requested."""
         return int(self.words.control.resets)
 
-    def post_respiration(self, share: float) -> int:
+    def post_respiration(self, fraction: float) -> int:
         """Post where the breath is to be; return its sequence number.
 
         Parameters
         ----------
-        share : float
+        fraction : float
             Fraction of its way.
         """
-        return int(mb.put(self._respiration, 0, np.array([share]).view(np.int64)))
+        return int(mb.put(self._respiration, 0, np.array([fraction]).view(np.int64)))
 
     def post_organ_contacts(self, found: OrganContactSet) -> int:
         """Post where joined organs touch each other; return its sequence number.

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from tissue_sim.unexpected_errors import place_of, described
+from tissue_sim.unexpected_errors import described, place_of
 
 MOST_LINES = 8  # lines kept about one part's troubles
 STARVED = "the physics loop hangs, or gets no processor time: no forces until it continues"

@@ -150,8 +150,8 @@ class ContactSearch:
         tick, carried = self._physics.positions(self._positions)
         goals = now.poses.copy()
         goals[:, :3] -= carried
-        share = 2.0 / (rate * max(begun - self._last_time, 1e-4))
-        margins = np.where(looked, reach_margins(places, goals, self._last_goals, share, self._extents), 0.0)
+        fraction = 2.0 / (rate * max(begun - self._last_time, 1e-4))
+        margins = np.where(looked, reach_margins(places, goals, self._last_goals, fraction, self._extents), 0.0)
         self.is_behind = bool(np.any(ways(places, goals, self._extents)[looked] > 0.5 * MARGIN))
         self._last_goals, self._last_time = goals, begun
         engaged = np.where(looked, Engaged.YES.value, Engaged.NO.value)

@@ -117,7 +117,7 @@ class LoopReport:
                 f"simulated time was {1e3 * timing.behind:.1f} ms behind,"
                 f" real-time factor {timing.real_time_factor:.3f}"
             )
-        if timing.late_share > MOST_LATE:
+        if timing.late_fraction > MOST_LATE:
             report.warnings.append(f"{timing.late_ticks} ticks were late by more than a period")
         if not self._organs.loop.alive:
             report.failures.append("the physics loop has ended")

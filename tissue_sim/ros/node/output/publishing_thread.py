@@ -129,7 +129,7 @@ class PublishingThread:
         self._sim_clock.watch()
         timing, ladder = self._load.read(), self._ladder
         was_stuck = ladder.stuck
-        look = degrade.Look(timing.load, timing.late_share, timing.dropped_ticks)
+        look = degrade.Look(timing.load, timing.late_fraction, timing.dropped_ticks)
         if ladder.look(now, look, self._live.helps):
             self._degrade(ladder.level, look.words)
         elif ladder.stuck and not was_stuck:
