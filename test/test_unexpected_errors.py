@@ -61,7 +61,7 @@ def test_command_that_fails_ends_with_one_line_and_1():
     assert re.search(rf"^{ONE_LINE}second 1\n\Z", developer, re.MULTILINE)
 
 
-def test_thread_and_what_is_uncaught_are_told_in_one_line_each():
+def test_thread_and_what_is_uncaught_are_reported_in_one_line_each():
     code = """
 import threading
 from tissue_sim.unexpected_errors import catch_all
@@ -137,7 +137,7 @@ def test_output_is_gone_when_its_reader_is():
     assert subprocess.run(gone, shell=True, capture_output=True, text=True, check=False).stderr == "True"
 
 
-def test_what_a_terminal_obeys_is_told_and_not_sent(capsys):
+def test_what_a_terminal_obeys_is_reported_and_not_sent(capsys):
     assert cli.main(["info", "no\x1b[2Jorgan\n.npz"]) == 2
     told_line = capsys.readouterr().err
     assert "\x1b" not in told_line

@@ -130,7 +130,7 @@ def test_a_sphere_that_comes_upon_the_clamp_is_not_compared():
     assert not pinch_reference.meets_clamp(organ, two_tools.place(organ, 0, two_tools.SPHERE)).any()
 
 
-def test_what_did_not_settle_is_told_and_leaves_the_bound_open():
+def test_what_did_not_settle_is_reported_and_leaves_the_bound_open():
     force = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     good = pinch_reference.Compared("x", 20.0, 1.08 * force, force, 0.5, 0.7)
     found = pinch_reference.as_json([good, good._replace(axis="z", fraction=40.0)])

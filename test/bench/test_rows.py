@@ -148,8 +148,8 @@ def test_figures_of_few_rows():
 
 
 def test_a_start_without_its_node():
-    told = {"wall": 9.0, "processor": 8.0, "parts": {"imports": 1.0}, "compiled": {}}
-    found = start.as_json({start.TO_COMPILE: told}, {}, {}, "")
+    measured = {"wall": 9.0, "processor": 8.0, "parts": {"imports": 1.0}, "compiled": {}}
+    found = start.as_json({start.TO_COMPILE: measured}, {}, {}, "")
     assert found["bounds"][-1]["value"] is None
     assert "node, to its first tick" in start.text(found)
 

@@ -46,7 +46,7 @@ def test_each_bound_is_missed_by_a_bad_figure_alone(name, us):
 @pytest.mark.parametrize(
     "bad", [bench.WakeThresholdError(1.1e-4, 0.0, 1.0, 2.0), bench.WakeThresholdError(0.0, 1.1e-3, 1.0, 2.0)]
 )
-def test_a_scene_that_lacks_too_much_is_told(bad):
+def test_a_scene_that_lacks_too_much_is_reported(bad):
     assert [bound.met for bound in bench.bounds(measured(bad))].count(False) == 1
 
 
@@ -73,7 +73,7 @@ def hanging_pair():
     return SceneFile(("one", "two"), (first, second), (1.0, 1.0), (0.0, 0.0), (ligament,), None, 0.0, (0.0, 0.0, 0.0))
 
 
-def test_a_scene_that_a_core_cannot_keep_up_with_is_told(monkeypatch, capsys):
+def test_a_scene_that_a_core_cannot_keep_up_with_is_reported(monkeypatch, capsys):
     monkeypatch.setattr(bench, "in_one_thread", lambda *_: measured(**{bench.AWAKE: 1200.0, bench.ASLEEP: 9.0}))
     assert main(["bench", "scene"]) == 0
     assert main(["bench", "scene", "--check"]) == 1

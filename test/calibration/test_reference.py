@@ -1,4 +1,4 @@
-"""What the reference lacks: told, and made good."""
+"""What the reference lacks is reported, and corrected."""
 
 import numpy as np
 import pytest

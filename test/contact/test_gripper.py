@@ -77,7 +77,7 @@ def test_a_grasp_lies_across_the_lower_pole(subdivisions):
     assert jaws.gap(grasp.closed) == pytest.approx(SQUEEZED * grasp.width)
 
 
-def test_a_gripper_that_is_too_small_is_told():
+def test_a_gripper_that_is_too_small_is_reported():
     egg = trimesh.creation.icosphere(3, 0.05)
     with pytest.raises(ValueError, match=r"\d mm wide, and the tips open to 19 mm at most"):
         at_lower_pole(np.asarray(egg.vertices), np.asarray(egg.faces), Jaws(0.0, 0.01))

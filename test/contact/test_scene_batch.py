@@ -232,7 +232,7 @@ def test_a_copy_of_a_kidneys_size_takes_two_megabytes_at_most():
         (lambda batch: batch.surface_positions("liver"), "no organ 'liver'; choose ball"),
     ],
 )
-def test_wrong_use_is_told_in_one_line(use, message):
+def test_wrong_use_is_reported_in_one_line(use, message):
     batch = SceneBatch(scene_of(), 2, threads=1)
     before = batch.save()
     with pytest.raises(UserError, match=message):

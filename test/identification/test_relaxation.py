@@ -45,13 +45,13 @@ def test_a_ramp_decays_as_the_closed_form():
 
 @pytest.mark.parametrize("way_in", [0.05, 0.5, 6.0])
 def test_fraction_and_time_constant_come_back_however_slow_the_way_in(way_in):
-    found, told = found_in(held(way_in=way_in, noise=0.01))
+    found, line = found_in(held(way_in=way_in, noise=0.01))
     assert found.fraction == pytest.approx(FRACTION, abs=max(0.01, 3.0 * found.fraction_deviation))
     assert found.time == pytest.approx(CONSTANT, rel=0.05, abs=3.0 * found.time_deviation)
     assert found.fraction_deviation < 0.03
     assert found.left < 0.02
-    assert "time constant" in told
-    assert "unexplained" not in told
+    assert "time constant" in line
+    assert "unexplained" not in line
 
 
 def test_a_fitted_exponential_alone_would_miss_what_relaxes_on_the_way_in():
@@ -78,12 +78,12 @@ def test_holds_that_differ_widen_the_deviation():
     assert other.holds == 4
 
 
-def test_a_second_time_constant_is_told():
+def test_a_second_time_constant_is_reported():
     hold = held(constant=8.0)
     fast = 1.7 * relaxed(hold.time, elastic_of(hold.depths), FRACTION, 0.5)
-    found, told = found_in(hold._replace(forces=0.5 * (hold.forces + fast)))
+    found, line = found_in(hold._replace(forces=0.5 * (hold.forces + fast)))
     assert found.left > 0.01
-    assert "unexplained" in told
+    assert "unexplained" in line
 
 
 @pytest.mark.parametrize(
@@ -94,14 +94,14 @@ def test_a_second_time_constant_is_told():
         (held(length=11.0, constant=80.0, noise=0.005), "hold longer"),
     ],
 )
-def test_what_cannot_be_identified_is_told_with_its_reason(hold, why):
-    found, told = found_in(hold)
+def test_what_cannot_be_identified_is_reported_with_its_reason(hold, why):
+    found, line = found_in(hold)
     assert found is None
-    assert "not identifiable" in told
-    assert why in told
+    assert "not identifiable" in line
+    assert why in line
 
 
-def test_without_times_nothing_is_told():
+def test_without_times_nothing_is_reported():
     assert "no times" in relaxation_of([], [], False)[1]
 
 

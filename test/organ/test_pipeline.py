@@ -67,12 +67,12 @@ def test_a_mask_that_is_no_organ_in_size_is_refused(spacing, size):
         organ_from_image(image.with_array(image.array.astype(np.float32)), np.zeros(3), Request(name="ball"))
 
 
-def test_both_volumes_are_told_and_kept():
+def test_both_volumes_are_reported_and_kept():
     lines = []
     organ = organ_from_mask(ball(2.0), Request(name="ball", points=200, atoms=4), Progress(lines.append))
     read = np.count_nonzero(ball(2.0).array) * 8e-3
-    (told,) = [line for line in lines if "mL read" in line]
-    assert told.startswith(f"{read:.1f} mL read, {organ.volume * 1e6:.1f} mL built (")
+    (line,) = [line for line in lines if "mL read" in line]
+    assert line.startswith(f"{read:.1f} mL read, {organ.volume * 1e6:.1f} mL built (")
     assert organ.volume * 1e6 == pytest.approx(read, rel=0.03)
     assert organ.provenance["volume_read_ml"] == pytest.approx(read, abs=1e-3)
     assert organ.provenance["volume_built_ml"] == pytest.approx(organ.volume * 1e6, abs=1e-3)

@@ -92,7 +92,7 @@ def check(graph, text, path, nodes, **unseen):
     assert found == wanted
 
 
-def test_the_form_is_that_of_sros2_and_others_are_told():
+def test_the_form_is_that_of_sros2_and_others_are_reported():
     check_form(ElementTree.fromstring(SHIPPED.encode()))
     for wrong in ("<policy version='0.2.0'/>", SHIPPED.replace("0.2.0", "9"), SHIPPED.replace("ALLOW", "MAYBE", 1)):
         with pytest.raises(AssertionError):

@@ -8,8 +8,8 @@ from ruamel.yaml import YAML
 
 from helpers.paths import CONFIG, ROOT
 from helpers.ros.haptic_bridges import BRIDGES, StandIn
+from helpers.ros.node_values import values as defaults
 from helpers.ros.processes import UNHURRIED, Process, poke_path, running_node, shipped
-from helpers.ros.told import values as defaults
 from tissue_sim.ros.policy import enclaves_of
 from tissue_sim.ros.shared.frames import tip_frame, wrench_frame
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, check_frames, placed_frames

@@ -75,12 +75,12 @@ def test_bounds_take_the_worst_depth_and_what_tells_the_inclusion(organs, tmp_pa
     assert apart["value"] == pytest.approx(25.0 / 3.0)
     assert error["met"]
     assert apart["met"]
-    told = text(organs[0], found)
-    assert "worst depth" in told
-    assert "held" in told
+    shown = text(organs[0], found)
+    assert "worst depth" in shown
+    assert "held" in shown
     assert json.loads(json.dumps(found)) == found
     poor = as_json([felt._replace(plain=0.98 * felt.reference)], [around])
-    assert poor["bounds"][1]["met"] is False, "told apart by 2 %, off by 3"
+    assert poor["bounds"][1]["met"] is False, "distinguished by 2 %, off by 3"
     lost = as_json([felt._replace(reference=np.full(4, np.nan))], [around])
     assert [bound["met"] for bound in lost["bounds"]] == [None, None]
     (path,) = write_plots(organs[0], [felt], [around], str(tmp_path))

@@ -109,7 +109,7 @@ def test_hollow_and_long_organs(shape_wall, points):
         assert_near(balloon, shape_wall)
 
 
-def test_a_narrow_fold_left_out_is_told():
+def test_a_narrow_fold_left_out_is_reported():
     """A deep slot of 1.5 mm, which 60 points can't line, stays closed or costs accuracy: `missed` says how much."""
 
     def slotted(x, y, z):

@@ -29,7 +29,7 @@ print(one.frequency.hex(), hashlib.sha256(b"".join(parts)).hexdigest())
 @pytest.mark.extended
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="another architecture was not measured")
 def test_a_model_is_the_same_by_any_linear_algebra():
-    told = {
+    outputs = {
         subprocess.run(
             [sys.executable, "-c", MODEL],
             env=os.environ | ({"OPENBLAS_CORETYPE": kernels} if kernels else {}),
@@ -39,7 +39,7 @@ def test_a_model_is_the_same_by_any_linear_algebra():
         ).stdout
         for kernels in ("", *KERNELS_OF_BLAS)
     }
-    assert len(told) == 1
+    assert len(outputs) == 1
 
 
 @pytest.mark.extended

@@ -83,11 +83,11 @@ def gripper(client):
 def test_angle_that_is_none_is_refused_and_counted(client, node, gripper):
     for message, counter in ((JointState(position=[float("nan")]), "nan_angle"), (JointState(), "no_angle")):
 
-        def is_told(message=message, name=counter):
+        def is_reported(message=message, name=counter):
             gripper.joint.publish(message)
             return f"left.refused.{name}" in client.diagnostics
 
-        assert client.spin_until(is_told), client.diagnostics
+        assert client.spin_until(is_reported), client.diagnostics
     assert "tool 'left': angle refused" in node.text()
 
 

@@ -122,12 +122,12 @@ def hold_up(child, seconds):
     os.kill(child.pid, signal.SIGCONT)
 
 
-def test_time_that_was_lost_is_told(client, node):
+def test_time_that_was_lost_is_reported(client, node):
     """A process that is held up for a second is behind, and drops ticks: the next diagnostics warn."""
     dropped = int(client.report()["dropped_ticks"])
     reports = []
 
-    def is_told():
+    def is_reported():
         """Hold it up again where no report said so: the one that does may be lost."""
         hold_up(node.child, 1.0)
         reports[:] = [(client.report(), client.level, client.message) for _ in range(3)]
@@ -136,7 +136,7 @@ def test_time_that_was_lost_is_told(client, node):
         )
         return counter(client, "dropped_ticks") > dropped and max(behind) > 900.0 and min(factors) < 0.9
 
-    assert client.spin_until(is_told), reports
+    assert client.spin_until(is_reported), reports
     # At the lowest rate that a slow machine is given, a tick is 8 ms.
     assert counter(client, "dropped_ticks") - dropped > 0.9 / 0.008
     values, level, message = max(reports, key=lambda report: float(report[0]["behind_ms"]))
@@ -245,11 +245,11 @@ def test_two_nodes_with_two_organs_run_side_by_side(pair):
 
     position = press_until_felt(first, move)
 
-    def are_told():
+    def are_reported():
         move(position)
         return len(felt) > 50 and counter(second, "right.poses") > 50 and counter(first, "left.poses") > 50
 
-    assert first.spin_until(are_told), "DDS never brings the remapped topic together"
+    assert first.spin_until(are_reported), "DDS never brings the remapped topic together"
     assert all(message.wrench.force.x == 0.0 for message in felt)
     assert second.node.count_publishers("/b/right/servo_cf") == 0, "it goes by another name"
     assert not second.wrenches, "nobody moves its other tool"

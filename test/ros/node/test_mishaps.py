@@ -35,7 +35,7 @@ def lines(process, place):
     return [line for line in process.text().splitlines() if f"(tissue_sim/{place}:" in line]
 
 
-def test_callback_that_fails_is_told_once_and_counted_and_the_node_goes_on(node, client):
+def test_callback_that_fails_is_reported_once_and_counted_and_the_node_goes_on(node, client):
     assert sabotage(client, "break_poses").success
 
     def is_counted():
@@ -51,7 +51,7 @@ def test_callback_that_fails_is_told_once_and_counted_and_the_node_goes_on(node,
         if key.startswith("callback_failures.tissue_sim/ros/node/input/tool_input.py:")
     )
     assert int(client.diagnostics[key]) > 10
-    assert any("callback_failures" in told for told in client.told), "it is a warning"
+    assert any("callback_failures" in message for message in client.messages), "it is a warning"
     assert sabotage(client, "mend").success
     client.ask(OUTSIDE)
     assert client.spin_until(lambda: bool(client.wrenches) or client.send_pose(OUTSIDE))
@@ -78,14 +78,14 @@ def test_a_hand_goes_on_feeling_tissue_where_answers_fail(node, client):
     client.ask(OUTSIDE)
 
 
-def test_who_calls_a_service_that_fails_is_told(node, client):
+def test_who_calls_a_service_that_fails_is_reported(node, client):
     answer = sabotage(client, "fail")
     assert not answer.success
     assert "ZeroDivisionError: sabotaged, in two lines" in answer.message
     assert client.reset().success
 
 
-def test_who_sets_a_parameter_is_told(node, client):
+def test_who_sets_a_parameter_is_reported(node, client):
     assert sabotage(client, "break_parameters").success
     answer = client.set_parameter("marker_rate", 30.0)
     assert not answer.successful
@@ -93,7 +93,7 @@ def test_who_sets_a_parameter_is_told(node, client):
     assert client.reset().success
 
 
-def test_thread_that_fails_is_told(node, client):
+def test_thread_that_fails_is_reported(node, client):
     before = int(client.report()["callback_failures"])
     assert sabotage(client, "fail_in_thread").success
     assert client.spin_until(lambda: int(client.diagnostics["callback_failures"]) > before)

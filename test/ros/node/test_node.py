@@ -138,12 +138,12 @@ BAD_POSES = {
 def test_bad_poses_are_refused_by_name(client, node):
     """A clear line, a counter in diagnostics, and a node that goes on."""
 
-    def all_are_told():
+    def all_are_reported():
         for bad in BAD_POSES.values():
             client.send_pose(**{"position": (1.0, 0.0, 0.0)} | bad)
         return all(reason in client.message for reason in BAD_POSES)
 
-    assert client.spin_until(all_are_told), client.message
+    assert client.spin_until(all_are_reported), client.message
     for reason in BAD_POSES:
         assert int(client.diagnostics[f"left.refused.{reason}"]) > 0, client.diagnostics
     assert client.level != b"\x00"
@@ -176,12 +176,12 @@ def test_tool_that_appears_inside_is_held_off(client, node):
     assert client.set_parameter("stale_time", 0.05).successful
     inside = shipped().atom_positions[20]
 
-    def is_told():
+    def is_reported():
         client.spin(0.3)  # the last pose, wherever it was, is stale
         client.ask(inside)
         return "appeared inside the organ" in node.text()
 
-    assert client.spin_until(is_told)
+    assert client.spin_until(is_reported)
     assert client.set_parameter("stale_time", 5.0).successful
     client.wrenches.clear()
     for _ in range(60):
@@ -218,13 +218,13 @@ def test_parameters_change_live_or_say_why_not(client):
 def test_descriptors_tell_what_may_change_while_the_node_runs(client):
     specs = {spec.name: spec for spec in NODE_SPECS} | {f"left.{spec.name}": spec for spec in TOOL_SPECS}
     request = DescribeParameters.Request(names=[*specs, "tools", "organs"])
-    told = client.call(DescribeParameters, "/tissue_sim/describe_parameters", request).descriptors
-    assert {one.name: one.read_only for one in told} == {
+    descriptors = client.call(DescribeParameters, "/tissue_sim/describe_parameters", request).descriptors
+    assert {one.name: one.read_only for one in descriptors} == {
         **{name: not spec.live for name, spec in specs.items()},
         "tools": True,
         "organs": True,
     }
-    friction = next(one for one in told if one.name == "friction")
+    friction = next(one for one in descriptors if one.name == "friction")
     assert friction.additional_constraints == "may change while the node runs"
 
 
@@ -232,14 +232,14 @@ def test_diagnostics_have_a_status_for_each_tool_and_organ(client):
     heard = []
     client.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
 
-    def is_told():
+    def is_reported():
         client.send_pose((1.0, 0.0, 0.0), stamp=0.0)
         client.spin(0.02)
         statuses = {status.name: status for status in heard[-1].status} if heard else {}
         return "refused.no_stamp" in statuses["tissue_sim: tool left"].message and statuses if statuses else None
 
     found = []
-    assert client.spin_until(lambda: found.append(is_told()) or bool(found[-1]))
+    assert client.spin_until(lambda: found.append(is_reported()) or bool(found[-1]))
     statuses = found[-1]
     names = ("physics", "tool left", "tool right", "organ kidney")
     assert sorted(statuses) == sorted(f"tissue_sim: {name}" for name in names)
@@ -293,15 +293,15 @@ def test_recording_on_demand_replays_bit_for_bit(client, capsys):
 
 
 def test_diagnostics_tell_the_state_of_the_loop(client):
-    told = []
+    reports = []
 
-    def is_told():
+    def is_reported():
         """Whether the rate is that of the ticks between two reports; a machine may do something else in between."""
-        told.append((int(client.report()["tick"]), client.reported, float(client.diagnostics["tick_rate_hz"])))
-        (tick, then, _), (newest, now, rate) = told[-2:] if len(told) > 1 else told * 2
+        reports.append((int(client.report()["tick"]), client.reported, float(client.diagnostics["tick_rate_hz"])))
+        (tick, then, _), (newest, now, rate) = reports[-2:] if len(reports) > 1 else reports * 2
         return newest > tick and rate == pytest.approx((newest - tick) / (now - then), rel=0.05)
 
-    assert client.spin_until(is_told), told
+    assert client.spin_until(is_reported), reports
     values = client.diagnostics
     assert float(values["tick_p50_us"]) > 0.0
     assert values["region"] in ("asleep", "whole")

@@ -186,18 +186,18 @@ def test_the_bridge_plays_with_an_organ_that_is_named(node, tmp_path, capfd):
 
 
 @pytest.mark.extended
-def test_a_breath_that_is_told_is_followed_and_refused_where_it_is_none(scene_file, tmp_path):
-    told = tmp_path / "told.yaml"
-    told.write_text(SCENE.replace("rate: 60, ", "").replace("ball.npz", str(scene_file.parent / "ball.npz")))
+def test_a_breath_that_is_published_is_followed_and_refused_where_it_is_none(scene_file, tmp_path):
+    path = tmp_path / "followed.yaml"
+    path.write_text(SCENE.replace("rate: 60, ", "").replace("ball.npz", str(scene_file.parent / "ball.npz")))
     # In a namespace: the other node of this file is there, too.
-    words = UNHURRIED, f"scene_file:={told}", f"record_folder:={tmp_path}"
-    process = start_node(tmp_path, *words, remap=("__ns:=/told",))
-    client = Client("/told", markers=False)
+    words = UNHURRIED, f"scene_file:={path}", f"record_folder:={tmp_path}"
+    process = start_node(tmp_path, *words, remap=("__ns:=/followed",))
+    client = Client("/followed", markers=False)
     try:
         clouds: list[PointCloud2] = []
         node = client.node
-        node.create_subscription(PointCloud2, "/told/tissue_sim/liver/surface", clouds.append, beside.stream_qos())
-        publisher = node.create_publisher(JointState, "/told/tissue_sim/respiration", beside.stream_qos())
+        node.create_subscription(PointCloud2, "/followed/tissue_sim/liver/surface", clouds.append, beside.stream_qos())
+        publisher = node.create_publisher(JointState, "/followed/tissue_sim/respiration", beside.stream_qos())
         seconds = iter(range(1, 10**9))
         started = client.record(True)
         assert started.success, started.message

@@ -48,7 +48,7 @@ class Simulator:
         return found[-1]
 
     def ticks(self, wanted):
-        """Whether the node comes to a tick, and no farther; the newest time is told again in case it was lost."""
+        """Whether the node comes to a tick, and no farther; the newest time is sent again in case it was lost."""
 
         def is_there():
             self.post()
@@ -114,12 +114,12 @@ def test_ticks_are_as_long_as_the_rate_says(client, simulator):
 def test_a_long_jump_forward_is_dropped_and_counted(client, simulator):
     tick, dropped = simulator.stands(), int(client.diagnostics["dropped_ticks"])
     simulator.time += 100.0
-    client.told.clear()
+    client.messages.clear()
     simulator.run(0.1)
     taken, given_up = simulator.stands() - tick, int(client.diagnostics["dropped_ticks"]) - dropped
     assert taken + given_up == pytest.approx(100_100, abs=1)
     assert given_up >= 99_999, "all that the jump made due, and where its first time was lost, of those behind it"
-    assert any("dropped_ticks" in message for message in client.told)
+    assert any("dropped_ticks" in message for message in client.messages)
 
 
 @pytest.mark.extended
@@ -140,11 +140,11 @@ def test_use_sim_time_can_be_left_and_taken_live(client, simulator):
 def test_a_clock_that_stands_leaves_no_force_and_no_kick_when_it_goes_on(client, simulator, node):
     inside = simulator.press()
 
-    def is_told():  # poses go on, the clock doesn't
+    def is_reported():  # poses go on, the clock doesn't
         client.ask(inside)
         return client.diagnostics["clock"] == "/clock stands" and client.hand_force() == 0.0
 
-    assert client.spin_until(is_told)
+    assert client.spin_until(is_reported)
     client.wrenches.clear()
     for _ in range(40):
         client.ask(inside)

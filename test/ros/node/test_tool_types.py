@@ -239,7 +239,7 @@ def bag(node, tools):
     # The organ is registered anew, while the node runs, and then as it was.
     assert tools.set_parameter("organ_pose", [*ORGAN_ELSEWHERE, *TURN.as_quat()]).successful
     felt["registered"] = tools.press("odometry", lambda point: (TURN.apply(point) + ORGAN_ELSEWHERE) / 0.5, HELD)
-    assert tools.spin_until(lambda: np.allclose(tools.frames["world", "organ"][:3], ORGAN_ELSEWHERE)), "tf is told"
+    assert tools.spin_until(lambda: np.allclose(tools.frames["world", "organ"][:3], ORGAN_ELSEWHERE)), "tf has it"
     felt["registered"][:3] = tools.turn_to_organ("odometry_wrench").apply(felt["registered"][:3])
     assert tools.set_parameter("organ_pose", [*ORGAN, 0.0, 0.0, 0.0, 1.0]).successful
     stopped = tools.record(False)

@@ -14,7 +14,7 @@ LOOK_AROUND = str(HERE / "look_around.py")
 
 
 @pytest.mark.parametrize(
-    ("set_by_user", "profile", "told"),
+    ("set_by_user", "profile", "expected"),
     [
         ({}, LOCAL_PROFILE, "on this machine only"),
         ({REACH: ""}, LOCAL_PROFILE, "on this machine only"),
@@ -29,12 +29,12 @@ LOOK_AROUND = str(HERE / "look_around.py")
         ({"ROS_DISCOVERY_SERVER": "10.0.0.2:11811"}, PROFILE, "through ROS_DISCOVERY_SERVER"),
     ],
 )
-def test_the_range_is_narrowed_only_where_the_user_says_nothing(set_by_user, profile, told):
+def test_the_range_is_narrowed_only_where_the_user_says_nothing(set_by_user, profile, expected):
     environment = dict(set_by_user)
     dds.prepare(environment)
     chosen = {REACH: "LOCALHOST"} if not any(set_by_user.values()) else set_by_user
     assert environment == chosen | dict.fromkeys(PROFILE_VARIABLES, str(ROOT / profile))
-    assert f"discoverable {told}" in dds.describe_discovery(environment)
+    assert f"discoverable {expected}" in dds.describe_discovery(environment)
 
 
 def test_a_profile_or_transports_of_the_users_are_kept():

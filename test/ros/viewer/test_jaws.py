@@ -13,7 +13,7 @@ from tissue_sim.ros.viewer.poked_tool import LONGEST_STEP, TOP_SPEED
 
 pytest.importorskip("viser")
 from helpers.paths import CONFIG
-from helpers.ros.told import values
+from helpers.ros.node_values import values
 
 EVERY = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)  # a busy machine loses none
 

@@ -105,7 +105,7 @@ def test_the_delay_is_how_old_messages_are_when_they_come(scene):
     assert scene.freshness.delay == pytest.approx(0.0, abs=1e-5)
 
 
-def test_poses_that_are_stale_before_the_next_are_told_by_their_gap(scene):
+def test_poses_that_are_stale_before_the_next_are_reported_by_their_gap(scene):
     def come(gap, count=9):
         for _ in range(count):
             scene.clock.time += gap

@@ -63,11 +63,11 @@ def test_contacts_cost_nothing_until_somebody_subscribes_and_add_up_to_the_wrenc
     of_cloud = client.node.create_subscription(PointCloud2, "/tissue_sim/left/contacts", clouds.append, 10)
     of_wrench = client.node.create_subscription(WrenchStamped, "/tissue_sim/left/wrench", wrenches.append, 10)
 
-    def is_told():
+    def is_reported():
         ask(client, pressed)
         return len(clouds) > 3 and len(wrenches) > 3 and len(clouds[-1].data) > 0
 
-    assert client.spin_until(is_told)
+    assert client.spin_until(is_reported)
     cloud, wrench = clouds[-1], wrenches[-1].wrench
     assert cloud.header.frame_id == wrenches[-1].header.frame_id == "organ"
     assert tuple(field.name for field in cloud.fields) == COLUMNS
