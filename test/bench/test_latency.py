@@ -39,7 +39,7 @@ def trip(seconds, lost=0):
     return Trip(np.full(500, seconds), lost)
 
 
-def test_bounds_are_on_what_is_felt_and_on_the_bare_loop():
+def test_bounds_are_on_delays_and_on_the_bare_loop():
     both = together([trip(1e-3, 1), trip(1e-3, 2)])
     assert (len(both.seconds), both.lost) == (1000, 3)
 
@@ -48,26 +48,26 @@ def test_bounds_are_on_what_is_felt_and_on_the_bare_loop():
         percentiles = {name: one.as_json() for name, one in trips.items()}
         return as_json(1.0, percentiles, (1000.0, late), np.r_[np.zeros(990), np.full(10, 2e-3)], 100.0)["bounds"]
 
-    *felt, woken, late = bounds(trip(4e-4), trip(1e-3), 10.0)
-    assert [bound["limit"] for bound in felt] == [450.0, 1000.0, 450.0, 1000.0, 600.0, 600.0]
+    *delays, woken, late = bounds(trip(4e-4), trip(1e-3), 10.0)
+    assert [bound["limit"] for bound in delays] == [450.0, 1000.0, 450.0, 1000.0, 600.0, 600.0]
     assert woken["limit"] == pytest.approx(1.5 * 200.0 + 1000.0)
-    assert all(bound["met"] for bound in (*felt, woken, late))
+    assert all(bound["met"] for bound in (*delays, woken, late))
     assert late["value"] == pytest.approx(1.0)
     assert late["limit"] == pytest.approx(2.0 * 1.0 + 0.2)
     assert not any(bound["met"] for bound in bounds(trip(0.01), trip(0.01), 500.0))
 
 
-# what is felt of a pose ------------------------------------------------------------------------
+# the answer to a pose --------------------------------------------------------------------------
 TICK, SENT = 1e-3, 0.1205  # s
 
 
 def wrenches(computed, delay=0, noise=1e-4):
     """Wrenches every tick, s and N: 0.3 N, and from a tick on 0.03 N more, which comes in five of them."""
-    rng, felt = np.random.default_rng(3), []
+    rng, delays = np.random.default_rng(3), []
     for tick in range(220):
         risen = np.clip((tick - computed - delay + 1) / 5.0, 0.0, 1.0)
-        felt.append((TICK * tick + 2e-4, np.array([0.3 + 0.03 * risen, 0.0, 0.0]) + noise * rng.standard_normal(3)))
-    return felt
+        delays.append((TICK * tick + 2e-4, np.array([0.3 + 0.03 * risen, 0.0, 0.0]) + noise * rng.standard_normal(3)))
+    return delays
 
 
 def test_what_is_timed_is_the_first_wrench_that_was_computed_with_the_pose():
@@ -80,7 +80,7 @@ def test_a_delay_of_ticks_shows(ticks):
     assert first_change(SENT, wrenches(121, ticks)) == pytest.approx(0.0007 + ticks * TICK)
 
 
-def test_a_pose_that_is_not_felt_is_none():
+def test_a_pose_without_an_answer_has_no_delay():
     assert first_change(SENT, wrenches(1000)) is None
     assert first_change(SENT, []) is None
     assert first_change(SENT, wrenches(121)[:50]) is None
@@ -106,9 +106,9 @@ def test_a_delay_that_is_planted_in_the_node_shows_at_every_rate(monkeypatch):
     monkeypatch.setattr(Graph, "serve", serve)
     trips = measure(None, 4.0)["round_trips"]
     for rate in RATES:
-        felt = trips[wrench_row_name(rate)]
-        assert felt["p50_us"] >= 19_000.0
-        assert felt["lost"] < felt["trips"], "those that are lost count as later still"
+        delays = trips[wrench_row_name(rate)]
+        assert delays["p50_us"] >= 19_000.0
+        assert delays["lost"] < delays["trips"], "those that are lost count as later still"
 
 
 def test_seconds_out_of_range_are_refused(capsys):

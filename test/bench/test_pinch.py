@@ -26,7 +26,7 @@ def gentle():
     return two_tools.pinched(organ, "spheres", SPHERES, 0, 0.2)
 
 
-def test_a_gentle_pinch_is_felt_and_leaves_nothing(gentle):
+def test_a_gentle_pinch_has_a_force_and_leaves_nothing(gentle):
     assert gentle.width == pytest.approx(0.06, rel=0.1)
     assert gentle.force > 0.05
     assert 0.0 < gentle.least < 1.0

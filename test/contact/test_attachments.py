@@ -79,15 +79,15 @@ def test_a_point_that_breathes_draws_an_organ_that_does_not():
 
 
 def test_a_tool_between_two_organs_feels_both():
-    felt = []
+    wrenches = []
     for organs in (pair(0.008), pair(0.008)[:1], pair(0.008)[1:]):
         scene = Scene(organs, TOOL)
         between = np.array([RADIUS + 0.004, 0.0, 0.0])
         for tick in range(300):
             scene.move(0, between + [0.0, 0.0, 0.04 * (1.0 - min(1.0, tick / 200.0))])
             scene.step()
-        felt.append(scene.wrenches[0, :3].copy())
-    both, left, right = felt
+        wrenches.append(scene.wrenches[0, :3].copy())
+    both, left, right = wrenches
     assert left[0] > 0.005
     assert right[0] < -0.005
     np.testing.assert_allclose(both, left + right, atol=1e-6)

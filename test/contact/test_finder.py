@@ -271,7 +271,7 @@ def test_tool_whose_tip_alone_is_in_tissue_is_inside():
 
 
 def test_tool_that_appears_with_its_tip_in_tissue_is_held_off_and_resisted_once_it_has_been_outside():
-    """It was neither: it stood where it had appeared, and its hand felt nothing wherever it went."""
+    """It was neither: it stood where it had appeared, and exerted no force wherever it went."""
     organ = ball(2)
     scene = Scene(organ, [Tool("left", "capsule", radius=0.001, length=0.02)])
 

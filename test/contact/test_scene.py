@@ -77,17 +77,17 @@ def test_momentum_of_a_free_organ_changes_by_minus_the_wrench(friction, subdivis
     scene.simulation.settings.force_clamp = 100.0
     above = top_of(organ) + [0.0, 0.0, 0.008]
     side = np.array([RADIUS + 0.004, 0.0, 0.025])
-    momentum, felt, most = [np.zeros(3)], [], np.zeros(2)
+    momentum, forces, most = [np.zeros(3)], [], np.zeros(2)
     for tick in range(150):
         scene.move(0, above + [2e-5 * tick, 1e-5 * tick, 0.001 - 4e-5 * tick])
         scene.move(1, side - [3e-5 * tick, 2e-5 * tick, 0.0])
         scene.step()
         momentum.append(organ.mass @ scene.simulation.velocities)
-        felt.append(scene.wrenches[:, :3].sum(axis=0))
+        forces.append(scene.wrenches[:, :3].sum(axis=0))
         most = np.maximum(most, np.linalg.norm(scene.wrenches[:, :3], axis=1))
     change = np.diff(momentum, axis=0) / 1e-3
     assert most.min() > 0.05, "a tool did not touch"
-    assert np.abs(change + felt).max() < 1e-9
+    assert np.abs(change + forces).max() < 1e-9
     assert is_sound(scene)
 
 
@@ -444,7 +444,7 @@ def test_tissue_that_closed_around_a_tool_comes_off_it_evenly():
 
 
 # external force --------------------------------------------------------------------------------
-def test_external_force_dents_the_tissue_under_the_tip_and_is_not_felt():
+def test_external_force_dents_the_tissue_under_the_tip_and_is_not_in_the_wrench():
     organ = kidney()
     scene = Scene(organ, [PROBE])
     tip = top_of(organ) + [0.0, 0.0, 0.009]  # its ball does not touch

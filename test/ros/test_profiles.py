@@ -113,8 +113,8 @@ def test_a_bridge_feels_the_kidney(served, tmp_path):
         assert pressed, "the scripted bridge plays this one"
         script.wait_for(f"{BRIDGES[name].pose_topic} has another publisher: {tool} jumps between the two")
         assert script.stop() == 0, script.text()
-        felt = re.findall(rf"{tool} ([\d.]+) N", script.text())
-        assert 0.1 < float(felt[0]) < 2.0, script.text()
+        forces = re.findall(rf"{tool} ([\d.]+) N", script.text())
+        assert 0.1 < float(forces[0]) < 2.0, script.text()
     finally:
         stand_in.close()
 

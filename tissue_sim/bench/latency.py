@@ -147,14 +147,14 @@ def as_json(
     percents = 100.0 * late / max(1.0, done), late_percent(bare_late)
     ticks_beyond = TICKS_BEYOND * 1e6 * period
     woken, echo_woken = (trips[name] for name in WOKEN)
-    felt = [
+    delays = [
         Bound(f"{wrench_row_name(rate)}, {name}", trips[wrench_row_name(rate)][f"{name}_us"], most, "us")
         for rate in RATES
         for name, most in zip(("p50", "p99"), MOST[rate], strict=True)
         if most is not None
     ]
     bounds = [
-        *felt,
+        *delays,
         Bound("that ends a nap, p50", woken["p50_us"], MOST_OF_ECHO * echo_woken["p50_us"] + ticks_beyond, "us"),
         late_bound("ticks late by more than a period", *percents),
     ]

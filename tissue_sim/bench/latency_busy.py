@@ -36,7 +36,7 @@ WARMING_UP = 3.0  # s of poking that aren't counted
 BARE_TURN = 5.0  # s that the bare loop runs at once
 BARE_FRACTION = 0.25  # fraction of a phase's time for the bare loop after it
 LONGEST_BACK = 90.0  # s for the node to recover from degradation
-MOST_FELT = 10.0  # %, largest difference of a poke's highest force from the undisturbed ones'
+MOST_OFF = 10.0  # %, largest difference of a poke's highest force from the undisturbed ones'
 MOST_LACKING = 1.0  # % of the ticks
 SPINNING = "while True: pass"
 
@@ -154,10 +154,10 @@ def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[
             raise UserError("no poke had a force on the quiet machine; use an organ wider than 12 mm along x")
         for phase in phases.values():
             off = np.abs(np.array(phase["peaks_n"]) - undisturbed) / undisturbed
-            phase["felt_off_percent"] = 100.0 * float(off.max())
+            phase["force_off_percent"] = 100.0 * float(off.max())
         busy, after = phases.get(BUSY), phases.get(AFTER)  # none where it was stopped before
         if busy:
-            bounds.append(Bound(f"{whose}: worst poke, busy", busy["felt_off_percent"], MOST_FELT, "%"))
+            bounds.append(Bound(f"{whose}: worst poke, busy", busy["force_off_percent"], MOST_OFF, "%"))
         bounds += [
             Bound(
                 f"{whose}: missing ticks, {name}", 100.0 * (1.0 - phase["ticks_per_second"] / RATE), MOST_LACKING, "%"
@@ -200,7 +200,7 @@ def text(found: dict[str, Any]) -> str:
                     f"{phase['dropped']}",
                     f"{100.0 * phase['simulated_share']:.2f} %",
                     f"{np.median(phase['peaks_n']):.3f} N",
-                    f"{phase['felt_off_percent']:.1f} %",
+                    f"{phase['force_off_percent']:.1f} %",
                     f"{phase['longest_gap_ms']:.1f} ms",
                 ]
             )

@@ -38,7 +38,7 @@ class Pinch(NamedTuple):
     left_turned: int  # long after
     left: float  # m from rest then
     faults: int
-    forces: Floats  # (2, 3) N, felt by the tools, held
+    forces: Floats  # (2, 3) N, on the tools, held
 
     @property
     def force(self) -> float:

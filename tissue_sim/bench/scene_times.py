@@ -76,7 +76,7 @@ class WakeThresholdError(NamedTuple):
     """
 
     moved: float  # m, of any node
-    felt: float  # N, of the haptic output
+    force: float  # N, of the haptic output
     awake: float  # organs awake on average, with the threshold
     awake_of_all: float  # likewise, without it
 
@@ -163,7 +163,7 @@ def lacking(scene: SceneFile) -> WakeThresholdError:
     everything.joined.threshold.most[:] = 0.0
     everything.joined.coarse.square[:] = 0.0
     seconds = max(LEAST_BREATH, float(some.joined.carried.breath.period))
-    moved = felt = 0.0
+    moved = force = 0.0
     awake, ticks = np.zeros(2), round(seconds / TICK)
     for tick in progress.steps(range(ticks), "loads below the wake threshold"):
         for number, (made, press) in enumerate(scenes):
@@ -173,8 +173,8 @@ def lacking(scene: SceneFile) -> WakeThresholdError:
             awake[number] += sum(not one.asleep for one in made.simulations)
         for one, other in zip(some.simulations, everything.simulations, strict=True):
             moved = max(moved, float(np.linalg.norm(one.positions - other.positions, axis=1).max()))
-        felt = max(felt, float(np.linalg.norm(some.wrenches[:, :3] - everything.wrenches[:, :3])))
-    return WakeThresholdError(moved, felt, *(awake / ticks))
+        force = max(force, float(np.linalg.norm(some.wrenches[:, :3] - everything.wrenches[:, :3])))
+    return WakeThresholdError(moved, force, *(awake / ticks))
 
 
 def _pressed(scene: SceneFile, count: int) -> tuple[Scene, Callable[[], None]]:
@@ -279,7 +279,7 @@ def bounds(measured: Figures) -> list[Bound]:
     if measured.lacking is not None:
         found += [
             Bound("error of organs with a wake threshold", 1e3 * measured.lacking.moved, 1e3 * WAKE_DISPLACEMENT, "mm"),
-            Bound("error of the haptic output on one", 1e3 * measured.lacking.felt, 1e3 * WAKE_FORCE, "mN"),
+            Bound("error of the haptic output on one", 1e3 * measured.lacking.force, 1e3 * WAKE_FORCE, "mN"),
         ]
     return found
 
@@ -295,7 +295,7 @@ def as_json(organ: Organ, scene: SceneFile, measured: Figures) -> dict[str, Any]
         "force_n": FORCE,
         "noise": measured.noise,
         "organs_awake": None if measured.lacking is None else measured.lacking.awake,
-        "organs_awake_where_all_is_felt": None if measured.lacking is None else measured.lacking.awake_of_all,
+        "organs_awake_without_threshold": None if measured.lacking is None else measured.lacking.awake_of_all,
         "rows": [
             {
                 "name": row.name,
@@ -321,7 +321,7 @@ def text(found: dict[str, Any]) -> str:
     ]
     lines += with_remarks(_table(found["rows"]))
     if found["organs_awake"] is not None:
-        awake, of_all = found["organs_awake"], found["organs_awake_where_all_is_felt"]
+        awake, of_all = found["organs_awake"], found["organs_awake_without_threshold"]
         lines += ["", f"a breath of the scene with a tool on {found['scene'][0]}: {awake:.2f} organs awake on average,"]
         lines[-1] += f" {of_all:.2f} if they respond to all loads"
     return "\n".join([*lines, "", *bound_lines(found["bounds"]), *noise_lines(found["noise"])])

@@ -65,7 +65,7 @@ class HoldPolicy(Policy):
     start = (0.0,) * 5
 
     def _push(self, w: Floats, lack: Floats) -> Floats:
-        """Return the speed outwards (n,), also by the sum and the change of what lacks once something is felt."""
+        """Return the speed outwards (n,), also by the sum and the change of the missing force once there is one."""
         changed = np.where(self.memory[:, 2] > 0.0, lack - self.memory[:, 1], 0.0)
         self.memory[:, 0] = LEAK * self.memory[:, 0] + lack * (lack < 1.0)
         self.memory[:, 1], self.memory[:, 2] = lack, 1.0
@@ -92,7 +92,7 @@ class RetractPolicy(Policy):
 
 
 class PalpatePolicy(Policy):
-    """Palpate: go to where tumours are, give way to the tissue, and say so when enough is felt near there."""
+    """Palpate: go to where tumours are, give way to the tissue, and report one when the force near there is large enough."""
 
     task = "Palpate"
     weights = ("x", "y", "z", "speed", "yielding", "felt", "away", "bias")
@@ -128,10 +128,10 @@ class CutPolicy(Policy):
         way = aim - seen["pose"][:, :3]
         way = way - np.einsum("nx,nx->n", way, outward)[:, None] * outward
         is_there = np.linalg.norm(way, axis=1) < 0.15 * CM
-        felt = np.linalg.norm(seen["wrench"][:, :3], axis=1)
+        force = np.linalg.norm(seen["wrench"][:, :3], axis=1)
         short = goal[:, 6] * (1.0 + w[3] / 10.0) - seen["blade"][:, 0]
-        is_in = (np.abs(short) < 0.05 * CM) & (felt > 0.05)
-        push = -w[1] * np.clip(0.1 * (1.0 + w[2]) - felt, -0.3, 0.3)
+        is_in = (np.abs(short) < 0.05 * CM) & (force > 0.05)
+        push = -w[1] * np.clip(0.1 * (1.0 + w[2]) - force, -0.3, 0.3)
         speed = np.where(slides & (w[5] > 0.0), 1.0 / (1.0 + np.maximum(w[5], 0.0)), 1.0)
         size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True) / CM, 1.0)
         velocity = (w[0] * speed)[:, None] * way / CM / size + push[:, None] * outward
@@ -154,7 +154,7 @@ def places(seen: Seen) -> tuple[Floats, Floats, Floats]:
 
 
 def lacking(seen: Seen) -> Floats:
-    """Return the part (n,) of the wanted force that isn't felt."""
+    """Return the part (n,) of the wanted force that is missing."""
     goal = np.asarray(seen["goal"], dtype=np.float64)
     return np.asarray(1.0 - np.einsum("nx,nx->n", seen["wrench"][:, :3], goal[:, 3:6]) / goal[:, 6])
 

@@ -158,8 +158,8 @@ def _map_of_cells(
         def kept(name: str, make: Callable[[], Arrays], tissue: str = trial.digest()) -> Arrays:
             return remember(f"{tissue[:16]} {name}", make)
 
-        felt = curves_of(trial, measurement, friction, 1.0, kept).at(deep)[0][:, 0]
-        given = given + wanted - np.log(np.maximum(felt, 1e-9) / np.maximum(plain, 1e-9))
+        of_map = curves_of(trial, measurement, friction, 1.0, kept).at(deep)[0][:, 0]
+        given = given + wanted - np.log(np.maximum(of_map, 1e-9) / np.maximum(plain, 1e-9))
     return np.asarray(np.exp(decaying(points, given, middle, measurement.radius)))
 
 

@@ -112,12 +112,12 @@ def loss_of(swing: Sinusoid) -> Loss:
         ).x
     )
     waves = _waves(frequency, time)
-    moved, felt = (np.linalg.lstsq(waves, values, rcond=None)[0] for values in (depths, forces))
-    stiffness = complex(felt[0], -felt[1]) / complex(moved[0], -moved[1])
-    left = forces - waves @ felt
+    moved, of_force = (np.linalg.lstsq(waves, values, rcond=None)[0] for values in (depths, forces))
+    stiffness = complex(of_force[0], -of_force[1]) / complex(moved[0], -moved[1])
+    left = forces - waves @ of_force
     again = float(np.clip(np.corrcoef(left[1:], left[:-1])[0, 1], 0.0, 0.99)) if np.std(left) > 0.0 else 0.0
     alone = len(time) * (1.0 - again) / (1.0 + again)  # samples whose errors are independent
-    noise = float(np.std(left)) * np.sqrt(2.0 / alone) / float(np.hypot(felt[0], felt[1]))
+    noise = float(np.std(left)) * np.sqrt(2.0 / alone) / float(np.hypot(of_force[0], of_force[1]))
     apart = 2.0 * np.pi * frequency * float(np.median(np.diff(time))) / np.sqrt(12.0)
     return Loss(stiffness.imag / stiffness.real, float(np.hypot(noise, apart)), frequency, stiffness.real)
 

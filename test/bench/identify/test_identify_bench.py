@@ -123,8 +123,8 @@ def written(folder, soft=0.3, noise=0.01, seed=0):
     for number in range(64):
         x, y = 4e-3 * (number % 8), 4e-3 * (number // 8)
         depth, force = hertz(BALL, 60e3 * np.exp(soft * (x - 0.014) / 0.014), 0.45, 4e-3)
-        felt = np.interp(DEEP + 3e-4, depth, force) * (1.0 + noise * random.normal(size=10))
-        lines.append(",".join(f"{value:.6g}" for value in [x, y, 0.0, 0.0, 0.0, 1.0, *DEEP, *felt]))
+        measured = np.interp(DEEP + 3e-4, depth, force) * (1.0 + noise * random.normal(size=10))
+        lines.append(",".join(f"{value:.6g}" for value in [x, y, 0.0, 0.0, 0.0, 1.0, *DEEP, *measured]))
     folder.mkdir(exist_ok=True)
     for name in palpation_sets.SETS:
         (folder / f"{name}.csv").write_text("\n".join(lines))

@@ -158,8 +158,8 @@ class Hostile:
         for raw in self._wrenches[tool].take_all():
             wrench = np.array(parse_stamped(bytes(raw), 6).values)
             assert np.all(np.isfinite(wrench)), f"a wrench of '{tool}' that is not finite"
-            felt = float(np.linalg.norm(wrench[:3]))
-            assert felt <= self.clamp * (1.0 + 1e-9), f"a wrench of '{tool}' of {felt:.3g} N"
+            force = float(np.linalg.norm(wrench[:3]))
+            assert force <= self.clamp * (1.0 + 1e-9), f"a wrench of '{tool}' of {force:.3g} N"
         return wrench
 
     def _check_fading(self) -> None:

@@ -72,7 +72,7 @@ class Client(Participant):
         self.spin_until(lambda: len(self.wrenches) > heard, MOMENT)
 
     def kick(self, hold: Callable[[], object]) -> float:
-        """Return the highest force that the left hand has felt, as a multiple of the one that it settles at.
+        """Return the highest force on the left hand, as a multiple of the one that it settles at.
 
         Steps from one wrench to the next tell nothing on a busy machine, which loses some.
 

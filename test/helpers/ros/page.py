@@ -67,12 +67,12 @@ class Page:
         position, inward = beside(shipped().surface_positions, 0, self.view.reach)
         depths = itertools.cycle([*np.linspace(0.0, 0.024, 60), *[0.024] * 60, *np.linspace(0.024, 0.0, 30)])
 
-        def is_felt() -> bool:
+        def has_force() -> bool:
             """Again from outside where a busy machine held the poses up, so that the node holds the tool off."""
             self.drag(position + next(depths) * inward)
             return self.wait(lambda: self.force() > 0.1, 0.03)
 
-        assert self.wait(is_felt), "nothing is felt"
+        assert self.wait(has_force), "no force came"
         self.tick(False)
         participant = Participant("hand")
         try:

@@ -152,7 +152,9 @@ def test_a_message_type_that_nobody_knows_is_reported(bag, capsys):
 def test_metadata_of_another_storage_is_refused(bag, capsys):
     path, _, _ = bag
     metadata_file = path / metadata.NAME
-    metadata_file.write_text(metadata_file.read_text().replace("storage_identifier: mcap", "storage_identifier: sqlite3"))
+    metadata_file.write_text(
+        metadata_file.read_text().replace("storage_identifier: mcap", "storage_identifier: sqlite3")
+    )
     assert "has storage sqlite3" in refused(capsys, path)
 
 

@@ -24,7 +24,7 @@ def written(folder, forces=True, stamped=True):
     quaternion = types["geometry_msgs/msg/Quaternion"](*TURN.as_quat())
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         poses = writer.add_connection("/tip", "geometry_msgs/msg/PoseStamped", typestore=STORE)
-        felt = writer.add_connection("/sensor", "geometry_msgs/msg/WrenchStamped", typestore=STORE)
+        wrenches = writer.add_connection("/sensor", "geometry_msgs/msg/WrenchStamped", typestore=STORE)
         for number in range(20 if forces else 0):
             ns = 5_000_000 * (number + 1)
             head = header(stamp(0, ns if stamped else 0), "base")
@@ -38,7 +38,7 @@ def written(folder, forces=True, stamped=True):
             message = types["geometry_msgs/msg/WrenchStamped"](
                 head, wrench(vector(0.0, 0.0, 0.1 * number), vector(0.0, 0.0, 0.0))
             )
-            writer.write(felt, ns, STORE.serialize_cdr(message, felt.msgtype))
+            writer.write(wrenches, ns, STORE.serialize_cdr(message, wrenches.msgtype))
     return folder
 
 

@@ -20,7 +20,7 @@ def test_it_follows_an_organ_pose_that_changes(tmp_path):
     low, high = shipped().rest_positions.min(axis=0) - 0.05, shipped().rest_positions.max(axis=0) + 0.05
 
     def presses(offset, turn):
-        """Whether the newest pose is beside the organ there, and something is felt."""
+        """Whether the newest pose is beside the organ there, and there is a force."""
         if not heard or float(listener.diagnostics.get("left.force_n", 0.0)) == 0.0:
             return False
         place = heard[-1].pose.position

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
-from helpers.ros.processes import press_until_felt, start_sabotaged
+from helpers.ros.processes import press_until_contact, start_sabotaged
 
 OUTSIDE = (0.3, 0.0, 0.0)  # m
 
@@ -63,7 +63,7 @@ def test_a_hand_goes_on_feeling_tissue_where_answers_fail(node, client):
     def goes_on():
         """From outside again where a busy machine held the poses up until they were stale."""
         assert sabotage(client, "mend").success
-        where = press_until_felt(client, partial(moved, client))
+        where = press_until_contact(client, partial(moved, client))
         failures = int(client.report().get("answers_failures", 0))
         assert sabotage(client, "break_answers").success
         assert client.spin_until(
@@ -100,7 +100,7 @@ def test_thread_that_fails_is_reported(node, client):
 
 
 def test_no_force_stands_while_the_loop_hangs(node, client):
-    where = press_until_felt(client, partial(moved, client))
+    where = press_until_contact(client, partial(moved, client))
     assert sabotage(client, "hang").success
     assert client.spin_until(lambda: client.hand_force() == 0.0 or client.send_pose(where))
     heard = len(client.wrenches)
@@ -109,5 +109,5 @@ def test_no_force_stands_while_the_loop_hangs(node, client):
     assert client.spin_until(lambda: "loop hangs" in client.message)
     assert sabotage(client, "resume").success
     client.ask(OUTSIDE)
-    press_until_felt(client, partial(moved, client))
+    press_until_contact(client, partial(moved, client))
     assert client.spin_until(lambda: "loop hangs" not in client.message)

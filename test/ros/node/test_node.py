@@ -17,7 +17,7 @@ from helpers.ros.processes import (
     UNHURRIED,
     Process,
     poke_path,
-    press_until_felt,
+    press_until_contact,
     running_node,
     shipped,
     start_node,
@@ -92,7 +92,7 @@ def test_markers_are_what_rviz_can_bear(client):
 
 def test_force_fades_when_poses_stop(client):
     """A stale pose ramps the wrench to zero and leaves no force standing; after how many ticks, test/contact shows."""
-    position = press_until_felt(client, client.ask, deepest=0.003)
+    position = press_until_contact(client, client.ask, deepest=0.003)
     assert client.spin_until(lambda: client.ask(position) or client.hand_force() > 0.03)
     assert client.set_parameter("stale_time", 0.05).successful
     assert client.spin_until(lambda: client.hand_force() == 0.0), client.diagnostics
@@ -265,7 +265,7 @@ def test_recording_on_demand_replays_bit_for_bit(client, capsys):
     before = int(client.report()["left.poses"])
     client.set_parameter("stiffness_scale", 2.0)
     client.set_parameter("left.passivity_damping", 5.0)  # a bag holds forces without what that adds
-    position = press_until_felt(client, client.ask, deepest=0.004)
+    position = press_until_contact(client, client.ask, deepest=0.004)
     for _ in range(300):
         client.ask(position)
     assert client.spin_until(lambda: client.ask(position) or client.hand_force() > 0.05)

@@ -7,7 +7,7 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 from helpers.ros.clients import Client
-from helpers.ros.processes import UNHURRIED, poke_path, press_until_felt, running_node, shipped
+from helpers.ros.processes import UNHURRIED, poke_path, press_until_contact, running_node, shipped
 
 STEP = 0.01  # s of simulated time from one /clock to the next
 
@@ -24,7 +24,7 @@ class Simulator:
 
     def press(self):
         """Press the tool in; returns where it is then."""
-        return press_until_felt(self.client, lambda position: self.run(STEP, position))
+        return press_until_contact(self.client, lambda position: self.run(STEP, position))
 
     def run(self, seconds, pose=None, wall=STEP):
         """Let so many s of simulated time go by, each step in `wall` s at least."""
@@ -155,11 +155,11 @@ def test_a_clock_that_stands_leaves_no_force_and_no_kick_when_it_goes_on(client,
     assert int(client.report()["tick"]) == tick
     client.wrenches.clear()
 
-    def is_felt_again():
+    def has_force_again():
         simulator.run(0.3, inside)
         return client.hand_force() > 0.02
 
-    assert client.spin_until(is_felt_again), "a tool in touch is resisted again"
+    assert client.spin_until(has_force_again), "a tool in touch is resisted again"
     assert client.kick(lambda: simulator.run(STEP, inside)) < 1.5
 
 

@@ -21,7 +21,7 @@ def server():
 
 
 def markers_of(*names):
-    """What a node with spheres of these names publishes of them, each 0.1 m from the organ, felt with 0.5 N."""
+    """What a node with spheres of these names publishes of them, each 0.1 m from the organ, with a force of 0.5 N."""
     tools = ToolSet([Tool(name) for name in names])
     pose = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     tips, forces = np.tile(pose[:3], (len(names), 1)), np.tile([0.0, 0.0, 0.5], (len(names), 1))

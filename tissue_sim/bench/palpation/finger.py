@@ -72,14 +72,14 @@ def measure(organ: Organ) -> list[PressForces]:
     return found
 
 
-def measure_maps(organ: Organ, felt: Sequence[PressForces]) -> list[Map]:
+def measure_maps(organ: Organ, pressed: Sequence[PressForces]) -> list[Map]:
     """Return a map around each place; an empty one for those that Ctrl-C left out."""
     found: list[Map] = []
     with rows.until_stopped():
-        for one in rows.each(felt, "maps"):
+        for one in rows.each(pressed, "maps"):
             found.append(mapped(organ, one.press))
             rows.report(f"map around node {one.press.node}", f"{len(found[-1].nodes)} points")
-    return found + [Map(np.zeros(0, dtype=np.int64), np.zeros(0))] * (len(felt) - len(found))
+    return found + [Map(np.zeros(0, dtype=np.int64), np.zeros(0))] * (len(pressed) - len(found))
 
 
 def press_at(surface: Surface, node: int) -> Press:
@@ -124,20 +124,20 @@ def mapped(organ: Organ, press: Press) -> Map:
         near &= cKDTree(surface.positions[organ.fixed]).query(surface.positions)[0] > CLEARANCE
     nodes = np.flatnonzero(near)
     depth = np.array([MAP_DEPTH])
-    felt = [
+    pressed = [
         forces(scene, press_at(surface, int(node)), depth)[0] / MAP_DEPTH for node in progress.steps(nodes, "places")
     ]
-    return Map(nodes, np.array(felt))
+    return Map(nodes, np.array(pressed))
 
 
-def as_json(felt: Sequence[PressForces], maps: Sequence[Map]) -> dict[str, Any]:
+def as_json(pressed: Sequence[PressForces], maps: Sequence[Map]) -> dict[str, Any]:
     """Return all figures and bounds: of each curve the error, and how clearly the inclusion is discernible."""
     table, bounds = [], []
-    for number, (one, around) in enumerate(zip(felt, maps, strict=True)):
+    for number, (one, around) in enumerate(zip(pressed, maps, strict=True)):
         settled = bool(np.isfinite(one.reference).all() and np.isfinite(one.plain).all())
         off = float(one.off.max()) if settled else None
         apart = float(one.inclusion_effect[-1]) if settled else None
-        name = f"inclusion {number}: " if len(felt) > 1 else ""
+        name = f"inclusion {number}: " if len(pressed) > 1 else ""
         bounds += [
             Bound(f"{name}force against finite elements, worst depth", off, MOST_OFF, "%"),
             Bound(

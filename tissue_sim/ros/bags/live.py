@@ -76,7 +76,7 @@ class _Live:
         self._tools: list[ScriptedTool] = []
         self._frames: list[str] = []  # of each tool's poses and forces
         self._wrenches: list[client.NewestMessage] = []
-        self._felt: list[dict[int, np.ndarray]] = []
+        self._answers: list[dict[int, np.ndarray]] = []
         self._forces: list[Publisher | None] = []
         self._shift: dict[int, int] = {}  # ns from the recording's stamps to those sent, by tool
 
@@ -117,7 +117,7 @@ class _Live:
             self._frames.append(link.topics.frame_id)
             name = link.topics.names
             self._wrenches.append(client.NewestMessage(self._node, WrenchStamped, name["servo_cf"], KEEP, raw=True))
-            self._felt.append({})
+            self._answers.append({})
             self._forces.append(self._force_publisher(tool.name, name["external_cf"]))
         self._wait(lambda: all(tool.heard for tool in self._tools) or None, "the node does not receive the poses")
         self._wait(self._is_followed, f"/{target} sends nothing on /diagnostics")
@@ -222,10 +222,10 @@ class _Live:
 
     def _hear(self) -> int:
         heard = 0
-        for felt, inbox in zip(self._felt, self._wrenches, strict=True):
+        for wrenches, inbox in zip(self._answers, self._wrenches, strict=True):
             for raw in inbox.take_all():
                 message = parse_stamped(raw, 6)
-                felt[self._tick(message.stamp)] = np.array(message.values)
+                wrenches[self._tick(message.stamp)] = np.array(message.values)
                 heard += 1
         for cloud in self._surfaces.take_all():
             stamp = cloud.header.stamp.sec * 1_000_000_000 + cloud.header.stamp.nanosec
@@ -236,10 +236,10 @@ class _Live:
         return self._first + round((stamp - self._origin) / self._period)
 
     def _shown(self) -> Shown:
-        ticks = [np.array(sorted(felt), dtype=np.int64) for felt in self._felt]
+        ticks = [np.array(sorted(wrenches), dtype=np.int64) for wrenches in self._answers]
         wrenches = [
-            np.array([felt[tick] for tick in own.tolist()]).reshape(-1, 6)
-            for felt, own in zip(self._felt, ticks, strict=True)
+            np.array([wrenches[tick] for tick in own.tolist()]).reshape(-1, 6)
+            for wrenches, own in zip(self._answers, ticks, strict=True)
         ]
         shapes = np.array(sorted(self._shapes), dtype=np.int64)
         surfaces = [self._shapes[tick][:, :3] for tick in shapes.tolist()] or np.zeros((0, 0, 3))

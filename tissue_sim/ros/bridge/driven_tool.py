@@ -44,7 +44,7 @@ class Done(NamedTuple):
     fraction: float  # of the steps in which the goal was met
     late: int  # steps that began more than a tenth of a step late
     tip: Floats  # (3,) m, where the tool was in the end
-    force: Floats  # (3,) N that the hand felt then
+    force: Floats  # (3,) N on the hand then
 
 
 class DrivenTool:
@@ -161,7 +161,7 @@ class DrivenTool:
                 wanted=np.array([goal.force]),
                 tip=tip[None],
                 pushed=np.array([force @ goal.outward]),
-                felt=np.array([np.linalg.norm(force)]),
+                force=np.array([np.linalg.norm(force)]),
                 lifted=np.array([(there - goal.place) @ goal.outward]),
                 declared=says,
             )

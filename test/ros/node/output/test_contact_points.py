@@ -8,7 +8,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 
 from helpers.ros.clients import LATCHED, Client
-from helpers.ros.processes import UNHURRIED, press_until_felt, running_node
+from helpers.ros.processes import UNHURRIED, press_until_contact, running_node
 from tissue_sim.ros.node.output.contact_points import COLUMNS
 from tissue_sim.ros.shared.client import cloud_array
 
@@ -41,10 +41,10 @@ def pressed(client):
 
     def move(position):
         ask(client, position)
-        if client.wrenches:  # press_until_felt looks along the organ's axes
+        if client.wrenches:  # press_until_contact looks along the organ's axes
             client.wrenches[-1][1][:3] = TURN.apply(client.wrenches[-1][1][:3])
 
-    position = press_until_felt(client, move, DEEPEST)
+    position = press_until_contact(client, move, DEEPEST)
 
     def is_steady():
         ask(client, position)
@@ -73,9 +73,9 @@ def test_contacts_cost_nothing_until_somebody_subscribes_and_add_up_to_the_wrenc
     assert tuple(field.name for field in cloud.fields) == COLUMNS
     points = cloud_array(cloud).astype(np.float64)
     places, normals, forces = points[:, :3], points[:, 3:6], points[:, 6:9]
-    felt = np.array([wrench.force.x, wrench.force.y, wrench.force.z])
-    np.testing.assert_allclose(TURN.inv().apply(felt), client.wrenches[-1][1][:3], atol=0.02 * np.linalg.norm(felt))
-    np.testing.assert_allclose(forces.sum(axis=0), felt, atol=0.03 * np.linalg.norm(felt))
+    force = np.array([wrench.force.x, wrench.force.y, wrench.force.z])
+    np.testing.assert_allclose(TURN.inv().apply(force), client.wrenches[-1][1][:3], atol=0.02 * np.linalg.norm(force))
+    np.testing.assert_allclose(forces.sum(axis=0), force, atol=0.03 * np.linalg.norm(force))
     to_middle = pressed - places
     assert np.linalg.norm(to_middle, axis=1) == pytest.approx(RADIUS, abs=0.002), "less what gives way between nodes"
     to_middle /= np.linalg.norm(to_middle, axis=1)[:, None]

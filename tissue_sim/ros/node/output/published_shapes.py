@@ -26,17 +26,17 @@ class ContactForces(Protocol):
 class Touches:
     """Where tools are, and what they feel of one organ or of all."""
 
-    def __init__(self, ports: Sequence[ToolPort], felt_of: ContactForces) -> None:
-        self._ports, self._felt_of = list(ports), felt_of
-        self._tips, self._felt = np.zeros((len(ports), 3)), np.zeros((len(ports), 6))
+    def __init__(self, ports: Sequence[ToolPort], forces: ContactForces) -> None:
+        self._ports, self._forces = list(ports), forces
+        self._tips, self._wrenches = np.zeros((len(ports), 3)), np.zeros((len(ports), 6))
 
     def now(self) -> tuple[Floats, Floats]:
         """Return each tool's origin, (T, 3) m, and its wrench, (T, 6) N, N m; the next call overwrites them."""
-        _, wrenches = self._felt_of.wrenches()
+        _, wrenches = self._forces.wrenches()
         for index, port in enumerate(self._ports):
             self._tips[index] = port.newest.pose[:3]
-            self._felt[index] = port.wrench(wrenches)
-        return self._tips, self._felt
+            self._wrenches[index] = port.wrench(wrenches)
+        return self._tips, self._wrenches
 
 
 class PublishedShapes:

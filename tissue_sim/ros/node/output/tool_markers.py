@@ -70,8 +70,8 @@ class ToolMarkers:
                     pose, shown = poses[member], self._bytes.poses[index]
                     shown[:3] = pose[:3] + Rotation.from_quat(pose[3:]).apply(place)
                     shown[3:] = pose[3:]
-            felt = forces[tool] if poses is not None else np.zeros(3)
-            self._bytes.draw_force(self._arrows[tool], tips[tool], felt)
+            force = forces[tool] if poses is not None else np.zeros(3)
+            self._bytes.draw_force(self._arrows[tool], tips[tool], force)
         return self._bytes.message()
 
     def deletion(self) -> bytes:

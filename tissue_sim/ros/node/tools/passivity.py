@@ -134,7 +134,7 @@ class DevicePort:
         """Begin anew: poses have stopped."""
         self._observer.forget()
 
-    def felt(self, place: Floats, wrench: Floats) -> Floats:
+    def passive_wrench(self, place: Floats, wrench: Floats) -> Floats:
         """Return the wrench that answers a pose, all in the organ's axes.
 
         Parameters
