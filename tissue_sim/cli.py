@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0, 1 for a failed check, 2 for wrong use.
+        Exit code: 0, 1 for a failed check, 2 for invalid use.
     """
     if arguments is None:  # not where another program calls this
         catch_all("tissue_sim")
@@ -96,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     except KeyboardInterrupt:  # before the command listens for it
         return 0 if chosen in UNTIL_ASKED else INTERRUPTED
-    except Exception as error:  # what nobody thought of
+    except Exception as error:  # what was not foreseen
         report_error(error, "tissue_sim")
         if isinstance(error, OSError):  # perhaps a full disk, where the remaining output would fail again
             stop_output()

@@ -195,7 +195,7 @@ class _Teller:
     def __init__(self) -> None:
         self.lock = threading.RLock()
         self.terminal: TextIO | None = None  # where a bar is drawn
-        self.inside_line = False  # whether somebody has written half a line to the terminal
+        self.inside_line = False  # whether half a line was written to the terminal
         self._tasks: list[Task] = []
         self._write: Callable[[str], object] | None = _to_stderr
         self._due, self._period, self._ended = math.inf, PERIOD, -math.inf

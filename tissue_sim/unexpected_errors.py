@@ -118,7 +118,7 @@ def _open_on_nothing(name: str, number: int) -> None:
 
 
 def write_error(text: str) -> None:
-    """Write text to the standard error, or nowhere when nobody reads it: a process that ends must not fail at that."""
+    """Write text to the standard error, or nowhere when it is not read: a process that ends must not fail at that."""
     try:
         sys.stderr.write(text)
         sys.stderr.flush()

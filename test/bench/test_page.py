@@ -22,8 +22,8 @@ def found(hz):
     """Four seconds, in the last of which nothing moves."""
     times = {name: (100.0 + (np.arange(4 * rate) + 0.5) / rate).tolist() for name, rate in hz.items()}
     sent = 100.0 + (np.arange(180) + 0.5) / 60.0
-    watched = {"began": 100.0, "came": {f"/organ/{name}": came for name, came in times.items()}, "bytes": 8_000_000}
-    return as_json(SCENE, watched, sent.tolist(), {"the page": 20.0}, 4.0)
+    arrivals = {"began": 100.0, "came": {f"/organ/{name}": came for name, came in times.items()}, "bytes": 8_000_000}
+    return as_json(SCENE, arrivals, sent.tolist(), {"the page": 20.0}, 4.0)
 
 
 def test_least_of_the_organs_is_held_against_the_bound():

@@ -142,7 +142,7 @@ def test_what_did_not_settle_is_reported_and_leaves_the_bound_open():
 
 
 @pytest.mark.extended
-def test_finite_elements_are_squeezed_on_two_meshes(monkeypatch):
+def test_finite_elements_are_compressed_on_two_meshes(monkeypatch):
     monkeypatch.setattr(pinch_reference, "SHARES", (0.05,))
     organ = ball_of_cells()
     (row,) = pinch_reference.by_elements(organ, two_tools.place(organ, 0, two_tools.SPHERE), 0)

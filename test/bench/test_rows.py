@@ -15,7 +15,7 @@ from tissue_sim.cli import main
 
 
 @pytest.fixture(autouse=True)
-def anew():
+def no_rows():
     rows.begin()
     yield
     rows.begin()

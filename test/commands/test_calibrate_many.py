@@ -69,7 +69,7 @@ def test_a_worker_that_is_killed_in_the_middle_costs_nothing_but_time(cluster, t
     assert at_work in pid_of.values()
     os.kill(at_work, signal.SIGKILL)
     assert sorted([first, *results]) == [(number, number**2) for number in range(6)]
-    assert len(list(tmp_path.glob("0-*"))) == 2, "the other worker began it anew"
+    assert len(list(tmp_path.glob("0-*"))) == 2, "the other worker began it again"
 
 
 @pytest.mark.slow

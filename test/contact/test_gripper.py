@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from helpers.touching import Touching
-from tissue_sim.contact.grasp import CLEARANCE, DEPTH, SQUEEZED, at_lower_pole
+from tissue_sim.contact.grasp import CLEARANCE, COMPRESSED, DEPTH, at_lower_pole
 from tissue_sim.contact.gripper import WIDEST, Jaws, about, jaw_poses
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
@@ -74,7 +74,7 @@ def test_a_grasp_lies_across_the_lower_pole(subdivisions):
     assert z == pytest.approx(-grasp.out)
     assert abs(x @ lean.apply([1.0, 0.0, 0.0])) > 0.999
     assert jaws.gap(grasp.opened) == pytest.approx(grasp.width + CLEARANCE)
-    assert jaws.gap(grasp.closed) == pytest.approx(SQUEEZED * grasp.width)
+    assert jaws.gap(grasp.closed) == pytest.approx(COMPRESSED * grasp.width)
 
 
 def test_a_gripper_that_is_too_small_is_reported():
@@ -155,7 +155,7 @@ def test_jaws_lift_the_kidney_by_a_centimetre_and_hold_it_without_slip(pads, sec
     nip.lead(nip.at, nip.grasp.opened, 300)
     nip.lead(nip.at + 0.05 * nip.up, nip.grasp.opened, 3000)
     simulation = nip.scene.simulation
-    assert np.abs(nip.scene.wrenches).max() == 0.0, "let go"
+    assert np.abs(nip.scene.wrenches).max() == 0.0, "released"
     assert simulation.asleep
     assert np.abs(simulation.positions - simulation.model.rest).max() < 1e-5
 

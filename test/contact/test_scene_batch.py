@@ -256,4 +256,4 @@ def test_pieces_hold_every_copy_and_become_small_towards_the_end(count, threads)
     assert sum(sizes) == count
     assert sizes == sorted(sizes, reverse=True)
     assert sizes[0] <= max(1, count / threads)
-    assert sizes[-1] == 1, "whoever is done first waits for one copy at most"
+    assert sizes[-1] == 1, "the copy that is done first waits for one copy at most"

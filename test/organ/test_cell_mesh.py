@@ -111,4 +111,4 @@ def test_a_body_with_edges_keeps_their_cells():
     volume, _ = quality_of(made.rest_positions, made.cell_nodes)
     assert volume.sum() == pytest.approx(made.volume, rel=1e-3)
     alone = np.bincount(made.cell_nodes.ravel(), minlength=made.n_nodes) == 1
-    assert alone.sum() <= 8, "corners at the most"
+    assert alone.sum() <= 8, "corners at most"

@@ -137,9 +137,9 @@ def test_the_texture_sticks_to_tissue_that_deforms():
         made.move("tissue", deformed)
         moved = colours(made.take(pose).colour, [1.4, 0.8], [0.004, -0.006])
         made.add("tissue", deformed, triangles)
-        anew = colours(made.take(pose).colour, [1.4, 0.8], [0.004, -0.006])
+        other = colours(made.take(pose).colour, [1.4, 0.8], [0.004, -0.006])
     assert np.corrcoef(before, moved)[0, 1] > 0.75
-    assert np.corrcoef(before, anew)[0, 1] < 0.4
+    assert np.corrcoef(before, other)[0, 1] < 0.4
 
 
 def test_pictures_repeat(balls):

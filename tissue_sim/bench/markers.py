@@ -119,7 +119,7 @@ def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict
         both = Viewer(own, *MARKERS.values())
         with both:
             both.wait()
-        time.sleep(1.0)  # until the poses are stale, the tool is forgotten and nobody has yet subscribed
+        time.sleep(1.0)  # until the poses are stale, the tool is forgotten, and there are no subscribers yet
         spent = {
             SERVED: partial(processor_seconds, served.pid, busiest=False),
             SENDING: partial(processor_seconds, sender.pid),
@@ -139,9 +139,9 @@ def turn(spent: Mapping[str, Callable[[], float]], both: Viewer) -> dict[str, di
     without = processor_load_during(spent, partial(time.sleep, TURN))
     with both:
         both.look(SETTLING)
-        watched = processor_load_during(spent, partial(both.look, TURN))
+        with_viewer = processor_load_during(spent, partial(both.look, TURN))
     rate = {name: both.count[topic] / TURN for name, topic in MARKERS.items()}
-    return {name: {"percent": watched[name] - without[name], "hz": rate[name]} for name in spent}
+    return {name: {"percent": with_viewer[name] - without[name], "hz": rate[name]} for name in spent}
 
 
 # telling -------------------------------------------------------------------------------------------

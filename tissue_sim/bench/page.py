@@ -38,7 +38,7 @@ LEAST = 30.0  # frames per second
 HERE: tuple[str, Sequence[str]] = ("127.0.0.1", ())  # address of the page, and the command that runs its watcher
 BREATHS, WAY = 6.0, 0.015  # per minute; m
 MOVING = 50  # surfaces, of 60, that the node sends in a second in which frames are counted
-LOOK = 0.05  # s for which the node's messages are watched at a time
+LOOK = 0.05  # s for which the node's messages are read at a time
 PAGE, SERVED, BARE = "the page", "the node", "a bare loop"
 
 
@@ -106,8 +106,8 @@ def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) 
 
         spent = {name: partial(processor_seconds, child.pid) for name, child in children.items()}
         percents = processor_load_during(spent, note)
-        watched = json.loads(last_line(watcher))
-    return as_json(scene, watched, sent, percents, seconds)
+        arrivals = json.loads(last_line(watcher))
+    return as_json(scene, arrivals, sent, percents, seconds)
 
 
 def served_at(page: Child) -> str:
@@ -135,24 +135,24 @@ def carried(scene: SceneFile, folder: Path) -> Path:
 
 def as_json(
     scene: SceneFile,
-    watched: Mapping[str, Any],
+    arrivals: Mapping[str, Any],
     sent: Sequence[float],
     percents: Mapping[str, float],
     seconds: float,
 ) -> dict[str, Any]:
     """Return the frames per second of each organ, on average and in the worst second, and the bounds.
 
-    watched: see `page_watcher.watch`; sent: when the node sent a surface, s. Raises UserError where there was no second
-    in which to count.
+    arrivals: see `page_watcher.watch`; sent: when the node sent a surface, s. Raises UserError where there was no
+    second in which to count.
     """
-    began = float(watched["began"])
+    began = float(arrivals["began"])
     edges = began + np.arange(math.floor(seconds) + 1)
     moving = np.histogram(sent, edges)[0] >= MOVING
     if not moving.any():
         raise UserError(f"the node never sent {MOVING} surfaces in a second: this machine is too slow, or too busy")
     rows: list[dict[str, Any]] = []
     for name, organ in zip(scene.names, scene.organs, strict=True):
-        came = np.array(watched["came"].get(f"/organ/{name}", []))
+        came = np.array(arrivals["came"].get(f"/organ/{name}", []))
         count = np.histogram(came, edges)[0][moving]
         rows.append(
             {
@@ -167,7 +167,7 @@ def as_json(
     return {
         "organs": rows,
         "seconds": int(moving.sum()),
-        "megabytes_a_second": watched["bytes"] / seconds / 1e6,
+        "megabytes_a_second": arrivals["bytes"] / seconds / 1e6,
         "shares_percent": dict(percents),
         "bounds": [bound.as_json() for bound in bounds],
     }

@@ -24,7 +24,7 @@ from tissue_sim.bench.pinch_tools import CLEAR, SPHERE, Place, both, place
 from tissue_sim.bench.printing import Bound, aligned
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.reference import LEFT
-from tissue_sim.calibration.sphere_compression import Squeezed, squeezed, touchable
+from tissue_sim.calibration.sphere_compression import CompressionStep, compressed, touchable
 from tissue_sim.contact.scene import Scene
 from tissue_sim.errors import UserError
 from tissue_sim.model.elasticity.cells import swelling
@@ -97,17 +97,17 @@ def make(organ: Organ) -> dict[str, Any]:
         As Body does.
     """
     start = time.monotonic()
-    squeezed_by = [
+    found = [
         row
         for axis in progress.steps(range(3), "finite elements, axes")
         for row in by_elements(organ, place(organ, axis, SPHERE), axis)
     ]
-    return {"organ": organ.name, "fits": fits(organ), "seconds": round(time.monotonic() - start), "rows": squeezed_by}
+    return {"organ": organ.name, "fits": fits(organ), "seconds": round(time.monotonic() - start), "rows": found}
 
 
 def by_elements(organ: Organ, where: Place, axis: int) -> list[dict[str, Any]]:
     """Return a row for every fraction: force on the tools (2, 3) N on both meshes, and the corrected one."""
-    coarse, fine = (_squeezed(organ, where, axis, mesh) for mesh in MESHES)
+    coarse, fine = (_compressed_between(organ, where, axis, mesh) for mesh in MESHES)
     found_rows = []
     for fraction, one, other in zip(FRACTIONS, coarse, fine, strict=True):
         row: dict[str, Any] = {"axis": "xyz"[axis], "share_percent": 100.0 * fraction, "force_n": None}
@@ -120,7 +120,7 @@ def by_elements(organ: Organ, where: Place, axis: int) -> list[dict[str, Any]]:
     return found_rows
 
 
-def _squeezed(organ: Organ, where: Place, axis: int, mesh: Grading) -> list[Squeezed | None]:
+def _compressed_between(organ: Organ, where: Place, axis: int, mesh: Grading) -> list[CompressionStep | None]:
     """Return the equilibria of finite elements at every fraction; None where they don't settle."""
     beside = np.delete(organ.surface_positions - where.start[0], axis, axis=1)
     solid, nodes = touchable(organ, np.linalg.norm(beside, axis=1) < UNDER, mesh)
@@ -129,7 +129,7 @@ def _squeezed(organ: Organ, where: Place, axis: int, mesh: Grading) -> list[Sque
         end = 0.5 * fraction * where.width
         deep += np.linspace(deep[-1], end, math.ceil((end - deep[-1]) / STEP) + 1)[1:].tolist()
         last.append(len(deep) - 2)
-    steps = squeezed(solid, nodes, np.array([where.at(one) for one in deep[1:]]), SPHERE)
+    steps = compressed(solid, nodes, np.array([where.at(one) for one in deep[1:]]), SPHERE)
     return [steps[number] if number < len(steps) and steps[number].settled else None for number in last]
 
 

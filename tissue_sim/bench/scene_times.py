@@ -312,7 +312,7 @@ def as_json(organ: Organ, scene: SceneFile, measured: Figures) -> dict[str, Any]
 
 
 def text(found: dict[str, Any]) -> str:
-    """Return the tables for people."""
+    """Return the tables to be printed."""
     lines = [
         f"organ '{found['organ']}', {found['surface_points']} surface points, {1e3 * APART:g} mm from the next one;"
         f" poked: {1e3 * found['force_n']:g} mN on a {PATCH_NODES}-node patch, oscillating 5 times a second",

@@ -1,8 +1,8 @@
 """Delay and force steps of a tool's smoothing, in ticks and so the same on any machine.
 
 A tool follows the poses of a slow bridge evenly, each over the time until the next one is due (smoothing 1), over a
-fraction of it, or at once (0). The delay is the time until the force follows half of a step of 0.3 mm; the steps are the largest
-change of the force within a tick while the hand oscillates in the tissue.
+fraction of it, or at once (0). The delay is the time until the force follows half of a step of 0.3 mm; the steps are
+the largest change of the force within a tick while the hand oscillates in the tissue.
 """
 
 from __future__ import annotations

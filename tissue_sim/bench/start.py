@@ -44,7 +44,7 @@ node.destroy_node()
 rclpy.shutdown()
 """
 IN_HERE = (
-    "_ROS_WHEELS_BOOTSTRAP_COMPLETE"  # tells children of an interpreter over the wheels not to start anew for them
+    "_ROS_WHEELS_BOOTSTRAP_COMPLETE"  # tells children of an interpreter over the wheels not to start again for them
 )
 TIMES = 3  # number of starts with kernels on disk
 SHOWN = 8  # modules of kernels in the table

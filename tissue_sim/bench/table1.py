@@ -174,7 +174,7 @@ def as_json(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], noise
 
 
 def text(found: dict[str, Any]) -> str:
-    """Return the table for people."""
+    """Return the table to be printed."""
     lines = [
         f"Table 1 of the paper on '{found['organ']}': {found['surface_points']} surface points,"
         f" {found['medial_atoms']} medial atoms, {found['interior_atoms']} interior atoms",

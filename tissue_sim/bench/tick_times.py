@@ -185,7 +185,7 @@ def as_json(organ: Organ, measured: Figures) -> dict[str, Any]:
 
 
 def text(found: dict[str, Any]) -> str:
-    """Return the tables for people."""
+    """Return the tables to be printed."""
     lines = [
         f"organ '{found['organ']}', {found['surface_points']} surface points; a tick is 1 ms of simulated time;"
         f" {1e3 * found['force_n']:g} mN on a {found['patch_nodes']}-node patch, oscillating 5 times a second",

@@ -152,7 +152,7 @@ def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> R
 
 
 def _begin() -> None:
-    """Let Ctrl-C interrupt this process once, whoever sends it, so that its measurements are handed over."""
+    """Let Ctrl-C interrupt this process once, from any sender, so that its measurements are handed over."""
 
     def interrupt(_: int, __: FrameType | None) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)

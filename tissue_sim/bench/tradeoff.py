@@ -320,7 +320,7 @@ def pareto(costs: Sequence[tuple[float | None, float | None]]) -> list[bool]:
 
 
 def text(found: dict[str, Any]) -> str:
-    """Return the table for people."""
+    """Return the table to be printed."""
     reference, loads = found["reference"], found["loads"]
     sharp = sum(load["kind"] == "sharp" for load in loads)
     depths = [load["largest_mm"] for load in loads]

@@ -76,7 +76,7 @@ class Preconditioner(Protocol):
 
 
 class Renewable(Preconditioner, Protocol):
-    """Preconditioner that can be computed anew about another state."""
+    """Preconditioner that can be computed again about another state."""
 
     def renew(self, moved: Floats) -> None:
         """Compute it about a state (n, 3) m."""

@@ -145,7 +145,7 @@ def run(args: argparse.Namespace) -> int:
     Raises
     ------
     UserError
-        As the stages do, and for wrong use.
+        As the stages do, and for invalid use.
     """
     try:
         return _run(args)

@@ -1,4 +1,4 @@
-"""Command `tissue_sim phantom`: a synthetic CT to try things on, with a kidney that is known."""
+"""Command `tissue_sim phantom`: a synthetic CT for trials, with a kidney that is known."""
 
 from __future__ import annotations
 

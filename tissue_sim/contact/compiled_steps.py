@@ -30,7 +30,7 @@ from tissue_sim.model.data.contact_set import MOST_POINTS, POINT_NODES, Engaged,
 from tissue_sim.model.stepping.inputs import take_contacts, take_pose
 from tissue_sim.model.stepping.tick import tick
 
-NOBODY = -1  # in place of a copy that waits for Python
+NO_COPY = -1  # in place of a copy that waits for Python
 
 
 class Tables(NamedTuple):
@@ -193,7 +193,7 @@ def advance_copies(worlds: Any, course: Any, tables: Any, room: Any, copies: Any
     Returns
     -------
     int
-        The copy whose contacts Python has to find before it goes on; NOBODY when all is done.
+        The copy whose contacts Python has to find before it goes on; NO_COPY when all is done.
     """
     for index in range(len(copies)):
         copy = copies[index]
@@ -208,7 +208,7 @@ def advance_copies(worlds: Any, course: Any, tables: Any, room: Any, copies: Any
             course.ticks[copy] += 1
             course.left[copy] -= 1
             tick(world)
-    return NOBODY
+    return NO_COPY
 
 
 @kernel

@@ -332,8 +332,8 @@ class ContactFinder:
     def _add_nearest(self, body: int, position: Floats, some: int, origin: Floats, count: int) -> int:
         """Add the point nearest to a body, by FCL, of each triangle that is too coarse for its lattice.
 
-        The points of a lattice stay where they are on the tissue, while the nearest one moves, and its steps may be
-        felt. But a needle would slip between those of the lattice.
+        The points of a lattice stay where they are on the tissue, while the nearest one moves, and the force may
+        step with it. But a needle would slip between those of the lattice.
         """
         result, near = fcl.CollisionResult(), self._found[:some]
         fcl.collide(fcl.CollisionObject(_fcl_model(position, near)), self._placed(body, origin), _ALL, result)

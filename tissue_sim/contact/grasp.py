@@ -13,7 +13,7 @@ from tissue_sim.contact.gripper import Jaws
 
 DEPTH = 0.022  # m from the tip of the pole to the tips of the jaws
 WITHIN = 0.4  # fraction of a gripper's length between the jaws that tissue may fill: the hinge stays outside
-SQUEEZED = 0.5  # fraction of the width that the closed jaws leave
+COMPRESSED = 0.5  # fraction of the width that the closed jaws leave
 CLEARANCE = 0.010  # m that the open jaws have beyond the width
 
 
@@ -87,7 +87,7 @@ def at_lower_pole(vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, 
     width = float(np.ptp(ends))
     turn = Rotation.from_matrix(np.stack([across, np.cross(-out, across), -out], axis=1)).as_quat()
     try:
-        opened, closed = jaws.angle(width + CLEARANCE), jaws.angle(SQUEEZED * width)
+        opened, closed = jaws.angle(width + CLEARANCE), jaws.angle(COMPRESSED * width)
     except ValueError as error:
         raise ValueError(f"its lower pole is {1e3 * width:.3g} mm wide, and {error}") from None
     return Grasp(place, np.asarray(turn), out, depth, width, opened, closed)

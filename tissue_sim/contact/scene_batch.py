@@ -252,7 +252,7 @@ class SceneBatch:
     def restore(self, states: ArrayLike, copies: ArrayLike | None = None) -> None:
         """Continue from states that `save` has returned.
 
-        Where organs may touch themselves, a wall that was passed is found anew.
+        Where organs may touch themselves, a wall that was passed is found again.
 
         Parameters
         ----------

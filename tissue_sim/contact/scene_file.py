@@ -132,7 +132,7 @@ class SceneFile:
         Raises
         ------
         UserError
-            When things don't fit together.
+            When the parts don't fit together.
         """
         return join(simulations, self.attachments, self.breathing, self.breathes, self.friction)
 
@@ -149,7 +149,7 @@ class SceneFile:
         Raises
         ------
         UserError
-            When things don't fit together.
+            When the parts don't fit together.
         """
         made = Scene(
             self.organs,

@@ -92,7 +92,7 @@ class RetractPolicy(Policy):
 
 
 class PalpatePolicy(Policy):
-    """Palpate: go to where tumours are, give way to the tissue, and report one when the force near there is large enough."""
+    """Palpate: go to where tumours are, yield to the tissue, and report one when the force near there is large."""
 
     task = "Palpate"
     weights = ("x", "y", "z", "speed", "yielding", "felt", "away", "bias")
@@ -233,7 +233,7 @@ class Learned:
             or record.get("format") != FORMAT
             or not isinstance(record.get("weights"), dict)
         ):
-            raise UserError(f"{name} is not a policy of format {FORMAT}; learn it anew with 'tissue_sim learn'")
+            raise UserError(f"{name} is not a policy of format {FORMAT}; learn it again with 'tissue_sim learn'")
         wanted = policy_class(str(record.get("task"))).weights
         if tuple(record["weights"]) != wanted:
             raise UserError(f"policy {name} has weights {', '.join(record['weights'])}; expected: {', '.join(wanted)}")

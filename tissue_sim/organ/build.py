@@ -305,7 +305,7 @@ def digest_of(source: Path) -> str:
 
 
 def _warn(line: str) -> None:
-    """Warn of what the stages found wrong or repaired, in the caller's file; the rest is heard with `progress` alone.
+    """Warn of what the stages found wrong or repaired, in the caller's file; the rest is reported to `progress` only.
 
     STL has no shared points, so that it says nothing about a file that some coincide.
     """

@@ -119,7 +119,7 @@ def with_cells(organ: Organ, fractions: tuple[float, float] = (1.0, 1.0)) -> Org
         Where a node belongs to no cell, the cells fill too little of the volume, or the organ was cut.
     """
     if organ.n_virtual:
-        raise UserError(f"organ '{organ.name}' was cut: its cells can't be made anew; use the organ before the cut")
+        raise UserError(f"organ '{organ.name}' was cut: its cells can't be made again; use the organ before the cut")
     cells = tissue_cells(organ.rest_positions, organ.surface_positions, organ.surface_triangles, organ.name)
     factors = cell_factors(inclusions_of(organ), organ.rest_positions, cells)
     mu, lam = np.outer(np.multiply(fractions, organ.lame_moduli), factors)

@@ -21,7 +21,8 @@ def refined(organ: Organ, refinement: Refinement) -> Organ:
     """Return an organ with shorter edges of the surface in some places.
 
     Its shape stays exactly, since edges are only halved, so that results of finite elements for the one hold for the
-    other. Its nodes keep their numbers within the surface; what lies inside is made anew, and must be calibrated again.
+    other. Its nodes keep their numbers within the surface; what lies inside is made again, and must be calibrated
+    again.
 
     Parameters
     ----------

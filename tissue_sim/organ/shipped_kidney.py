@@ -51,7 +51,7 @@ def build_default_kidney(progress: Progress | None = None) -> Organ:
 
 
 def with_tumour(kidney: Organ) -> Organ:
-    """Return the kidney, assembled anew, with a ball of stiffer tissue under its frontmost suitable point.
+    """Return the kidney, reassembled, with a ball of stiffer tissue under its frontmost suitable point.
 
     Parameters
     ----------

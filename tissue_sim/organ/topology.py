@@ -185,7 +185,7 @@ def assemble_organ(
 
 
 def assemble_like(organ: Organ, **changes: Any) -> Organ:
-    """Return the organ assembled anew, with new springs and some arguments of assemble_organ changed.
+    """Return the organ reassembled, with new springs and some arguments of assemble_organ changed.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def assemble_like(organ: Organ, **changes: Any) -> Organ:
         When the organ was cut, as its cuts would heal.
     """
     if organ.n_virtual:
-        raise UserError(f"organ '{organ.name}' was cut, and would heal if it were assembled anew; use the uncut organ")
+        raise UserError(f"organ '{organ.name}' was cut, and would heal if it were reassembled; use the uncut organ")
     same = {
         "name": organ.name,
         "surface_positions": organ.surface_positions,

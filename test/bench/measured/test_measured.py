@@ -185,7 +185,7 @@ def test_figures_are_what_they_say():
     assert last["elements_worst_mm"] == pytest.approx(0.25)
     run = beam.as_json(fit, bent)["runs"][0]
     assert run["rest_off_percent"] == pytest.approx({"elements": 5.0, "model": -4.0})
-    assert run["motion_off_percent"] == pytest.approx({"elements": 10.0, "model": 20.0}), "from where it is let go"
+    assert run["motion_off_percent"] == pytest.approx({"elements": 10.0, "model": 20.0}), "from where it is released"
 
 
 @pytest.mark.extended

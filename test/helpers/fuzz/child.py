@@ -55,7 +55,7 @@ class Input(NamedTuple):
 
 
 class Child:
-    """The process, which is begun with its first input and begun anew after a crash."""
+    """The process, which is begun with its first input and begun again after a crash."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -74,9 +74,11 @@ class Hostile:
 
     def meet(self) -> None:
         """Wait until the node hears and answers."""
-        heard, ready = self._publishers.values(), self._services.values()
+        publishers, ready = self._publishers.values(), self._services.values()
         found = client.wait_until(
-            lambda: all(one.get_subscription_count() for one in heard) and all(s.service_is_ready() for s in ready),
+            lambda: (
+                all(one.get_subscription_count() for one in publishers) and all(s.service_is_ready() for s in ready)
+            ),
             30.0,
         )
         assert found, "the node was not found over DDS"

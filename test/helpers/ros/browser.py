@@ -22,7 +22,7 @@ def program() -> str | None:
     return next((found for name in NAMES if (found := shutil.which(name))), None)
 
 
-# Drawing in software takes every core there is: the page draws in earnest only when somebody takes a picture.
+# Drawing in software takes all cores: the page draws in full only when a picture is taken.
 BLIND = """
 for (const name of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
   const draw = WebGL2RenderingContext.prototype[name];

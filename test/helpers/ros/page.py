@@ -58,7 +58,7 @@ class Page:
         asyncio.run(self.poke.jaws._on_slider(SimpleNamespace(client_id=HAND, target=slider)))
 
     def press_and_let_go(self) -> None:
-        """Take the tool in hand, press the organ that ships until the hand feels it, let go."""
+        """Take up the tool, press the shipped organ until there is a force, release the tool."""
         assert self.wait(lambda: not self.poke._box.disabled)
         self.tick(True)
         assert self.wait(lambda: self.poke._tool.held and self.view.force is not None)
@@ -77,7 +77,7 @@ class Page:
         participant = Participant("hand")
         try:
             assert participant.set_parameter("stale_time", 0.3).successful
-            assert self.wait(lambda: self.force() == 0.0), "it is not let go"
+            assert self.wait(lambda: self.force() == 0.0), "it is not released"
             assert participant.set_parameter("stale_time", 5.0).successful
         finally:
             participant.close()

@@ -61,7 +61,7 @@ def test_another_processors_linear_algebra_repeats_to_the_last_bit(kernels):
 @pytest.mark.slow
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="another architecture was not measured")
 def test_another_instruction_set_repeats_to_the_last_bit(tmp_path):
-    """Compiles all kernels anew, in a folder of their own."""
+    """Compiles all kernels again, in a folder of their own."""
     compiled = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path / "generic")}
     words = ["--force-tolerance", "0", "--position-tolerance", "0"]
     done = subprocess.run(

@@ -139,7 +139,7 @@ def test_files_go_on_when_one_is_large(tmp_path):
 
 @pytest.fixture
 def stalled(tmp_path, monkeypatch):
-    """A recorder whose disk takes nothing until it is let go, and has room for 8 MB until then."""
+    """A recorder whose disk takes nothing until it is released, and has room for 8 MB until then."""
     let_go, stuck = threading.Event(), threading.Event()
     write = BagWriter.write
 

@@ -204,7 +204,7 @@ class Watcher(Client):
                 self._running = self.runs[-1]
 
     def grip(self):
-        """The newest three runs if jaws that were open have held something, lifted it and let go; else nothing."""
+        """The newest three runs if jaws that were open have held something, lifted it and released it; else nothing."""
         runs = self.runs[-3:]
         if [run.name for run in runs] != ["opened", "held", "opened"]:
             return None
@@ -239,7 +239,7 @@ def test_the_bridge_lifts_the_kidney_and_lets_go(tmp_path):
         assert np.median(before.forces) == 0.0, "open, they touch nothing"
         assert np.median(during.forces[len(during.forces) // 2 :]) > 0.2, "the hand feels what it lifts"
         assert watcher.set_parameter("stale_time", 0.05).successful
-        assert watcher.spin_until(lambda: abs(watcher.newest_lift) < 5e-4), "let go"
+        assert watcher.spin_until(lambda: abs(watcher.newest_lift) < 5e-4), "released"
         assert watcher.spin_until(lambda: np.abs(watcher.wrenches[-1][1]).max() == 0.0)
         assert "Traceback" not in player.text() + node.text()
         assert node.stop() == 0, node.text()

@@ -1,4 +1,4 @@
-"""What people do with the ros2 command line: pub poses by hand, load a dump of the parameters, misspell one."""
+"""What users do with the ros2 command line: pub poses by hand, load a dump of the parameters, misspell one."""
 
 import re
 import subprocess
@@ -69,7 +69,7 @@ def test_the_old_name_of_a_parameter_is_reported_with_the_new_one(node):
 
 
 def test_whole_numbers_are_taken_for_decimals(client):
-    """As people write them, at the start and later."""
+    """As users write them, at the start and later."""
     assert client.set_parameter("rate", 900).successful
     assert client.set_parameter("gravity", [0, 0, 1]).successful
     request = GetParameters.Request(names=["rate", "gravity"])

@@ -92,7 +92,7 @@ def test_angle_that_is_none_is_refused_and_counted(client, node, gripper):
 
 
 def test_jaws_that_open_change_the_force_and_a_bag_of_it_replays(folder, client, node, gripper):
-    # DDS matches both ends, not both at once; a tool first heard inside the organ would be held off.
+    # DDS matches both ends, not both at once; a tool whose first pose is inside the organ would be held off.
     assert client.spin_until(lambda: gripper.hold(-0.015, 0.0) or client.wrenches), "poses get no answer"
     for depth in np.linspace(-0.015, 0.004, 200):
         gripper.hold(depth, 0.0)

@@ -331,11 +331,11 @@ def test_signal_while_loading_ends_it(tmp_path, start, delay):
         processes[number] = start(tmp_path / number.name, wait=False)
     time.sleep(delay)
     for number, process in processes.items():
-        heard = hears(process)
+        is_ready = hears(process)
         process.child.send_signal(number)
-        if not heard:
+        if not is_ready:
             wait_for(lambda one=process: one.child.poll() is not None or hears(one))
-        code = process.wait() if heard else process.stop(number)
+        code = process.wait() if is_ready else process.stop(number)
         assert code in (0, -number), process.text()
         assert "Traceback" not in process.text() or code == -number
 

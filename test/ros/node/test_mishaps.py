@@ -103,9 +103,9 @@ def test_no_force_stands_while_the_loop_hangs(node, client):
     where = press_until_contact(client, partial(moved, client))
     assert sabotage(client, "hang").success
     assert client.spin_until(lambda: client.hand_force() == 0.0 or client.send_pose(where))
-    heard = len(client.wrenches)
-    assert client.spin_until(lambda: len(client.wrenches) > heard + 50 or client.send_pose(where))
-    assert not any(np.any(wrench) for _, wrench in client.wrenches[heard:])
+    before = len(client.wrenches)
+    assert client.spin_until(lambda: len(client.wrenches) > before + 50 or client.send_pose(where))
+    assert not any(np.any(wrench) for _, wrench in client.wrenches[before:])
     assert client.spin_until(lambda: "loop hangs" in client.message)
     assert sabotage(client, "resume").success
     client.ask(OUTSIDE)

@@ -45,7 +45,7 @@ def only_client(node):
 
 @pytest.fixture
 def client(only_client):
-    """The client, with an organ at rest, and nothing heard but how it looks then."""
+    """The client, with an organ at rest, and no messages received but its shape then."""
     assert only_client.set_parameter("stale_time", 5.0).successful
     only_client.reset()
     assert only_client.spin_until(lambda: only_client.moved() < 1e-6)
@@ -160,7 +160,7 @@ def test_stamp_that_runs_backwards_is_refused(client):
         return int(client.diagnostics.get("left.refused.backward_stamp", 0)) > 0
 
     assert client.spin_until(is_refused)
-    # A bridge that starts again with an older clock is heard after a pause.
+    # A bridge that starts again with an older clock is accepted after a pause.
     assert client.set_parameter("stale_time", 0.05).successful
     poses = int(client.report()["left.poses"])
 
@@ -229,13 +229,13 @@ def test_descriptors_tell_what_may_change_while_the_node_runs(client):
 
 
 def test_diagnostics_have_a_status_for_each_tool_and_organ(client):
-    heard = []
-    client.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+    reports = []
+    client.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
 
     def is_reported():
         client.send_pose((1.0, 0.0, 0.0), stamp=0.0)
         client.spin(0.02)
-        statuses = {status.name: status for status in heard[-1].status} if heard else {}
+        statuses = {status.name: status for status in reports[-1].status} if reports else {}
         return "refused.no_stamp" in statuses["tissue_sim: tool left"].message and statuses if statuses else None
 
     found = []

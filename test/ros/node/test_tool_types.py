@@ -72,7 +72,7 @@ class Tools(Client):
         }
         self.forces = node.create_publisher(Wrench, "plain/external_cf", best_effort)
         self.tf = node.create_publisher(TransformStamped, "/tf_static", LATCHED)
-        self.frames: dict[tuple[str, str], np.ndarray] = {}  # parent, child: the newest pose (7,) heard from tf
+        self.frames: dict[tuple[str, str], np.ndarray] = {}  # parent, child: the newest pose (7,) from tf
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         for topic, qos in (("/tf_static", latched), ("/tf", 10)):
             node.create_subscription(TransformStamped, topic, self._on_transform, qos)
@@ -137,11 +137,11 @@ class Tools(Client):
 
         def hold(depth: float) -> None:
             """A pose, until it is answered or a moment has passed."""
-            heard = len(wrenches)
+            before = len(wrenches)
             self.send(tool, to_device(touch + depth * inward), turn, frame)
             if force is not None:
                 self.forces.publish(force)
-            self.spin_until(lambda: len(wrenches) > heard, MOMENT)
+            self.spin_until(lambda: len(wrenches) > before, MOMENT)
 
         def is_settled() -> bool:
             hold(DEPTH)
@@ -236,7 +236,7 @@ def bag(node, tools):
     tools.tf.publish(transform)
     wrenches["led"] = tools.press("led", in_device, TURN.inv() * HELD, frame="camera")
     assert tools.axes["led"] == "camera", "the frame of its poses, not the one that led.frame_id names"
-    # The organ is registered anew, while the node runs, and then as it was.
+    # The organ is registered again, while the node runs, and then as it was.
     assert tools.set_parameter("organ_pose", [*ORGAN_ELSEWHERE, *TURN.as_quat()]).successful
     wrenches["registered"] = tools.press("odometry", lambda point: (TURN.apply(point) + ORGAN_ELSEWHERE) / 0.5, HELD)
     assert tools.spin_until(lambda: np.allclose(tools.frames["world", "organ"][:3], ORGAN_ELSEWHERE)), "tf has it"

@@ -63,27 +63,27 @@ def graph():
 
 def test_a_held_tool_publishes_until_it_is_released(graph):
     listener = Participant("listener")
-    heard = []
-    listener.node.create_subscription(PoseStamped, "left/measured_cp", heard.append, EVERY)
+    poses = []
+    listener.node.create_subscription(PoseStamped, "left/measured_cp", poses.append, EVERY)
     tool = PokedTool(graph, "left")
     assert not tool.held
     tool.take(np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.6, 0.0, 0.8]), "theatre")
-    assert listener.spin_until(lambda: len(heard) > 0)
+    assert listener.spin_until(lambda: len(poses) > 0)
     tool.goal = np.array([0.2, 0.2, 0.3])
-    assert listener.spin_until(lambda: heard[-1].pose.position.x > 0.19)
+    assert listener.spin_until(lambda: poses[-1].pose.position.x > 0.19)
     assert tool.rivals() == 0
-    message = heard[-1]
+    message = poses[-1]
     assert message.header.frame_id == "theatre"
     assert (message.pose.orientation.y, message.pose.orientation.w) == (0.6, 0.8)
-    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in heard])
-    x = np.array([m.pose.position.x for m in heard])
+    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in poses])
+    x = np.array([m.pose.position.x for m in poses])
     assert (np.diff(stamps) > 0.0).all()
     assert np.diff(x).max() <= TOP_SPEED * 0.021, "a leap"
     assert x[-1] <= 0.2002
     listener.node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
     assert listener.spin_until(lambda: tool.rivals() == 1)
     tool.release()
-    assert listener.hears_no_more(heard)
+    assert listener.hears_no_more(poses)
     listener.close()
 
 

@@ -46,7 +46,7 @@ def test_the_tools_are_those_of_the_node_and_change_with_it(server, graph):
     assert labels(server) == ["Poke with arm", "Poke with needle"]
     first = view.views[0]
     view.take(markers_of("arm", "needle"), 2.0)
-    assert view.views[0] is first, "not made anew for every message"
+    assert view.views[0] is first, "not made again for every message"
     view.take(markers_of("probe"), 3.0)
     assert labels(server) == ["Poke with probe"]
     view.update(3.1, [], None, "")

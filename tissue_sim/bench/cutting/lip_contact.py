@@ -1,8 +1,8 @@
 """Contact of the two walls of a cut in finite elements: nodes of one must not enter the other, without friction.
 
 A node that has entered is pushed back by a spring along the normal of the wall where it is nearest; which place that
-is, is determined anew until it doesn't change the equilibrium. The springs are so stiff that nodes enter by a hundredth
-of an element (penalty method; Wriggers, Computational Contact Mechanics, 2nd ed. 2006, chapters 5 and 9).
+is, is determined again until the equilibrium no longer changes. The springs are so stiff that nodes enter by a
+hundredth of an element (penalty method; Wriggers, Computational Contact Mechanics, 2nd ed. 2006, chapters 5 and 9).
 """
 
 from __future__ import annotations

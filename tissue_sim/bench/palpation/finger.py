@@ -13,7 +13,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench import rows
 from tissue_sim.bench.printing import Bound, aligned, bound_lines
 from tissue_sim.calibration.cases import CLEARANCE, Surface, surface_of
-from tissue_sim.calibration.sphere_compression import squeezed, touchable
+from tissue_sim.calibration.sphere_compression import compressed, touchable
 from tissue_sim.contact.scene import Scene
 from tissue_sim.errors import UserError
 from tissue_sim.identification.pressing import FRICTION, Press, ball, forces
@@ -107,7 +107,7 @@ def by_elements(organ: Organ, press: Press) -> Floats:
     starts = np.concatenate([[0.0], DEPTHS[:-1]])
     fractions = (np.arange(STEPS) + 1.0) / STEPS
     deep = (starts[:, None] + np.outer(DEPTHS - starts, fractions)).ravel()
-    steps = squeezed(solid, nodes, np.array([[press.at(depth)] for depth in deep]), FINGER)
+    steps = compressed(solid, nodes, np.array([[press.at(depth)] for depth in deep]), FINGER)
     found = np.full(len(deep), np.nan)
     for number, step in enumerate(steps):
         if step.settled:

@@ -198,7 +198,7 @@ def _closed(
 
 
 def _check_source(source: Path, unit: str | None, longest: float | None) -> None:
-    """Refuse a file that can't be read, and one whose unit nobody knows."""
+    """Refuse a file that can't be read, and one of unknown unit."""
     if not source.is_file():
         raise UserError(f"surface {source} does not exist; name a mesh file ({', '.join(FORMATS)})")
     suffix = source.suffix.lower()

@@ -50,7 +50,7 @@ __all__ = [
 
 
 _SMOOTHING = 0.8  # voxels of the mask: takes its steps away
-_SHRUNK = 0.05  # of the volume: where smoothing takes more, as it does in bodies a few voxels thick, it is made good
+_SHRUNK = 0.05  # of the volume: where smoothing takes more, as it does in bodies a few voxels thick, it is corrected
 _SHIFTS = 2  # Newton steps of the even shift that does so: the second changes a thousandth
 _MARGIN = 4  # voxels around the organ
 _INNER, _OUTER = 0.1, 0.5  # voxels, level beside a cut or membrane; unequal, so that marching cubes parts diagonals

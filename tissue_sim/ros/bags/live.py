@@ -119,7 +119,9 @@ class _Live:
             self._wrenches.append(client.NewestMessage(self._node, WrenchStamped, name["servo_cf"], KEEP, raw=True))
             self._answers.append({})
             self._forces.append(self._force_publisher(tool.name, name["external_cf"]))
-        self._wait(lambda: all(tool.heard for tool in self._tools) or None, "the node does not receive the poses")
+        self._wait(
+            lambda: all(tool.has_subscribers for tool in self._tools) or None, "the node does not receive the poses"
+        )
         self._wait(self._is_followed, f"/{target} sends nothing on /diagnostics")
         reset = self._node.create_client(Trigger, f"/{target}/reset")
         self._wait(lambda: reset.service_is_ready() or None, f"no service /{target}/reset")
@@ -221,16 +223,16 @@ class _Live:
             time.sleep(2e-4)
 
     def _hear(self) -> int:
-        heard = 0
+        received = 0
         for wrenches, inbox in zip(self._answers, self._wrenches, strict=True):
             for raw in inbox.take_all():
                 message = parse_stamped(raw, 6)
                 wrenches[self._tick(message.stamp)] = np.array(message.values)
-                heard += 1
+                received += 1
         for cloud in self._surfaces.take_all():
             stamp = cloud.header.stamp.sec * 1_000_000_000 + cloud.header.stamp.nanosec
             self._shapes[self._tick(stamp)] = client.cloud_array(cloud)
-        return heard
+        return received
 
     def _tick(self, stamp: int) -> int:
         return self._first + round((stamp - self._origin) / self._period)

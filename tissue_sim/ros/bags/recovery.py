@@ -34,7 +34,7 @@ OF_RUBBISH = (Exception,)
 HEADER, CHUNK, DATA_END = 0x01, 0x06, 0x0F  # opcodes of records
 LARGEST_CHUNK = 1 << 28  # bytes, unpacked; a recorder closes a chunk after some MB
 _UNPACKERS = {"zstd": zstd.ZstdDecompressor, "lz4": LZ4FrameDecompressor}
-ANEW = ".recovered"  # folder in a bag where a file is rewritten
+REWRITTEN = ".recovered"  # folder in a bag where a file is rewritten
 
 
 def is_interrupted(folder: Path) -> bool:
@@ -182,10 +182,10 @@ def _complete(folder: Path) -> int:
 
 
 def _rewrite(folder: Path, reader: McapReader) -> None:
-    anew = folder / ANEW
-    shutil.rmtree(anew, ignore_errors=True)  # left by a recovery that was broken off, too
+    rewritten = folder / REWRITTEN
+    shutil.rmtree(rewritten, ignore_errors=True)  # left by a recovery that was broken off, too
     try:
-        writer = BagWriter(anew)
+        writer = BagWriter(rewritten)
         writer.open()
         try:
             topics = {topic.topic: Topic(topic.msgtype, metadata.qos_of(topic)) for topic in reader.connections}
@@ -196,10 +196,10 @@ def _rewrite(folder: Path, reader: McapReader) -> None:
         except BaseException:
             writer.abort()
             raise
-        (made,) = anew.glob("*.mcap")
+        (made,) = rewritten.glob("*.mcap")
         made.replace(Path(str(reader.path)))
     finally:
-        shutil.rmtree(anew, ignore_errors=True)
+        shutil.rmtree(rewritten, ignore_errors=True)
 
 
 @contextmanager

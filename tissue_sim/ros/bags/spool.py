@@ -149,7 +149,7 @@ class Spool:
         try:
             self._write_all()
             writer.close()
-        except Exception as error:  # anything that goes wrong on the way to the disk
+        except Exception as error:  # any failure on the way to the disk
             with self._lock:
                 self._fail((isinstance(error, OSError) and error.strerror) or str(error))
             writer.abort()

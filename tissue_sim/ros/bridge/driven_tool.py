@@ -24,7 +24,7 @@ from tissue_sim.ros.shared.tool_link import ToolLink
 POSES = 5  # of a step: a bridge sends more often than an agent decides
 CLEAR = 0.006  # m from the surface to the tool at the beginning
 AWAY = 0.03  # m outwards to which it goes in the end
-ANSWERED = 3  # poses outside that the node answers before it begins: a tool first heard inside is held off
+ANSWERED = 3  # poses outside that the node answers before it begins: a tool whose first pose is inside is held off
 
 
 class Goal(NamedTuple):
@@ -77,11 +77,11 @@ class DrivenTool:
         if self._has_jaws:
             self._turn, self._angle = facing(-goal.outward), OPEN
 
-        def is_heard() -> bool:
+        def is_connected() -> bool:
             self._send(start)
             return self.answers >= ANSWERED
 
-        return bool(client.wait_until(is_heard, longest, stop))
+        return bool(client.wait_until(is_connected, longest, stop))
 
     def drive(self, learned: Learned, goal: Goal, start: Floats, steps: int, stop: client.Stop) -> Done:
         """Let an agent move the tool, until its goal is met as in its environment, or for so many steps.

@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         links, script, jaws, radius = cast(values, args)
         tools = [ScriptedTool(node, link, link.tool.name in jaws) for link in links]
         organ: Any = client.mesh_arrays(mesh)
-        client.wait_until(lambda: all(tool.heard for tool in tools), MATCHING, stop)
+        client.wait_until(lambda: all(tool.has_subscribers for tool in tools), MATCHING, stop)
         registration = Registration(node, args.node, parameters)
 
         def relinked() -> dict[str, ToolLink]:

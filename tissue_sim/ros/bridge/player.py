@@ -68,7 +68,7 @@ def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
 class Player:
     """Sends a path's poses for so many seconds; late ones are left out, so that speeds stay true.
 
-    relinked: asked before each pose, gives the tools' links anew, by their names, where the organ was moved.
+    relinked: asked before each pose, gives the tools' links again, by their names, where the organ was moved.
     """
 
     def __init__(

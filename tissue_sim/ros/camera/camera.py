@@ -1,4 +1,4 @@
-"""The camera's work for each picture: take the newest of everything, draw it, publish what somebody wants."""
+"""The camera's work for each picture: take the newest of everything, draw it, publish what has subscribers."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ class Camera:
             self._broadcast.move(stamp, {self._settings.frame_id: (self._frame_id, pose)})
 
     def _report(self, now: float) -> None:
-        """Ask for the parameters again where the organ was registered anew; publish how the pictures go."""
+        """Ask for the parameters again where the organ was registered again; publish how the pictures go."""
         lasted = now - self._reported
         if lasted < REPORT_EVERY:
             return

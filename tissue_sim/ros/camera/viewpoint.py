@@ -75,7 +75,7 @@ class FromTopic:
         self._node, self._axes, self._tell = node, axes, tell
         self._frames: Frames | None = None
         self._organ_frame, self._said = "", ""
-        self._given: PoseStamped | None = None  # the newest message, which is placed anew for every picture
+        self._given: PoseStamped | None = None  # the newest message, which is placed again for every picture
 
     def use(self, values: Mapping[str, Any]) -> None:
         """Use the parameters of the node, by name, for the frames that they place."""

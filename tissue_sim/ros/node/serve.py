@@ -24,7 +24,7 @@ from tissue_sim.version import __version__
 
 RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
 PROGRAM = "tissue_node"
-# Options of rcl that people give without --ros-args before them.
+# Options of rcl that users give without --ros-args before them.
 ROS_OPTIONS = ("-p", "--param", "--params-file", "-r", "--remap", "-e", "--enclave", "--log-level")
 SPIN, AFTER_FAILURE = 0.1, 0.01  # s for an event to come; s until the next try where rclpy fails
 TURN = 0.0005  # s per turn of the GIL, a tenth of Python's own: a pose must not wait for diagnostics
@@ -53,7 +53,7 @@ def serve(arguments: list[str], ending: ShutdownHandler) -> int:
     for answer in (asked[word] for word in arguments[1:] if word in asked):
         try:
             print(answer(), flush=True)
-        except BrokenPipeError:  # piped into head: nobody reads the rest
+        except BrokenPipeError:  # piped into head: the rest is not read
             stop_output()
         return 0
     sys.setswitchinterval(TURN)

@@ -52,7 +52,7 @@ def first_within[Found](find: Callable[[], Found], seconds: float, problem: str)
 
 
 class Graph(ExitStack):
-    """Context in which this process and its children are in a ROS domain that nobody else uses.
+    """Context in which this process and its children are in a ROS domain of their own.
 
     The children end with it.
 

@@ -119,7 +119,7 @@ class PokeProbe(Hand):
         return took
 
     def _poke(self, pokes: int, watch: Callable[[], object]) -> PokeFigures:
-        peaks, reports, gap, watched = np.zeros(pokes + 1), [], 0.0, 0
+        peaks, reports, gap, seen = np.zeros(pokes + 1), [], 0.0, 0
         began = sent = time.monotonic()
         while (elapsed := time.monotonic() - began) < pokes / POKES:
             gap = max(gap, began + elapsed - sent)
@@ -131,8 +131,8 @@ class PokeProbe(Hand):
                 poke = int(elapsed * POKES)
                 peaks[poke] = max(peaks[poke], float(np.hypot(np.hypot(force.x, force.y), force.z)))
             reports += self._take_reports()
-            if int(elapsed * POKES) > watched:
-                watched = int(elapsed * POKES)
+            if int(elapsed * POKES) > seen:
+                seen = int(elapsed * POKES)
                 watch()
             time.sleep(self._period * (1.0 - (time.monotonic() - began) / self._period % 1.0))
         return PokeFigures(peaks[:pokes], gap, reports)

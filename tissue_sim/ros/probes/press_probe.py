@@ -24,7 +24,7 @@ from tissue_sim.ros.shared.executors import make_executor
 
 LOOKED_AT = 0.05  # s at the end of a press whose wrenches are averaged
 PATIENCE = 2.0  # s for a service to answer, until it is asked again
-ANSWERED = 3  # poses outside that the node answers before a press begins: a tool first heard inside is held off
+ANSWERED = 3  # poses outside that the node answers before a press begins: a tool whose first pose is inside is held off
 
 
 class PressProbe(Hand):
@@ -61,12 +61,12 @@ class PressProbe(Hand):
         self._angles.publish(JointState(name=["jaw"], position=[0.0]))
         each = list(poses)
 
-        def is_heard() -> bool:
+        def is_answered() -> bool:
             self._send_and_feel(each[0])
             time.sleep(1.0 / rate)
             return len(self._answers) >= ANSWERED
 
-        first_within(is_heard, START_TIME, "no pose was answered")
+        first_within(is_answered, START_TIME, "no pose was answered")
         began, last, self.gap = time.monotonic(), -1, 0.0
         sent = began
         while (now := int((time.monotonic() - began) * rate)) < len(each):

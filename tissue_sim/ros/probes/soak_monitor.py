@@ -65,7 +65,7 @@ class Watch:
     node : Node
         That rclpy node.
     target : str
-        Name of the watched node.
+        Name of the monitored node.
     process : int
         Number of its process.
     """

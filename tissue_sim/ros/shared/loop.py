@@ -45,7 +45,7 @@ class Loop:
         self.joined_box = make_joined_box(len(self.simulations[0].shapes.kind))
         self._pairs, self._respiration = handle(self.joined_box.pairs), handle(self.joined_box.respiration)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
-        self.ended = False  # though nobody has asked for that
+        self.ended = False  # without having been stopped
         self.failure: BaseException | None = None  # error that ended it
         self._bell = ctypes.c_void_p(self.words.bell.ctypes.data)
         self._answered = ctypes.c_void_p(self.words.answered.ctypes.data)
@@ -53,7 +53,7 @@ class Loop:
         self._asked, self._waiting = field_of(control, "asked"), field_of(control, "waiting")
         self._napping, self._standing = field_of(control, "napping"), field_of(control, "standing")
         self._looked_up, self._sim_time = field_of(control, "looked_up"), field_of(control, "sim_time")
-        self._snapshot_lock = threading.Lock()  # held while somebody reads the requested states
+        self._snapshot_lock = threading.Lock()  # held while a thread reads the requested states
         for semaphore in (self._bell, self._answered):
             _libc.sem_init(semaphore, 0, 0)
         # Separate settings: those of a simulation change between ticks, when a parameter does.
@@ -289,7 +289,7 @@ class Loop:
 
     @contextmanager
     def snapshots(self, timeout: float = 1.0) -> Iterator[None]:
-        """Provide the whole state after one tick in the boxes of all organs, whoever else requests it.
+        """Provide the whole state after one tick in the boxes of all organs, whether or not another thread requests it.
 
         Parameters
         ----------

@@ -525,7 +525,7 @@ class Parameters:
         return SetParametersResult(successful=True)
 
     def _tell(self, parameters: list[Parameter]) -> None:
-        """Notify the listeners after a change that nobody refused."""
+        """Notify the listeners after a change that was not refused."""
         names = {parameter.name for parameter in parameters} & set(self._specs)
         for call in self.changed if names else []:
             call(names)

@@ -123,7 +123,7 @@ class UnexpectedErrors:
         return line
 
     def report(self, report: Report) -> None:
-        """Add how much went wrong, and where.
+        """Add the number of failures, and where they occurred.
 
         Parameters
         ----------

@@ -58,7 +58,7 @@ class ToolsView:
         self.pokes: list[Poke] = []
         self._plot: ForcePlot | None = None
         self._parameters: Mapping[str, Any] | None = None
-        self._heard = -np.inf
+        self._last_message = -np.inf
         if names is not None:
             self._make(names)
 
@@ -73,11 +73,11 @@ class ToolsView:
             The present time.
         """
         if message is None:
-            if now - self._heard > SILENT_AFTER:
+            if now - self._last_message > SILENT_AFTER:
                 for view in self.views:
                     view.hide()
             return
-        self._heard = now
+        self._last_message = now
         names = tuple(dict.fromkeys(marker.ns for marker in message.markers))
         if self._follows and names != self._names:
             self._make(names)

@@ -73,7 +73,7 @@ def report_of(worker):
 
 
 def test_a_tool_that_appears_inside_is_held_off_and_reported_each_time(scene, monkeypatch):
-    """So is one that was released, and appears there anew; but none that has pressed is taken for such a one."""
+    """So is one that was released, and appears there again; but none that has pressed is taken for such a one."""
     body, places, taken = scene.results.bodies[0], scene.results.body_pose, []
     monkeypatch.setattr(scene.physics, "post_contacts", lambda found: taken.append(int(found.engaged[0])) or len(taken))
     scene.worker.start()

@@ -118,7 +118,7 @@ def test_poses_that_are_stale_before_the_next_are_reported_by_their_gap(scene):
     come(0.6, count=1)
     assert scene.freshness.too_slow == pytest.approx(1.0 / 16.0), "a pause does not count for more than one"
     come(2.0, count=1)
-    assert scene.freshness.too_slow == 0.0, "a stream that begins anew"
+    assert scene.freshness.too_slow == 0.0, "a stream that begins again"
     come(0.3)
     assert scene.freshness.too_slow == pytest.approx(0.3)
     scene.clock.time += 2.0

@@ -121,6 +121,6 @@ def test_a_tool_that_is_disabled_lets_go_and_is_taken_up_again(client, node, pre
 
 
 def test_who_comes_late_hears_that_the_node_is_ready(client):
-    heard = []
-    client.node.create_subscription(Bool, "/tissue_sim/ready", heard.append, LATCHED)
-    assert client.spin_until(lambda: heard == [Bool(data=True)])
+    received = []
+    client.node.create_subscription(Bool, "/tissue_sim/ready", received.append, LATCHED)
+    assert client.spin_until(lambda: received == [Bool(data=True)])

@@ -232,7 +232,7 @@ def _cut_and_spread(organ: Organ, tools: Sequence[Tool]) -> Steps:
 
 
 def _split_and_spread(organ: Organ, tools: Sequence[Tool]) -> Steps:
-    """Split the lower pole, spread both halves with a gripper on each, and let go."""
+    """Split the lower pole, spread both halves with a gripper on each, and release them."""
     points = organ.surface_positions
     out, aside, front = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
     out, aside = -out * np.sign(out[2]), aside * np.sign(aside[0])

@@ -16,7 +16,7 @@ from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.qos import STREAM
 from tissue_sim.ros.shared.report import Report
 
-PAUSE = 1.0  # s without a message after which a stream may begin anew, with any stamp
+PAUSE = 1.0  # s without a message after which a stream may begin again, with any stamp
 
 
 class RespirationInput:

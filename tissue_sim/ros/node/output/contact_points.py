@@ -1,4 +1,4 @@
-"""Contact points of each tool as point clouds: collected only while somebody subscribes."""
+"""Contact points of each tool as point clouds: collected only while there are subscribers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ContactPoints:
         self.gathered = 0  # times that the loop was asked for its state
 
     def present(self) -> None:
-        """Publish the points of tools that somebody subscribes to, if anything has moved."""
+        """Publish the points of tools that have subscribers, if anything has moved."""
         wanted = [one.get_subscription_count() for one in self._publishers]
         if not any(wanted):
             return

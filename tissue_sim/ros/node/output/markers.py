@@ -200,7 +200,7 @@ class OrganMarkers:
         self._drawn = Drawn(np.concatenate(drawn).astype(np.int64), ends)
         markers += [force_arrow(frame_id, "contacts", tool) for tool in range(n_tools)]
         self._bytes = MarkerBytes(markers)
-        # Compiled here, or while somebody waits for the first message.
+        # Compiled here, or else while a subscriber waits for the first message.
         rest = np.concatenate([shown.rest for shown in organs.values()])
         all_finite(rest)
         fraction = np.zeros(len(rest)) if coloured else None

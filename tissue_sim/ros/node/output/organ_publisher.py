@@ -1,4 +1,4 @@
-"""Publishing of organs at the marker rate: markers, surface, skeleton; only what somebody subscribes to."""
+"""Publishing of organs at the marker rate: markers, surface, skeleton; only what has subscribers."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class OrganPublisher:
 
 
 class ScenePublisher:
-    """Publisher of the markers of a scene's organs as one array, and of its ligaments, while somebody subscribes."""
+    """Publisher of the markers of a scene's organs as one array, and of its ligaments, while there are subscribers."""
 
     def __init__(
         self,

@@ -56,7 +56,7 @@ class ToolMarkers:
         stamp : int, ns
             Its time.
         placed : Sequence[Floats | None], shape (b, 7) each, m and quaternion xyzw
-            Poses of each tool's bodies, or None where nobody moves it.
+            Poses of each tool's bodies, or None where it isn't moved.
         tips : Floats, shape (T, 3), m
             Starts of the arrows.
         forces : Floats, shape (T, 3), N

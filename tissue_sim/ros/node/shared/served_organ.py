@@ -115,7 +115,7 @@ class ServedScene:
 
 
 def described(names: Sequence[str], organs: Sequence[Organ]) -> str:
-    """Return what is served, for people.
+    """Return a description of what is served.
 
     Parameters
     ----------
