@@ -53,9 +53,10 @@ def test_a_profile_that_a_parent_chose_for_another_range_is_chosen_anew():
 
 
 def test_both_profiles_differ_in_the_interfaces_and_in_what_is_announced_alone():
-    """On loopback every 0.2 s: programs of ROS's default range are not discovered there before they discover the
-    node.""" trees = [ElementTree.parse(ROOT / name).getroot() for name in (PROFILE, LOCAL_PROFILE)] lists =
-    "{*}transport_descriptors/{*}transport_descriptor" for descriptor in trees[1].findall(lists):
+    """On loopback every 0.2 s: programs of ROS's default range would discover the node too late there."""
+    trees = [ElementTree.parse(ROOT / name).getroot() for name in (PROFILE, LOCAL_PROFILE)]
+    lists = "{*}transport_descriptors/{*}transport_descriptor"
+    for descriptor in trees[1].findall(lists):
         for found in descriptor.findall("{*}interfaceWhiteList"):
             assert [address.text for address in found] == ["127.0.0.1"]
             descriptor.remove(found)
