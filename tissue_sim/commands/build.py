@@ -28,6 +28,7 @@ from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, usual_edge
+from tissue_sim.outputs import check_folder
 from tissue_sim.progress import task
 
 # Relative durations of the stages of a usual build; only the pace of the progress bar depends on them.
@@ -157,8 +158,7 @@ def _run(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     source = _source(args)
     out = Path(args.out)
-    if not out.parent.is_dir():
-        raise UserError(f"folder {out.parent} for the organ file does not exist; make it first")
+    check_folder(out, "the organ file")
     report = report_path(args, out)
     _check_counts(args)
     name = args.name or stem_of(Path(source))
@@ -324,8 +324,7 @@ def report_path(args: argparse.Namespace, out: Path) -> Path | None:
     path = Path(args.report) if args.report else out.with_suffix(".html")
     if path.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"--report {path} must end in .html; without a file name, put --report last")
-    if not path.parent.is_dir():
-        raise UserError(f"folder {path.parent} for the report does not exist; make it first")
+    check_folder(path, "the report")
     for library in ("matplotlib", "jinja2"):
         if importlib.util.find_spec(library) is None:
             raise UserError(f"--report needs {library}; {EXTRA}")

@@ -20,6 +20,7 @@ from tissue_sim.identification.slab import PREFIX, cached_slab, slab_size
 from tissue_sim.identification.stream import Stream, found_in
 from tissue_sim.identification.table import STREAM, is_stream, presses_of, read_columns
 from tissue_sim.organ.organ import Organ
+from tissue_sim.outputs import check_organ_file
 from tissue_sim.version import __version__
 
 LARGEST = 0.5  # m, radius of a tool
@@ -116,10 +117,7 @@ def organ_of(word: str) -> Organ:
 
 def _check(args: argparse.Namespace) -> None:
     out = Path(args.out)
-    if out.suffix != ".npz":
-        raise UserError(f"--out {out} must end in .npz")
-    if not out.parent.is_dir():
-        raise UserError(f"folder {out.parent} for the organ file does not exist; make it first")
+    check_organ_file(out)
     if args.report and not (importlib.util.find_spec("matplotlib") and importlib.util.find_spec("jinja2")):
         raise UserError("--report needs matplotlib and jinja2: pip install 'tissue_sim[image]'")
     if args.radius is not None and not 0.0 < args.radius <= LARGEST:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim.bench.palpation.finger import DEPTHS, MAP_DEPTH, Map, PressForces
 from tissue_sim.errors import UserError
+from tissue_sim.figures import empty_figure
 from tissue_sim.organ.organ import Organ
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def write_plots(organ: Organ, pressed: Sequence[PressForces], maps: Sequence[Map], folder: str) -> list[Path]:
@@ -48,12 +52,11 @@ def write_plots(organ: Organ, pressed: Sequence[PressForces], maps: Sequence[Map
     return paths
 
 
-def drawn(organ: Organ, pressed: PressForces, around: Map) -> Any:
+def drawn(organ: Organ, pressed: PressForces, around: Map) -> Figure:
     """Return curves on the left, and the map with the inclusion's outline, seen along the finger's direction."""
-    from matplotlib.figure import Figure
     from scipy.spatial import ConvexHull
 
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    figure = empty_figure(10.0, 4.4)
     left, right = figure.subplots(1, 2)
     depths = np.concatenate([[0.0], DEPTHS]) * 1e3
     for force, name, style in (
