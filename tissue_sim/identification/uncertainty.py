@@ -13,6 +13,7 @@ from tissue_sim.calibration.cases import surface_of
 from tissue_sim.identification.force_curves import ForceCurves
 from tissue_sim.identification.measured import Samples
 from tissue_sim.identification.mixed_effects import FRACTION, NOISE, Fit, Priors, fitted
+from tissue_sim.identification.places import clear_of_clamp
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.tool_resolution import mean_edge
 
@@ -143,11 +144,8 @@ def _variance(curves: ForceCurves, fit: Fit, priors: Priors, depth: float) -> fl
 
 def _farthest(organ: Organ, points: Floats) -> Floats:
     """Return the surface nodes (k, 3) m that are farthest from pressed points and clear of the clamp."""
-    surface = surface_of(organ)
-    free = np.ones(len(surface.positions), dtype=bool)
-    if len(organ.fixed):
-        free = cKDTree(surface.positions[organ.fixed]).query(surface.positions)[0] > CLEAR * mean_edge(organ)
-    candidates, taken = surface.positions[free], points
+    positions, taken = organ.surface_positions, points
+    candidates = positions[clear_of_clamp(organ, positions, CLEAR)]
     chosen = []
     for _ in range(min(PROPOSED, len(candidates))):
         chosen.append(candidates[int(cKDTree(taken).query(candidates)[0].argmax())])

@@ -73,6 +73,25 @@ def inclusions_of(organ: Organ) -> list[Inclusion]:
     return found
 
 
+def existing_inclusions(organ: Organ) -> list[Inclusion]:
+    """Return the inclusions of an organ that must have some.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Raises
+    ------
+    UserError
+        Where it has none.
+    """
+    found = inclusions_of(organ)
+    if not found:
+        raise UserError(f"organ '{organ.name}' has no inclusion; build it with --mask and --inclusion")
+    return found
+
+
 def with_inclusions(organ: Organ, inclusions: Sequence[Inclusion]) -> Organ:
     """Return the organ with these inclusions in place of its own; its springs and cells are unchanged.
 

@@ -15,9 +15,8 @@ from tissue_sim.bench.printing import Bound, aligned, bound_lines
 from tissue_sim.calibration.cases import CLEARANCE, Surface, surface_of
 from tissue_sim.calibration.sphere_compression import compressed, touchable
 from tissue_sim.contact.scene import Scene
-from tissue_sim.errors import UserError
 from tissue_sim.identification.pressing import FRICTION, Press, ball, forces
-from tissue_sim.organ.inclusions import Inclusion, inclusions_of, with_inclusions
+from tissue_sim.organ.inclusions import Inclusion, existing_inclusions, with_inclusions
 from tissue_sim.organ.organ import Organ
 
 FINGER = 0.007  # m, radius
@@ -58,9 +57,7 @@ class Map(NamedTuple):
 
 def measure(organ: Organ) -> list[PressForces]:
     """Return a curve for each inclusion. Raises UserError for an organ without any, and as Body does."""
-    inclusions = inclusions_of(organ)
-    if not inclusions:
-        raise UserError(f"organ '{organ.name}' has no inclusion; build it with --mask and --inclusion")
+    inclusions = existing_inclusions(organ)
     found = []
     with rows.until_stopped():
         for inclusion in rows.each(inclusions, "inclusions"):

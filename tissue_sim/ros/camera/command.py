@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -93,13 +92,9 @@ def run(args: argparse.Namespace) -> int:
             f" {camera.drawn.drawn_by}; drawn when there are subscribers",
             flush=True,
         )
+        period = 1.0 / settings.rate
         try:
-            due = time.monotonic()
-            while not stop:
-                period = 1.0 / settings.rate if camera.update() else min(IDLE_TIME, 1.0 / settings.rate)
-                now = time.monotonic()
-                due = max(due + period, now + 0.001)
-                time.sleep(due - now)
+            client.repeat(stop, lambda: period if camera.update() else min(IDLE_TIME, period))
         finally:
             camera.close()
         if camera.bag is not None and camera.bag.problem:

@@ -17,7 +17,6 @@ from tissue_sim.ros.shared.domains import claim_domain
 
 NODE = "tissue_sim"
 START_TIME = 240.0  # s for the node to start, with kernels to compile
-_PLACE = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")
 
 
 def check_rclpy() -> None:

@@ -195,6 +195,24 @@ def wait_until(ask: Callable[[], Any], longest: float, stop: object = False) -> 
     return answer
 
 
+def repeat(stop: Stop, turn: Callable[[], float]) -> None:
+    """Call a function periodically until a signal comes.
+
+    Parameters
+    ----------
+    stop : Stop
+        Whether it has come.
+    turn : Callable[[], float]
+        The function; it returns the time, s, from the time when it was due until the next call.
+    """
+    due = time.monotonic()
+    while not stop:
+        period = turn()
+        now = time.monotonic()
+        due = max(due + period, now + 0.001)
+        time.sleep(due - now)
+
+
 def stream_qos() -> QoSProfile:
     """Return the QoS of poses, wrenches and surfaces."""
     from tissue_sim.ros.shared.qos import STREAM

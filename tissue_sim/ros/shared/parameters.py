@@ -554,6 +554,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     return list(value) if isinstance(value, (list, tuple, array.array)) else value
-
-
-SETTING_OF = {spec.name: spec.setting for spec in NODE_SPECS if spec.setting}
