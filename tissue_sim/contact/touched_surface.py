@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -209,7 +207,7 @@ def _cells_under(triangles: Ints, cut: CutSurface) -> tuple[Longs, Floats, Mask]
 
 
 @kernel
-def _place(position: Any, nodes: Any, weights: Any, own: int, points: Any) -> None:
+def _place(position: Floats, nodes: Longs, weights: Floats, own: int, points: Floats) -> None:
     """Write where points (p, 3) m are, of which the first `own` are nodes."""
     for point in range(own):
         for axis in range(3):

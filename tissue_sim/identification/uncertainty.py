@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 from scipy.stats import norm, t
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.calibration.cases import surface_of
 from tissue_sim.identification.force_curves import ForceCurves
 from tissue_sim.identification.measured import Samples
 from tissue_sim.identification.mixed_effects import FRACTION, NOISE, Fit, Priors, fitted
