@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from tissue_sim.errors import UserError
@@ -61,3 +62,24 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot make folder {path}: {error.strerror}; name another with --out") from None
+
+
+def write_json(path: Path, values: object) -> None:
+    """Write values to a file, as JSON.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    values : object
+        What JSON can hold.
+
+    Raises
+    ------
+    UserError
+        Where it can't be written.
+    """
+    try:
+        path.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from None

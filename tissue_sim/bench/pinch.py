@@ -14,11 +14,12 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench import pinch_reference, rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.pinch_tools import Pinch, pairs, pinched
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines, write_json
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines
 from tissue_sim.bench.timing import in_one_thread, noise_burst
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.outputs import write_json
 
 FRACTIONS = (0.2, 0.4, 0.6)  # fractions of the organ's width by which the tools squeeze it
 NOT_COMPARED = (
@@ -66,7 +67,7 @@ def table_of(args: argparse.Namespace, organ: Organ) -> dict[str, Any] | None:
             raise UserError("--remake writes a file; name it with --reference FILE")
         if path.suffix == ".npz":
             raise UserError(f"--reference {path} would write over an organ; name a file like pinch.json")
-        write_json(pinch_reference.make(organ), path)
+        write_json(path, pinch_reference.make(organ))
     return None if path is None else pinch_reference.read(path, organ)
 
 

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from tissue_sim import progress
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load, press_node
 from tissue_sim.bench.printing import Bound, bound_lines, emit, exit_code, figure, noise_lines, with_remarks
@@ -34,9 +34,10 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
+from tissue_sim.model.data.world import World
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.stepping.coupled_step import tick_coupled
+from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled
 from tissue_sim.model.stepping.inputs import load_nodes
 from tissue_sim.model.stepping.wake_threshold import WAKE_DISPLACEMENT, WAKE_FORCE
 from tissue_sim.organ.normals import surface_normals
@@ -218,7 +219,7 @@ class JoinedTicks:
     look: called every LOOK ticks, and not timed; finds what touches.
     """
 
-    def __init__(self, joined: Joined, poked: Iterable[int], look: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, joined: CoupledOrgans, poked: Iterable[int], look: Callable[[], None] = lambda: None) -> None:
         self.joined, self._look, chosen = joined, look, set(poked)
         none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
         loads = [
@@ -239,7 +240,14 @@ class JoinedTicks:
 
 
 @numba.njit(nogil=True, error_model="numpy")
-def _time_joined(worlds: Any, joined: Any, loads: Any, phase: Any, clock: Any, times: Any) -> None:
+def _time_joined(
+    worlds: Sequence[World],
+    joined: CoupledOrgans,
+    loads: Sequence[tuple[Longs, Floats]],
+    phase: Longs,
+    clock: Longs,
+    times: Longs,
+) -> None:
     """Step len(times) ticks and write the ns that each took, in a compiled loop as in the node."""
     for index in range(len(times)):
         fraction = swelling(phase)

@@ -28,9 +28,9 @@ AHEAD = 256  # items that the cluster has at a time: enough for hundreds of work
 _ASKED, _ANSWERED = "asked", "answered"  # files that a calculation's process reads and writes
 
 
-def spread[Item](
-    job: Callable[[Item], Any], items: Iterable[Item], *, jobs: int = 1, scheduler: str | None = None
-) -> Iterator[tuple[int, Any]]:
+def spread[Item, Result](
+    job: Callable[[Item], Result], items: Iterable[Item], *, jobs: int = 1, scheduler: str | None = None
+) -> Iterator[tuple[int, Result | UserError]]:
     """Yield the results of a job for every item, with the item's index, in the order in which they are ready.
 
     Where there is no result, a UserError that says why takes its place. Job and items are pickled, items one after the
@@ -38,7 +38,7 @@ def spread[Item](
 
     Parameters
     ----------
-    job : Callable[[Item], Any]
+    job : Callable[[Item], Result]
         A module's function, called with an item.
     items : Iterable[Item]
         The items.
@@ -49,7 +49,7 @@ def spread[Item](
 
     Yields
     ------
-    Iterator[tuple[int, Any]]
+    Iterator[tuple[int, Result | UserError]]
         Index and result.
 
     Raises
@@ -62,7 +62,7 @@ def spread[Item](
         return
     stopped = threading.Event()
     following = enumerate(items)
-    running: dict[Future[Any], int] = {}
+    running: dict[Future[Result | UserError], int] = {}
     with ThreadPoolExecutor(jobs) as threads:
         try:
             while True:
@@ -77,12 +77,14 @@ def spread[Item](
             stopped.set()
 
 
-def on_cluster[Item](job: Callable[[Item], Any], items: Iterable[Item], scheduler: str) -> Iterator[tuple[int, Any]]:
+def on_cluster[Item, Result](
+    job: Callable[[Item], Result], items: Iterable[Item], scheduler: str
+) -> Iterator[tuple[int, Result | UserError]]:
     """Yield the results of a job for every item, computed in the processes of a Dask cluster's workers.
 
     Parameters
     ----------
-    job : Callable[[Item], Any]
+    job : Callable[[Item], Result]
         A module's function, called with an item.
     items : Iterable[Item]
         The items.
@@ -91,7 +93,7 @@ def on_cluster[Item](job: Callable[[Item], Any], items: Iterable[Item], schedule
 
     Yields
     ------
-    Iterator[tuple[int, Any]]
+    Iterator[tuple[int, Result | UserError]]
         Index and result.
 
     Raises
@@ -133,7 +135,9 @@ def on_cluster[Item](job: Callable[[Item], Any], items: Iterable[Item], schedule
                 ready.add(more)
 
 
-def _in_process(work: tuple[Callable[[Any], Any], Any], stopped: threading.Event | None = None) -> Any:
+def _in_process[Item, Result](
+    work: tuple[Callable[[Item], Result], Item], stopped: threading.Event | None = None
+) -> Result | UserError:
     """Run job(item) in a new process; return its result, or a UserError.
 
     The process isn't multiprocessing's: Dask's workers are daemons, for which multiprocessing allows no children.

@@ -150,7 +150,7 @@ def as_json(pressed: Sequence[PressForces], maps: Sequence[Map]) -> dict[str, An
                 "reference_n": one.reference.tolist(),
                 "plain_reference_n": one.plain.tolist(),
                 "off_percent": one.off.tolist(),
-                "told_apart_percent": one.inclusion_effect.tolist(),
+                "inclusion_effect_percent": one.inclusion_effect.tolist(),
                 "map": {
                     "nodes": around.nodes.tolist(),
                     "stiffness_n_per_m": around.stiffness.tolist(),
@@ -165,7 +165,7 @@ def text(organ: Organ, found: dict[str, Any]) -> str:
     lines = [f"organ '{organ.name}': a finger of {1e3 * found['finger_m']:g} mm, held, without slip"]
     for row in found["inclusions"]:
         table = [["deep mm", "force N", "finite elements N", "error %", "without the inclusion N", "effect %"]]
-        keys = ("depth_m", "force_n", "reference_n", "off_percent", "plain_reference_n", "told_apart_percent")
+        keys = ("depth_m", "force_n", "reference_n", "off_percent", "plain_reference_n", "inclusion_effect_percent")
         for depth, force, reference, off, plain, apart in zip(*(row[key] for key in keys), strict=True):
             numbers = [f"{force:.3f}", f"{reference:.3f}", f"{off:.2f}", f"{plain:.3f}", f"{apart:.1f}"]
             table.append([f"{1e3 * depth:g}", *numbers])

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.array_types import Floats, Ints
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 
 _MOST_CELLS = 4e6

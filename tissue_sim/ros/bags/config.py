@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 _LARGEST = 1e15
 _LONGEST = 4096  # characters of a name or path
 
-Fits = Callable[[Any], bool]
+Fits = Callable[[object], bool]
 
 
 def read_config(text: str) -> dict[str, Any]:
@@ -83,33 +83,33 @@ def _check(values: Mapping[str, Any], where: str, wanted: Mapping[str, Fits]) ->
             raise ValueError(f"its configuration's '{where}{name}' is of another type")
 
 
-def _is_object(value: Any) -> bool:
+def _is_object(value: object) -> bool:
     return isinstance(value, dict)
 
 
-def _is_filled(value: Any) -> bool:
-    return _is_object(value) and len(value) > 0
+def _is_filled(value: object) -> bool:
+    return isinstance(value, dict) and len(value) > 0
 
 
-def _is_name(value: Any) -> bool:
+def _is_name(value: object) -> bool:
     return isinstance(value, str) and len(value) <= _LONGEST and (not value or value.isprintable())
 
 
-def _is_whole(value: Any) -> bool:
-    return type(value) is int and abs(value) < 2**62
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**62
 
 
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and abs(value) <= _LARGEST
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
 
 
-def _is_rate(value: Any) -> bool:
+def _is_rate(value: object) -> bool:
     return _is_number(value) and value > 0
 
 
-def _is_vector(value: Any) -> bool:
+def _is_vector(value: object) -> bool:
     return isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))
 
 
-def _is_names(value: Any) -> bool:
+def _is_names(value: object) -> bool:
     return isinstance(value, list) and all(map(_is_name, value)) and len(set(value)) == len(value)

@@ -66,7 +66,7 @@ def differences(first: Described, second: Described) -> list[str]:
     """
     lines = []
 
-    def report(what: str, one: Any, other: Any) -> None:
+    def report(what: str, one: object, other: object) -> None:
         if one != other:
             lines.append(f"{what}: {first.how} {shown(str(one), _LONGEST)}, {second.how} {shown(str(other), _LONGEST)}")
 

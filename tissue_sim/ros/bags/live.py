@@ -87,13 +87,13 @@ class _Live:
         begun = time.monotonic()
         for tick in sorted(inputs):
             ahead = begun + 1e-9 * self._period * (tick - self._first) - time.monotonic()
-            self._tell(tick - 1)
+            self._publish_time(tick - 1)
             time.sleep(max(RAN, ahead))
             self._hear()
             for send in inputs[tick]:
                 send(self._stamp(tick))
             self._answered()
-            self._tell(tick)
+            self._publish_time(tick)
         time.sleep(ANSWERED)
         self._hear()
         return notes, self._shown()
@@ -155,7 +155,7 @@ class _Live:
         return notes
 
     def _is_followed(self) -> bool | None:
-        self._tell(self._first)
+        self._publish_time(self._first)
         status = client.physics_status(self._reports.take_all(), self._target)
         if status is not None and status.get("clock") == "wall":
             raise UserError(f"/{self._target} does not follow /clock: start it with use_sim_time:=true")
@@ -171,7 +171,7 @@ class _Live:
     def _stamp(self, tick: int) -> int:
         return self._origin + (tick - self._first) * self._period
 
-    def _tell(self, tick: int) -> None:
+    def _publish_time(self, tick: int) -> None:
         self._clock.publish(Clock(clock=Time(nanoseconds=self._stamp(tick)).to_msg()))
 
     def _inputs(self) -> dict[int, list[Callable[[int], None]]]:

@@ -80,7 +80,7 @@ class Player:
         self._tools, self._relinked = tools, relinked
         self._end = np.inf if seconds is None else time.monotonic() + seconds
         self.skipped = 0
-        self._told: set[str] = set()  # tools whose other publishers were reported
+        self._warned: set[str] = set()  # tools whose other publishers were reported
 
     def play(self, path: Path, stop: client.Stop, meshes: client.NewestMessage, organ: Floats) -> Any:
         """Play a path repeatedly until the time is over, a signal asks for it, or the node has another organ.
@@ -122,8 +122,8 @@ class Player:
 
     def _warn_of_other_publishers(self) -> None:
         for tool in self._tools:
-            if tool.name not in self._told and tool.rivals() > 0:
-                self._told.add(tool.name)
+            if tool.name not in self._warned and tool.rivals() > 0:
+                self._warned.add(tool.name)
                 what = f"{tool.topic} has another publisher: {tool.name} jumps between the two"
                 sys.stderr.write(f"tissue_sim bridge: {what}\n")
 

@@ -66,13 +66,13 @@ class FromTopic:
         Topic of a PoseStamped.
     axes : Transform
         Of AXES.
-    tell : Callable[[str], object]
+    warn : Callable[[str], object]
         Takes a line about a pose that can't be used.
     """
 
-    def __init__(self, node: Node, topic: str, axes: Transform, tell: Callable[[str], object]) -> None:
+    def __init__(self, node: Node, topic: str, axes: Transform, warn: Callable[[str], object]) -> None:
         self._inbox = client.NewestMessage(node, PoseStamped, topic, client.stream_qos())
-        self._node, self._axes, self._tell = node, axes, tell
+        self._node, self._axes, self._warn = node, axes, warn
         self._frames: Frames | None = None
         self._organ_frame, self._said = "", ""
         self._given: PoseStamped | None = None  # the newest message, which is placed again for every picture
@@ -93,7 +93,7 @@ class FromTopic:
         except (ValueError, UnknownFrame) as error:
             line = f"no pictures: the camera's pose in frame '{frame_id}' can't be used: {error}"
             if line != self._said:
-                self._tell(line)
+                self._warn(line)
             self._said = line
             return None
 

@@ -172,12 +172,12 @@ def node_beside(node: Node, what: str) -> Node:
     )
 
 
-def wait_until(ask: Callable[[], Any], longest: float, stop: object = False) -> Any:
+def wait_until[Answer](ask: Callable[[], Answer], longest: float, stop: object = False) -> Answer:
     """Ask until the answer is neither None nor False, a condition is true, or time is over.
 
     Parameters
     ----------
-    ask : Callable[[], Any]
+    ask : Callable[[], Answer]
         Gives an answer.
     longest : float, s
         That time.
@@ -186,7 +186,7 @@ def wait_until(ask: Callable[[], Any], longest: float, stop: object = False) -> 
 
     Returns
     -------
-    Any
+    Answer
         the last answer
     """
     end = time.monotonic() + longest

@@ -372,7 +372,7 @@ class Parameters:
         self._warn_of_unknown()
         node.add_pre_set_parameters_callback(lambda given: [self._as_meant(parameter) for parameter in given])
         node.add_on_set_parameters_callback(self._check)
-        node.add_post_set_parameters_callback(self._tell)
+        node.add_post_set_parameters_callback(self._notify)
 
     def __getitem__(self, name: str) -> Any:
         return self._node.get_parameter(name).value
@@ -524,7 +524,7 @@ class Parameters:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _tell(self, parameters: list[Parameter]) -> None:
+    def _notify(self, parameters: list[Parameter]) -> None:
         """Notify the listeners after a change that was not refused."""
         names = {parameter.name for parameter in parameters} & set(self._specs)
         for call in self.changed if names else []:

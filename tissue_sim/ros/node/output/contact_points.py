@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -122,7 +121,7 @@ def warm_up(shapes: Shapes) -> None:
 
 
 @kernel
-def write_normals(shapes: Shapes, bodies: Any, poses: Any, places: Any, normals: Any) -> None:
+def write_normals(shapes: Shapes, bodies: Longs, poses: Floats, places: Floats, normals: Floats) -> None:
     """Write the outward normals (k, 3) of bodies (k,) at places (k, 3) m near their surfaces; poses (B, 7) of all."""
     origin, r = np.zeros(3), np.zeros(9)
     for index in range(len(bodies)):

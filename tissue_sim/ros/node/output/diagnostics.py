@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -161,7 +160,7 @@ def _add_all(report: Report, results: Sequence[Results]) -> None:
     }
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4f}" if abs(value) < 10.0 else f"{value:.1f}"
     return str(value)
