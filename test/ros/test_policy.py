@@ -12,7 +12,7 @@ from helpers.paths import CONFIG
 from helpers.ros.processes import FAKE_TF, Process, running_node
 from tissue_sim.ros import policy
 from tissue_sim.ros.node.services.simulation_services import SERVICES
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS
 
 SHIPPED = (CONFIG / "sros2_policy.xml").read_text()
 KINDS = ("publish", "subscribe", "reply", "request")

@@ -12,7 +12,8 @@ from helpers.ros.node_values import values as defaults
 from helpers.ros.processes import UNHURRIED, Process, poke_path, running_node, shipped
 from tissue_sim.ros.policy import enclaves_of
 from tissue_sim.ros.shared.frames import tip_frame, wrench_frame
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, check_frames, placed_frames
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS
+from tissue_sim.ros.shared.parameter_values import check_frames, placed_frames
 
 PROFILES = {path.stem: path for path in sorted((CONFIG / "bridges").glob("*.yaml"))}
 

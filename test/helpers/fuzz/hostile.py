@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.cdr import parse_stamped
-from tissue_sim.ros.shared.parameters import NODE_SPECS
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS
 from tissue_sim.ros.shared.report import STARVED
 
 TOOLS = ("left", "right", "jaws")

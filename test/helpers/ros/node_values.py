@@ -1,6 +1,6 @@
 """What a node's parameters say to the programs beside it."""
 
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS
 
 
 def values(*tools: str, **given: object) -> dict[str, object]:

@@ -24,7 +24,7 @@ from helpers.ros.processes import (
     start_publisher,
 )
 from tissue_sim.cli import main
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from helpers.paths import CONFIG
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS
 
 FILE = CONFIG / "tissue_node.yaml"
 

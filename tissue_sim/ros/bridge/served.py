@@ -72,7 +72,7 @@ def _missing(args: argparse.Namespace, what: str, stop: client.Stop) -> None:
 
 def _organ_of(values: Mapping[str, Any], args: argparse.Namespace) -> str:
     """Return the prefix of the organ's topics below the node's name: in a scene its name."""
-    from tissue_sim.ros.shared.parameters import ORGANS
+    from tissue_sim.ros.shared.parameter_specs import ORGANS
 
     names = list(values.get(ORGANS, ()))  # a node without this parameter has one organ
     if args.organ and args.organ not in names:

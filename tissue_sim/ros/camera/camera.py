@@ -27,7 +27,7 @@ from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.messages import NumbersTemplate
 from tissue_sim.ros.shared.node_parameters import NodeParameters
 from tissue_sim.ros.shared.organ_topics import path_of
-from tissue_sim.ros.shared.parameters import ORGANS
+from tissue_sim.ros.shared.parameter_specs import ORGANS
 from tissue_sim.ros.shared.qos import RELIABLE
 from tissue_sim.ros.shared.tool_messages import N_POSE
 

@@ -18,7 +18,7 @@ from tissue_sim.ros.node.input.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.cdr import check_position, unit_pose
 from tissue_sim.ros.shared.frames import Frames, Transform, UnknownFrame
-from tissue_sim.ros.shared.parameters import frames_of_node
+from tissue_sim.ros.shared.parameter_values import frames_of_node
 
 # Axes of a pose: those of an optical frame are x right, y down, z forward; those of a body x forward, y left, z up
 # (REP-103).

@@ -57,7 +57,8 @@ from tissue_sim.ros.node.tools.wrench_replies import WrenchReplies
 from tissue_sim.ros.shared.dds import describe_discovery
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
-from tissue_sim.ros.shared.parameters import Parameters, frames_of, frames_of_node, placed_frames, tool_of, topics_of
+from tissue_sim.ros.shared.parameter_values import frames_of, frames_of_node, placed_frames, tool_of, topics_of
+from tissue_sim.ros.shared.parameters import Parameters
 from tissue_sim.ros.shared.priority import below, prefer
 from tissue_sim.ros.shared.qos import LATCHED
 from tissue_sim.ros.shared.report import Report, Reports

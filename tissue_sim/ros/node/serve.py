@@ -17,7 +17,7 @@ from tissue_sim.errors import UserError, shown, stop_output
 from tissue_sim.ros.node.node import NAME, TissueNode
 from tissue_sim.ros.shared import dds
 from tissue_sim.ros.shared.executors import OLD_RCLPY, make_executor
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, Spec
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS, Spec
 from tissue_sim.ros.shared.shutdown_handler import Interrupted, ShutdownHandler
 from tissue_sim.unexpected_errors import described, report_error, write_error
 from tissue_sim.version import __version__

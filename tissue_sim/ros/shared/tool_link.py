@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile
 from tissue_sim.contact.tools import Tool
 from tissue_sim.ros.shared.frames import Transform
 from tissue_sim.ros.shared.messages import NumbersTemplate
-from tissue_sim.ros.shared.parameters import frames_of, tool_of, topics_of, usual_topics
+from tissue_sim.ros.shared.parameter_values import frames_of, tool_of, topics_of, usual_topics
 from tissue_sim.ros.shared.qos import RELIABLE, STREAM
 from tissue_sim.ros.shared.tool_messages import POSE_TYPES, ToolTopics
 

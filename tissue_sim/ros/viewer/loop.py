@@ -16,7 +16,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.rendering.organ_view import FIELD_OF_VIEW, camera_for, light
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.node_parameters import NodeParameters
-from tissue_sim.ros.shared.parameters import ORGANS
+from tissue_sim.ros.shared.parameter_specs import ORGANS
 from tissue_sim.ros.viewer.pace import Pace
 from tissue_sim.ros.viewer.panel import SOLID, TRANSLUCENT, Panel, detail, headline
 from tissue_sim.ros.viewer.scene import LigamentView

@@ -20,7 +20,7 @@ from tissue_sim.ros.node.shared.served_organ import ServedOrgan
 from tissue_sim.ros.node.tools.tool_port import ToolPort
 from tissue_sim.ros.shared.messages import CloudTemplate, inclusion_mesh, rest_mesh
 from tissue_sim.ros.shared.organs import Organs
-from tissue_sim.ros.shared.parameters import Values
+from tissue_sim.ros.shared.parameter_values import Values
 from tissue_sim.ros.shared.qos import LATCHED, STREAM
 from tissue_sim.ros.shared.report import Report
 
