@@ -9,14 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.contact.contact_lattice import divisions_of, edge_and_face_points
-from tissue_sim.contact.finder import (
-    TIP_REACH,
-    TISSUE_WAY,
-    ContactFinder,
-    Sought,
-    reach_margins,
-)
+from tissue_sim.contact.finder import TIP_REACH, TISSUE_WAY, ContactFinder, Sought
 from tissue_sim.contact.local_compliance import OF_OTHERS, local_compliance, most_give
+from tissue_sim.contact.reach_margins import reach_margins
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
 from tissue_sim.model.data.contact_set import MOST_POINTS, Engaged

@@ -219,7 +219,7 @@ class JoinedTicks:
     look: called every LOOK ticks, and not timed; finds what touches.
     """
 
-    def __init__(self, joined: CoupledOrgans, poked: Iterable[int], look: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, joined: Joined, poked: Iterable[int], look: Callable[[], None] = lambda: None) -> None:
         self.joined, self._look, chosen = joined, look, set(poked)
         none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
         loads = [

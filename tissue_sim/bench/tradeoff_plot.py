@@ -110,7 +110,7 @@ def _name_marks(figure: Figure, axis: Axes, names: list[Any], marks: list[tuple[
     for place, name, kind in sorted(names, key=lambda one: one[2] is not _CELLS):
         best = None
         for far, across, up in product(range(1, _FAR + 1), *_ANCHORS):
-            offset = [_NEAR * far * anchors[side] for anchors, side in zip(_ANCHORS, (across, up), strict=True)]
+            offset = _NEAR * far * _ANCHORS[0][across], _NEAR * far * _ANCHORS[1][up]
             if not any(offset):
                 continue
             text = axis.annotate(

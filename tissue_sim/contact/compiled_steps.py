@@ -8,22 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.array_types import Floats, Longs
-from tissue_sim.contact.broad_phase import (
-    Fineness,
-    Found,
-    Lattices,
-    Near,
-    Search,
-    body_box,
-    boxes_apart,
-    boxes_meet,
-    points_near,
-    set_compliance,
-    surface_box,
-    triangles_in_box,
-)
-from tissue_sim.contact.finder import MOST_MARGIN, TISSUE_WAY, ContactFinder
+from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.contact.broad_phase import Near, body_box, boxes_apart, boxes_meet, surface_box, triangles_in_box
+from tissue_sim.contact.contact_points import Fineness, Found, Lattices, Search, points_near, set_compliance
+from tissue_sim.contact.finder import TISSUE_WAY, ContactFinder
+from tissue_sim.contact.reach_margins import MOST_MARGIN
 from tissue_sim.contact.tools import MARGIN
 from tissue_sim.handles import handle
 from tissue_sim.jit import kernel
@@ -42,7 +31,7 @@ NO_COPY = -1  # in place of a copy that waits for Python
 class Tables(NamedTuple):
     """What a contact search needs of an organ and B bodies; all copies share it."""
 
-    triangles: Longs  # (t, 3)
+    triangles: Ints | Longs  # (t, 3)
     n_surface: int
     rest: Floats  # (n, 3) m
     lattices: Lattices

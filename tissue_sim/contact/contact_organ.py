@@ -8,7 +8,8 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.blade_cuts import BladeCuts
-from tissue_sim.contact.finder import ContactFinder, Sought, reach_margins
+from tissue_sim.contact.finder import ContactFinder, Sought
+from tissue_sim.contact.reach_margins import reach_margins
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.model.data.contact_set import ContactSet, Engaged
 from tissue_sim.model.simulation import Simulation

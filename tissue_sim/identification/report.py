@@ -142,8 +142,8 @@ def _places(found: Identified) -> tuple[bytes, str]:
     axis = figure.add_subplot()
     if np.isfinite(points).all():
         centred = points - points.mean(axis=0)
-        flat_ = 1e3 * centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
-        shown = axis.scatter(*flat_.T, c=modulus, cmap=COLOURS, s=14, vmin=_low(modulus), vmax=_high(modulus))
+        across, up = 1e3 * np.linalg.svd(centred, full_matrices=False)[2][:2] @ centred.T
+        shown = axis.scatter(across, up, c=modulus, cmap=COLOURS, s=14, vmin=_low(modulus), vmax=_high(modulus))
         figure.colorbar(shown, label="Young's modulus (kPa)")
         axis.set_aspect("equal")
         _bare(axis, "mm", "mm")

@@ -8,7 +8,8 @@ from helpers.solids import assert_near, assert_regular
 from tissue_sim.errors import UserError
 from tissue_sim.organ.pipeline import wall_distance
 from tissue_sim.organ.surfaces.balloon import fibonacci_sphere, inflate
-from tissue_sim.organ.surfaces.surface import make_wall, marching_cubes_surface
+from tissue_sim.organ.surfaces.marching_cubes import marching_cubes_surface
+from tissue_sim.organ.surfaces.surface import make_wall
 
 
 def grooved(x, y, z):

@@ -11,15 +11,12 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.mask_parts import DOMINANT
 from tissue_sim.organ.meshes.mesh_formats import Piece
+from tissue_sim.organ.meshes.mesh_holes import Hole, capped_volume, fill, holes
 from tissue_sim.organ.meshes.mesh_repair import (
     WIDEST_HOLE,
-    Hole,
-    capped_volume,
     close_seams,
     components,
     crowded_edges,
-    fill,
-    holes,
     longest_side,
     once_used_edges,
     without_doubles,

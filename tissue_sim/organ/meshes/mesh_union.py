@@ -13,8 +13,9 @@ from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.imaging.mask_parts import DOMINANT, joined_parts
+from tissue_sim.organ.meshes.mesh_holes import capped_volume, fill
 from tissue_sim.organ.meshes.mesh_parts import Part
-from tissue_sim.organ.meshes.mesh_repair import capped_volume, components, fill
+from tissue_sim.organ.meshes.mesh_repair import components
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
 
 _AXIS = 128  # voxels along the longest side

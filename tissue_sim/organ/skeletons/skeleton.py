@@ -20,16 +20,9 @@ from skimage.measure import euler_number
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
-from tissue_sim.organ.skeletons.skeleton_tree import (
-    Limb,
-    Line,
-    arc_length,
-    find_limbs,
-    join,
-    longest_chain,
-    path_between,
-    place_atoms,
-)
+from tissue_sim.organ.skeletons.atom_placement import place_atoms
+from tissue_sim.organ.skeletons.polyline import arc_length
+from tissue_sim.organ.skeletons.skeleton_tree import Limb, Line, find_limbs, join, longest_chain, path_between
 from tissue_sim.organ.skeletons.voxel_tree import approach, grow_tree, middle_way
 from tissue_sim.organ.surfaces.solid_ball import flip_simple
 from tissue_sim.organ.surfaces.surface import Wall

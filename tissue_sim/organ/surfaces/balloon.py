@@ -25,9 +25,10 @@ from tissue_sim.jit import kernel
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.surfaces.fitting import RATIO, Finished, bring_to, finish, fit, flip, mean_edge, sample
-from tissue_sim.organ.surfaces.remesh import transport
-from tissue_sim.organ.surfaces.surface import Wall, closed_wall, intersecting_pairs, marching_cubes_surface
+from tissue_sim.organ.surfaces.marching_cubes import marching_cubes_surface
+from tissue_sim.organ.surfaces.surface import Wall, closed_wall, intersecting_pairs
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
+from tissue_sim.organ.surfaces.transport import transport
 
 Progress = Callable[[float], None]
 

@@ -10,11 +10,12 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.organ.normals import surface_normals
-from tissue_sim.organ.surfaces.remesh import flip_edges, relax, relax_sized, transport, transport_sized
+from tissue_sim.organ.surfaces.remesh import flip_edges
 from tissue_sim.organ.surfaces.resample import thicken, thin_out
 from tissue_sim.organ.surfaces.sizing import mean_edge, spread
 from tissue_sim.organ.surfaces.surface import Wall, corner_angles, intersecting_pairs
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
+from tissue_sim.organ.surfaces.transport import relax, relax_sized, transport, transport_sized
 
 RATIO = 2.0  # a long edge is split when it is this many times a short one
 VARIATION = 0.25  # standard deviation of the edge lengths over their mean, at most

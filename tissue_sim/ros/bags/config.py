@@ -56,14 +56,16 @@ def check_config(config: Mapping[str, Any]) -> None:
         _check(organ, f"{where}.", {"name": _is_name, "digest": _is_name})
     _check(config["topics"], "topics.", dict.fromkeys(config["topics"], _is_name))
     _check(config["first"], "first.", dict.fromkeys(config["first"], _is_whole))
-    parameters, of_tool = config["parameters"], {"shape": _is_name, "radius": _is_number, "length": _is_number}
+    parameters = config["parameters"]
+    of_tool: dict[str, Fits] = {"shape": _is_name, "radius": _is_number, "length": _is_number, "mesh": _is_name}
     chosen: dict[str, Fits] = {"rate": _is_rate, "model": _is_name, "local_region": _is_name}
     chosen |= {name: _is_name for name in ("integrator", "return_target") if name in parameters}
     for tool in config["tools"]:
-        chosen |= {f"{tool}.{name}": fits for name, fits in {**of_tool, "mesh": _is_name}.items()}
+        chosen |= {f"{tool}.{name}": fits for name, fits in of_tool.items()}
         # Bags from before these parameters lack them.
         later: dict[str, Fits] = {"smoothing": _is_number, "links": _is_names}
-        later |= {"tip_link": _is_name, "jaw_joint": _is_name, "height": _is_number, "cautery_speed": _is_number}
+        later |= {"tip_link": _is_name, "jaw_joint": _is_name}
+        later |= {"height": _is_number, "cautery_speed": _is_number}
         chosen |= {f"{tool}.{name}": fits for name, fits in later.items() if f"{tool}.{name}" in parameters}
     _check(parameters, "parameters.", chosen)
     if parameters.get("return_target", "rest") != "rest":

@@ -71,8 +71,7 @@ def run(args: argparse.Namespace) -> int:
         with progress.task(f"waiting for wrenches of '{link.tool.name}'"):
             is_there = tool.meet(start, goal, args.wait, stop)
         if not is_there:
-            if not stop:
-                write_missing(args, f"wrench on /{args.node}/{link.tool.name}/wrench")
+            write_missing(args, f"wrench on /{args.node}/{link.tool.name}/wrench", stop)
             return 0 if stop else 1
         progress.tell_by(None)  # nothing of it runs beside the poses
         steps = NAMES[learned.task] if args.seconds is None else round(args.seconds / STEP)

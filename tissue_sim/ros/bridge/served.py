@@ -51,23 +51,24 @@ def served_by(node: Node, args: argparse.Namespace, parameters: NodeParameters, 
     with progress.task(f"waiting for /{args.node}"):
         values = client.wait_until(parameters.poll, args.wait, stop)
     if values is None:
-        return _missing(args, f"answer from /{args.node}/get_parameters", stop)
+        write_missing(args, f"answer from /{args.node}/get_parameters", stop)
+        return None
     prefix = f"/{args.node}/{_organ_of(values, args)}"
     meshes = client.NewestMessage(node, Mesh, f"{prefix}mesh", client.latched_qos())
     with progress.task(f"waiting for {prefix}mesh"):
         mesh = client.wait_until(meshes.take, args.wait, stop)
-    return _missing(args, f"mesh on {prefix}mesh", stop) if mesh is None else Served(values, prefix, meshes, mesh)
+    if mesh is None:
+        write_missing(args, f"mesh on {prefix}mesh", stop)
+        return None
+    return Served(values, prefix, meshes, mesh)
 
 
-def write_missing(args: argparse.Namespace, what: str) -> None:
-    """Write a line about what the node hasn't sent within --wait."""
+def write_missing(args: argparse.Namespace, what: str, stop: client.Stop) -> None:
+    """Write a line about what the node hasn't sent within --wait; none after a signal."""
+    if stop:
+        return
     line = f"no {what} within {args.wait:g} s; start tissue_node, or name yours with --node"
     write_error(f"tissue_sim {args.command}: {line}\n")
-
-
-def _missing(args: argparse.Namespace, what: str, stop: client.Stop) -> None:
-    if not stop:
-        write_missing(args, what)
 
 
 def _organ_of(values: Mapping[str, Any], args: argparse.Namespace) -> str:

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.contact.finder import MARGIN, ContactFinder, Sought, reach_margins, ways
+from tissue_sim.contact.finder import MARGIN, ContactFinder, Sought
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
+from tissue_sim.contact.reach_margins import reach_margins, ways
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.model.data.contact_set import Engaged
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
