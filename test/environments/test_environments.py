@@ -155,8 +155,8 @@ def test_a_find_ends_the_episode_right_or_wrong():
     copies.begin(np.arange(2), [np.random.default_rng(seed) for seed in range(2)])
     assert "goal" not in copies.observe()
     right = copies._place[0] + (RADIUS - 0.005) * copies._outward[0]
-    for share in np.linspace(0.0, 1.0, 30):
-        copies._tip[0] = copies._place[0] + (RADIUS + 0.004 - share * 0.009) * copies._outward[0]
+    for fraction in np.linspace(0.0, 1.0, 30):
+        copies._tip[0] = copies._place[0] + (RADIUS + 0.004 - fraction * 0.009) * copies._outward[0]
         stepped = copies.step(np.zeros((2, 4)))
     np.testing.assert_allclose(copies._tip[0], right, atol=1e-9)
     assert not stepped.terminated.any()

@@ -111,8 +111,8 @@ def test_a_task_is_learned_by_a_command(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "learned: goal met in " in text
     assert "untrained: goal met in 0 % of 2 new episodes" in text
-    told = json.loads(out.read_text())
-    assert len(told["about"]["curve"]) == 2
+    result = json.loads(out.read_text())
+    assert len(result["about"]["curve"]) == 2
     assert Learned.load(out).weights.shape == (3,)
     assert picture.read_bytes().startswith(b"\x89PNG")
 

@@ -13,7 +13,7 @@ from tissue_sim.contact.gripper import Jaws
 
 DEPTH = 0.022  # m from the tip of the pole to the tips of the jaws
 WITHIN = 0.4  # fraction of a gripper's length between the jaws that tissue may fill: the hinge stays outside
-SQUEEZED = 0.5  # fraction of the width that the closed jaws leave
+COMPRESSED = 0.5  # fraction of the width that the closed jaws leave
 CLEARANCE = 0.010  # m that the open jaws have beyond the width
 
 
@@ -99,7 +99,7 @@ def at_lower_pole(
     width = float(np.ptp(ends))
     turn = Rotation.from_matrix(np.stack([across, np.cross(-out, across), -out], axis=1)).as_quat()
     try:
-        opened, closed = jaws.angle(width + CLEARANCE), jaws.angle(SQUEEZED * width)
+        opened, closed = jaws.angle(width + CLEARANCE), jaws.angle(COMPRESSED * width)
     except ValueError as error:
         raise ValueError(f"its lower pole is {1e3 * width:.3g} mm wide, and {error}") from None
     return Grasp(place, np.asarray(turn), out, depth, width, opened, closed)
@@ -123,6 +123,6 @@ def _cut(pieces: Floats, point: Floats, normal: Floats) -> Floats:
     crosses = above[:, first] != above[:, second]  # none or two edges of a triangle
     piece, edge = np.nonzero(crosses)
     start, end = height[piece, first[edge]], height[piece, second[edge]]
-    share = (start / (start - end))[:, None]
-    points = (1.0 - share) * pieces[piece, first[edge]] + share * pieces[piece, second[edge]]
+    fraction = (start / (start - end))[:, None]
+    points = (1.0 - fraction) * pieces[piece, first[edge]] + fraction * pieces[piece, second[edge]]
     return np.asarray(points.reshape(-1, n - 1, 3))

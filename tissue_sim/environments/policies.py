@@ -71,7 +71,7 @@ class HoldPolicy(Policy):
     start = (0.0,) * 5
 
     def _push(self, w: Floats, lack: Floats) -> Floats:
-        """Return the speed outwards (n,), also by the sum and the change of what lacks once something is felt."""
+        """Return the speed outwards (n,), also by the sum and the change of the missing force once there is one."""
         changed = np.where(self.memory[:, 2] > 0.0, lack - self.memory[:, 1], 0.0)
         self.memory[:, 0] = LEAK * self.memory[:, 0] + lack * (lack < 1.0)
         self.memory[:, 1], self.memory[:, 2] = lack, 1.0
@@ -177,10 +177,10 @@ class CutPolicy(Policy):
         way = aim - seen["pose"][:, :3]
         way = way - np.einsum("nx,nx->n", way, outward)[:, None] * outward
         is_there = np.linalg.norm(way, axis=1) < 0.15 * CM
-        felt = np.linalg.norm(seen["wrench"][:, :3], axis=1)
+        force = np.linalg.norm(seen["wrench"][:, :3], axis=1)
         short = goal[:, 6] * (1.0 + w[3] / 10.0) - seen["blade"][:, 0]
-        is_in = (np.abs(short) < 0.05 * CM) & (felt > 0.05)
-        push = -w[1] * np.clip(0.1 * (1.0 + w[2]) - felt, -0.3, 0.3)
+        is_in = (np.abs(short) < 0.05 * CM) & (force > 0.05)
+        push = -w[1] * np.clip(0.1 * (1.0 + w[2]) - force, -0.3, 0.3)
         speed = np.where(slides & (w[5] > 0.0), 1.0 / (1.0 + np.maximum(w[5], 0.0)), 1.0)
         size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True) / CM, 1.0)
         velocity = (w[0] * speed)[:, None] * way / CM / size + push[:, None] * outward
@@ -203,7 +203,7 @@ def places(seen: Seen) -> tuple[Floats, Floats, Floats]:
 
 
 def lacking(seen: Seen) -> Floats:
-    """Return the part (n,) of the wanted force that isn't felt."""
+    """Return the part (n,) of the wanted force that is missing."""
     goal = np.asarray(seen["goal"], dtype=np.float64)
     return np.asarray(1.0 - np.einsum("nx,nx->n", seen["wrench"][:, :3], goal[:, 3:6]) / goal[:, 6])
 
@@ -250,9 +250,9 @@ class Learned:
         """
         names = type(self._policy).weights
         named = dict(zip(names, self.weights.tolist(), strict=True))
-        told = {"format": FORMAT, "task": self.task, "weights": named, "about": self.about}
+        record = {"format": FORMAT, "task": self.task, "weights": named, "about": self.about}
         try:
-            Path(path).write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+            Path(path).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
         except OSError as error:
             raise UserError(f"cannot write {path}: {error.strerror}") from None
 
@@ -274,15 +274,19 @@ class Learned:
         if path is None:
             raise UserError(f"there is no policy '{name}'; name a file that 'tissue_sim learn' has written")
         try:
-            told = json.loads(path.read_text(encoding="utf-8"))
+            record = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise UserError(f"cannot read policy {name}: {error}") from None
-        if not isinstance(told, dict) or told.get("format") != FORMAT or not isinstance(told.get("weights"), dict):
-            raise UserError(f"{name} is not a policy of format {FORMAT}; learn it anew with 'tissue_sim learn'")
-        wanted = policy_class(str(told.get("task"))).weights
-        if tuple(told["weights"]) != wanted:
-            raise UserError(f"policy {name} has weights {', '.join(told['weights'])}; expected: {', '.join(wanted)}")
-        weights = np.array([told["weights"][one] for one in wanted], dtype=np.float64)
+        if (
+            not isinstance(record, dict)
+            or record.get("format") != FORMAT
+            or not isinstance(record.get("weights"), dict)
+        ):
+            raise UserError(f"{name} is not a policy of format {FORMAT}; learn it again with 'tissue_sim learn'")
+        wanted = policy_class(str(record.get("task"))).weights
+        if tuple(record["weights"]) != wanted:
+            raise UserError(f"policy {name} has weights {', '.join(record['weights'])}; expected: {', '.join(wanted)}")
+        weights = np.array([record["weights"][one] for one in wanted], dtype=np.float64)
         if not np.isfinite(weights).all():
             raise UserError(f"policy {name} has weights that are not finite")
-        return cls(told["task"], weights, told.get("about"))
+        return cls(record["task"], weights, record.get("about"))

@@ -50,7 +50,7 @@ class Now(NamedTuple):
     wanted: Floats  # (n,) N, the force to be reached
     tip: Floats  # (n, 3) m, where the tool is
     pushed: Floats  # (n,) N that pushes the hand out
-    felt: Floats  # (n,) N, size of the force
+    force: Floats  # (n,) N, size of the force
     lifted: Floats  # (n,) m by which the tissue at the place has moved outwards
     declared: Mask  # (n,) whether the last action says: here it is
 
@@ -66,7 +66,7 @@ class Judged(NamedTuple):
 class Task:
     """Press: reach a force at a place. Others change what differs."""
 
-    organ, actions = "kidney", 3  # the shipped organ; velocity, and what else a step is told
+    organ, actions = "kidney", 3  # the shipped organ; velocity, and what else a step takes
     has_jaws, declares = False, False  # whether the last action moves jaws, or says: here it is
     ends = True  # whether an episode ends where the goal is met for HELD steps
     shift = 0.005  # m by which the organ is moved at most, along each axis
@@ -154,7 +154,7 @@ class Palpate(Task):
     def judge(self, now: Now) -> Judged:
         """Return reward and success: the nearer the better, and the right or wrong place at the end."""
         beside = np.linalg.norm(now.tip - now.place - RADIUS * now.outward, axis=1)
-        is_here = (beside < FOUND) & (now.felt > TOUCH)
+        is_here = (beside < FOUND) & (now.force > TOUCH)
         final = np.where(now.declared, np.where(is_here, DECLARED, -WRONG), 0.0)
         return Judged(-SEARCH * np.minimum(beside / 0.05, 1.0) + final, is_here & now.declared, now.declared)
 
@@ -227,7 +227,7 @@ class Cut(Task):
     ends = False
 
     def tool(self) -> Tool:
-        """Return the guard, which slides on the tissue and is felt; the blade itself meets no resistance."""
+        """Return the guard, which slides on the tissue and meets its force; the blade itself meets no resistance."""
         return Tool("guard", radius=0.002)
 
     def draw(self, random: np.random.Generator, organ: Organ) -> Draw:

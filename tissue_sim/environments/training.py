@@ -45,7 +45,7 @@ class Played(NamedTuple):
 
     returns: Floats  # (n,) sum of rewards
     is_met: Mask  # (n,) whether it ended with success
-    share: Floats  # (n,) of its steps in which the goal was met
+    fraction: Floats  # (n,) of its steps in which the goal was met
     steps: int  # of all agents together
 
 
@@ -144,7 +144,7 @@ def learn(task: str, plan: Plan, seed: int = 1, organ: Organ | None = None, thre
 
 
 def held_out(task: str, weights: Floats, plan: Plan, organ: Organ | None = None, threads: int = 0) -> dict[str, float]:
-    """Return what a policy reaches in new episodes: mean return, share met, and steps that are needed.
+    """Return what a policy reaches in new episodes: mean return, fraction met, and steps that are needed.
 
     Parameters
     ----------
@@ -166,5 +166,5 @@ def held_out(task: str, weights: Floats, plan: Plan, organ: Organ | None = None,
     one = played(env, policy_class(task)(plan.episodes, organ), weights, seeds, NAMES[task])
     env.close()
     # A task that doesn't end where its goal is met is to be met all the time.
-    met = one.is_met if task_of(task).ends or task_of(task).declares else one.share
+    met = one.is_met if task_of(task).ends or task_of(task).declares else one.fraction
     return {"return": float(one.returns.mean()), "met": float(np.mean(met)), "episodes": plan.episodes}

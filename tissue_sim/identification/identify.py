@@ -158,8 +158,8 @@ def _map_of_cells(
         def kept(name: str, make: Callable[[], Arrays], tissue: str = trial.digest()) -> Arrays:
             return remember(f"{tissue[:16]} {name}", make)
 
-        felt = curves_of(trial, measurement, friction, 1.0, kept).at(deep)[0][:, 0]
-        given = given + wanted - np.log(np.maximum(felt, 1e-9) / np.maximum(plain, 1e-9))
+        of_map = curves_of(trial, measurement, friction, 1.0, kept).at(deep)[0][:, 0]
+        given = given + wanted - np.log(np.maximum(of_map, 1e-9) / np.maximum(plain, 1e-9))
     return np.asarray(np.exp(decaying(points, given, middle, measurement.radius)))
 
 
@@ -176,7 +176,7 @@ def _remarks(map_pays: bool, is_mapped: bool) -> list[str]:
 def provenance_of(found: Identified) -> dict[str, Any]:
     """Return what an organ's file tells about its identification, as JSON can hold it."""
     low, high = found.modulus_interval
-    told: dict[str, Any] = {
+    record: dict[str, Any] = {
         "from": found.measurement.source,
         "presses": len(found.measurement.presses),
         "tool_radius_mm": 1e3 * found.measurement.radius,
@@ -188,15 +188,15 @@ def provenance_of(found: Identified) -> dict[str, Any]:
         "with_map": found.of_cells is not None,
         "holds_to_depth_mm": 1e3 * found.diagnosis.holds_to,
         "digest_before": found.source.digest(),
-        **found.rate_effects.told(),
+        **found.rate_effects.as_json(),
     }
     if len(found.stiff_places.presses):
-        told["stiff_places"] = [found.measurement.presses[row].name for row in found.stiff_places.presses]
+        record["stiff_places"] = [found.measurement.presses[row].name for row in found.stiff_places.presses]
     if found.held_out is not None:
-        told["held_out_error_percent"] = 100.0 * found.held_out.one
+        record["held_out_error_percent"] = 100.0 * found.held_out.one
         if np.isfinite(found.held_out.mapped):
-            told["held_out_error_with_map_percent"] = 100.0 * found.held_out.mapped
-    return told
+            record["held_out_error_with_map_percent"] = 100.0 * found.held_out.mapped
+    return record
 
 
 def lines_of(found: Identified) -> list[str]:

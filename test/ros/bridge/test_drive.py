@@ -1,4 +1,4 @@
-"""A learned policy moves a tool of a real node over DDS, and the force that it was to reach is felt."""
+"""A learned policy moves a tool of a real node over DDS, and reaches the force that it was to reach."""
 
 import re
 from contextlib import contextmanager
@@ -49,7 +49,7 @@ def test_a_learned_policy_reaches_the_force_over_dds(tmp_path):
         found = re.search(r"goal met: ([\d.]+) N of 0.250 N, ([\d.]+) mm beside", text)
         assert float(found[1]) == pytest.approx(FORCE, rel=PRECISION)
         assert float(found[2]) < 3.0
-        # A policy that does nothing feels nothing: what was felt above came through the topics.
+        # A policy that does nothing meets no force: the one above came through the topics.
         none = Learned("Press", np.zeros(3))
         none.save(tmp_path / "none.json")
         text, code = driven(tmp_path, str(tmp_path / "none.json"), *given, "--seconds", "0.5")

@@ -13,7 +13,7 @@ from tissue_sim.ros.viewer.poked_tool import LONGEST_STEP, TOP_SPEED
 
 pytest.importorskip("viser")
 from helpers.paths import CONFIG
-from helpers.ros.told import values
+from helpers.ros.node_values import values
 
 EVERY = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)  # a busy machine loses none
 
@@ -25,7 +25,9 @@ def test_jaws_turn_without_a_blow_and_then_are_silent(graph):
         JointState, "left/gripper/measured_js", lambda m: heard.append(m.position[0]), EVERY
     )
     length = 0.06
-    jaws = PokedJaws(graph, ToolLink.told(values(left__shape="gripper", left__length=length), "left", "tissue_sim"))
+    jaws = PokedJaws(
+        graph, ToolLink.from_parameters(values(left__shape="gripper", left__length=length), "left", "tissue_sim")
+    )
     try:
         listener.spin(0.3)
         assert not heard, "nobody touched it"

@@ -11,9 +11,8 @@ import numpy as np
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.ros.bridge.play import organ_of
+from tissue_sim.ros.bridge.served import served_by, write_missing
 from tissue_sim.ros.shared import client
-from tissue_sim.unexpected_errors import write_error
 
 if TYPE_CHECKING:
     from tissue_sim.environments.policies import Learned
@@ -57,41 +56,33 @@ def run(args: argparse.Namespace) -> int:
     if learned.task == "Cut":
         raise UserError("a node has no tool like the blade of Cut, which meets no resistance; cut by the service ~/cut")
 
-    from shape_msgs.msg import Mesh
-
     from tissue_sim.ros.bridge.driven_tool import CLEAR, DrivenTool
     from tissue_sim.ros.shared.node_parameters import NodeParameters
 
     with client.Stop() as stop, client.client_node("drive", args.node) as node:
         parameters = NodeParameters(node, args.node)
-        with progress.task(f"waiting for /{args.node}"):
-            values = client.wait_until(parameters.poll, args.wait, stop)
-        if values is None:
-            return 0 if stop else _not_there(args, f"answer from /{args.node}/get_parameters")
-        link = link_of(values, args, task)
-        below = f"/{args.node}/{organ_of(values, args)}"
-        meshes = client.NewestMessage(node, Mesh, f"{below}mesh", client.latched_qos())
-        with progress.task(f"waiting for {below}mesh"):
-            mesh = client.wait_until(meshes.take, args.wait, stop)
-        if mesh is None:
-            return 0 if stop else _not_there(args, f"mesh on {below}mesh")
-        goal = goal_of(*client.mesh_arrays(mesh), args, task)
+        served = served_by(node, args, parameters, stop)
+        if served is None:
+            return 0 if stop else 1
+        link = link_of(served.values, args, task)
+        goal = goal_of(*client.mesh_arrays(served.mesh), args, task)
         radius = 0.0 if task.has_jaws else task.tool().radius
         start = goal.place + (radius + CLEAR) * goal.outward
-        tool = DrivenTool(node, args.node, link, below)
+        tool = DrivenTool(node, args.node, link, served.prefix)
         with progress.task(f"waiting for wrenches of '{link.tool.name}'"):
             is_there = tool.meet(start, goal, args.wait, stop)
         if not is_there:
-            return 0 if stop else _not_there(args, f"wrench on /{args.node}/{link.tool.name}/wrench")
+            write_missing(args, f"wrench on /{args.node}/{link.tool.name}/wrench", stop)
+            return 0 if stop else 1
         progress.tell_by(None)  # nothing of it runs beside the poses
         steps = NAMES[learned.task] if args.seconds is None else round(args.seconds / STEP)
         done = tool.drive(learned, goal, start, steps, stop)
         tool.leave(done.tip, goal)
-    print(told(learned, goal, done, STEP))
+    print(result_line(learned, goal, done, STEP))
     return 0 if done.is_met or bool(stop) else 1
 
 
-def told(learned: Learned, goal: Goal, done: Done, step: float) -> str:
+def result_line(learned: Learned, goal: Goal, done: Done, step: float) -> str:
     """Return the line about what an agent did."""
     x, y, z = 1e3 * done.tip
     after = (
@@ -103,8 +94,8 @@ def told(learned: Learned, goal: Goal, done: Done, step: float) -> str:
     beside = 1e3 * float(np.linalg.norm(way - (way @ goal.outward) * goal.outward))
     force = float(done.force @ goal.outward)
     wanted = "" if learned.task == "Retract" else f" of {goal.wanted:.3f} N"
-    share = f" in {100.0 * done.share:.0f} % of the steps" if learned.task == "Hold" else ""
-    met = f"goal {'' if done.is_met else 'not '}met{share}"
+    fraction = f" in {100.0 * done.fraction:.0f} % of the steps" if learned.task == "Hold" else ""
+    met = f"goal {'' if done.is_met else 'not '}met{fraction}"
     return f"{learned.task}: {met}: {force:.3f} N{wanted}, {beside:.1f} mm beside the place, {after}"
 
 
@@ -115,7 +106,7 @@ def link_of(values: Mapping[str, Any], args: argparse.Namespace, task: Task) -> 
 
     there = tuple(values.get("tools", ()))
     name = args.tool or (there[0] if there else "")
-    link = ToolLink.told(values, name, args.node)
+    link = ToolLink.from_parameters(values, name, args.node)
     if link is None:
         raise UserError(f"/{args.node} has no tool '{name}'; it has {', '.join(there) or 'none'}: choose with --tool")
     check_tool(task, link.tool, args.node)
@@ -144,8 +135,3 @@ def goal_of(vertices: Floats, triangles: Any, args: argparse.Namespace, task: Ta
     place = grasp.place + grasp.depth * grasp.out
     node = int(np.argmin(np.linalg.norm(vertices - place, axis=1)))
     return Goal(node, vertices[node], place, grasp.out, grasp.width, grasp.turn, grasp.opened)
-
-
-def _not_there(args: argparse.Namespace, what: str) -> int:
-    write_error(f"tissue_sim drive: no {what} within {args.wait:g} s; start tissue_node, or name yours with --node\n")
-    return 1

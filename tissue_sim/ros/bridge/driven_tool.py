@@ -25,7 +25,7 @@ from tissue_sim.ros.shared.tool_link import ToolLink
 POSES = 5  # of a step: a bridge sends more often than an agent decides
 CLEAR = 0.006  # m from the surface to the tool at the beginning
 AWAY = 0.03  # m outwards to which it goes in the end
-ANSWERED = 3  # poses outside that the node answers before it begins: a tool first heard inside is held off
+ANSWERED = 3  # poses outside that the node answers before it begins: a tool whose first pose is inside is held off
 
 
 class Goal(NamedTuple):
@@ -45,10 +45,10 @@ class Done(NamedTuple):
 
     is_met: bool  # the goal was met for as many steps as in the environment, or the agent said: here it is
     steps: int
-    share: float  # of the steps in which the goal was met
+    fraction: float  # of the steps in which the goal was met
     late: int  # steps that began more than a tenth of a step late
     tip: Floats  # (3,) m, where the tool was in the end
-    force: Floats  # (3,) N that the hand felt then
+    force: Floats  # (3,) N on the hand then
 
 
 class DrivenTool:
@@ -81,11 +81,11 @@ class DrivenTool:
         if self._has_jaws:
             self._turn, self._angle = goal.turn, goal.angle
 
-        def is_heard() -> bool:
+        def is_connected() -> bool:
             self._send(start)
             return self.answers >= ANSWERED
 
-        return bool(client.wait_until(is_heard, longest, stop))
+        return bool(client.wait_until(is_connected, longest, stop))
 
     def drive(self, learned: Learned, goal: Goal, start: Floats, steps: int, stop: client.Stop) -> Done:
         """Let an agent move the tool, until its goal is met as in its environment, or for so many steps.
@@ -114,9 +114,9 @@ class DrivenTool:
             opened = moved_jaws(np.array([self._angle]), given)[0] if task.has_jaws else 0.0
             before_angle = self._angle
             for part in range(1, POSES + 1):
-                share = part / POSES
-                self._angle = before_angle + share * (opened - before_angle)
-                self._send(before + share * (tip - before), began + (count + share) * STEP)
+                fraction = part / POSES
+                self._angle = before_angle + fraction * (opened - before_angle)
+                self._send(before + fraction * (tip - before), began + (count + fraction) * STEP)
             count += 1
             judged = self._judge(task, goal, tip, declared(task, given))
             held = held + 1 if judged.is_good[0] else 0
@@ -165,7 +165,7 @@ class DrivenTool:
                 wanted=np.array([goal.wanted]),
                 tip=tip[None],
                 pushed=np.array([force @ goal.outward]),
-                felt=np.array([np.linalg.norm(force)]),
+                force=np.array([np.linalg.norm(force)]),
                 lifted=np.array([(there - goal.rest) @ goal.outward]),
                 declared=says,
             )
