@@ -87,6 +87,11 @@ def relaxation_of(holds: Sequence[Hold], elastic: Sequence[Floats], has_times: b
     return found, line
 
 
+def term_of(hold: Hold, elastic: Floats) -> Relaxation:
+    """Return how the force relaxes in one hold, whatever its noise; elastic: as of `relaxation_of`."""
+    return _fitted([_thinned(hold, elastic)])
+
+
 def _thinned(hold: Hold, elastic: Floats) -> _Thinned:
     """Return a hold with few samples: equally long on the way in, and ever longer in the hold."""
     first = hold.length * 1e-3
