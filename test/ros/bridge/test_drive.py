@@ -15,8 +15,9 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.environments.copies import TaskCopies
 from tissue_sim.environments.policies import Learned
 from tissue_sim.environments.steering import observation_of
-from tissue_sim.environments.tasks import PRECISION, RADIUS, task_of
+from tissue_sim.environments.tasks import FOUND, PRECISION, RADIUS, Palpate, task_of
 from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bridge.driven_tool import DrivenTool, Goal, check_tool
 
 FORCE = 0.25  # N
@@ -30,8 +31,8 @@ def driven(folder, *words):
 
 
 @contextmanager
-def node_with_a_finger(folder):
-    node = start_node(folder, UNHURRIED, profile=CONFIG / "finger.yaml")
+def node_of(folder, profile, *parameters):
+    node = start_node(folder, UNHURRIED, *parameters, profile=CONFIG / profile)
     try:
         yield node
     finally:
@@ -43,7 +44,7 @@ def test_a_learned_policy_reaches_the_force_over_dds(tmp_path):
     surface = shipped().surface_positions
     place = surface[np.argmax(surface[:, 0])]
     given = ["--place", *map(str, place.tolist()), "--force", str(FORCE)]
-    with node_with_a_finger(tmp_path):
+    with node_of(tmp_path, "finger.yaml"):
         text, code = driven(tmp_path, "press", *given)
         assert code == 0, text
         found = re.search(r"goal met: ([\d.]+) N of 0.250 N, ([\d.]+) mm beside", text)
@@ -55,6 +56,31 @@ def test_a_learned_policy_reaches_the_force_over_dds(tmp_path):
         text, code = driven(tmp_path, str(tmp_path / "none.json"), *given, "--seconds", "0.5")
         assert code == 1
         assert "goal not met: 0.000 N" in text
+
+
+@pytest.mark.extended
+def test_a_learned_policy_lifts_the_pole_over_dds(tmp_path):
+    with node_of(tmp_path, "gripper.yaml"):
+        text, code = driven(tmp_path, "retract")
+        assert code == 0, text
+        assert "Retract: goal met" in text
+        none = Learned("Retract", np.zeros(6))
+        none.save(tmp_path / "none.json")
+        text, code = driven(tmp_path, str(tmp_path / "none.json"), "--seconds", "0.5")
+        assert code == 1
+        assert "goal not met" in text
+
+
+@pytest.mark.extended
+def test_a_learned_policy_finds_the_tumour_over_dds(tmp_path):
+    """It doesn't know that the organ lies at its usual place; what it says is checked here, not by itself."""
+    with node_of(tmp_path, "finger.yaml", "organ:=kidney_tumour"):
+        text, code = driven(tmp_path, "palpate")
+    assert code == 0, text
+    found = re.search(r"says that it is here .* tool at ([-\d.]+), ([-\d.]+), ([-\d.]+) mm", text)
+    drawn = Palpate().draw(np.random.default_rng(0), Organ.shipped("kidney_tumour"))
+    tip = 1e-3 * np.array([float(found[part]) for part in (1, 2, 3)])
+    assert np.linalg.norm(tip - drawn.place - RADIUS * drawn.outward) < FOUND
 
 
 def test_what_is_seen_over_ros_is_what_the_environment_shows():
