@@ -47,7 +47,7 @@ def options_table(*words: str) -> list[str]:
 
 def parameters_table(of: str) -> list[str]:
     """Return the lines of a table of the parameters: `node`, or `tool` for those of each tool."""
-    from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+    from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS
 
     specs, prefix = {"node": (NODE_SPECS, ""), "tool": (TOOL_SPECS, "<tool>.")}[of]
     rows = [

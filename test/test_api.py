@@ -218,17 +218,17 @@ def egg() -> trimesh.Trimesh:
 def built():
     """The egg with its own points, from arrays that are inside out; and what was warned of."""
     mesh = egg()
-    with warnings.catch_warnings(record=True) as heard:
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always", UserWarning)
         organ = build((mesh.vertices, mesh.faces[:, ::-1]), name="egg", keep_points=True, atoms=8, fixed=np.arange(10))
-    return organ, [str(one.message) for one in heard]
+    return organ, [str(one.message) for one in warned]
 
 
 def test_a_surface_is_built_from_arrays_and_repairs_are_warned_of(built):
-    organ, heard = built
+    organ, warned = built
     np.testing.assert_allclose(organ.surface_positions, egg().vertices)
     assert organ.volume > 0.0
-    assert any("flipped inward triangles" in line for line in heard)
+    assert any("flipped inward triangles" in line for line in warned)
     assert organ.name == "egg"
     assert organ.fixed.tolist() == list(range(10))
     assert organ.provenance["fixed"] == "10 nodes"

@@ -275,11 +275,13 @@ def undefined_parameters(source: str) -> list[str]:
             continue
         section = PARAMETERS.search(ast.get_docstring(node) or "")
         lines = section[1].splitlines() if section else []
-        told = {name.strip(" *") for line in lines if line and line[0] != " " for name in line.split(":")[0].split(",")}
+        described = {
+            name.strip(" *") for line in lines if line and line[0] != " " for name in line.split(":")[0].split(",")
+        }
         # Of a class: those of its constructor, or its fields.
         own = {one.arg for one in ast.walk(node) if isinstance(one, ast.arg)}
         own |= {one.target.id for one in ast.walk(node) if isinstance(one, ast.AnnAssign) and hasattr(one.target, "id")}
-        found += [f"{node.name}: {name}" for name in sorted(told - own)]
+        found += [f"{node.name}: {name}" for name in sorted(described - own)]
     return found
 
 
@@ -308,7 +310,7 @@ def crossings(path: Path) -> list[str]:
 
 
 @pytest.mark.extended
-def test_tests_share_only_named_helpers():
+def test_tests_fraction_only_named_helpers():
     assert not [line for path in TESTS for line in crossings(path)]
     are_tests = {path for path in TESTS if path.name.startswith("test_") or path.name == "conftest.py"}
     in_helpers = {path for path in TESTS if (ROOT / "test" / "helpers") in path.parents}

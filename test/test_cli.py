@@ -6,7 +6,7 @@ from tissue_sim.cli import main
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (["bulid"], "invalid choice: 'bulid'"),
         (["build", "ct.nii", "--pionts=300"], "tissue_sim build: error: unrecognized arguments: --pionts=300"),
@@ -15,13 +15,13 @@ from tissue_sim.cli import main
         (["info", "a.npz", "--wholly-else"], "unrecognized arguments: --wholly-else (see 'tissue_sim info --help')"),
     ],
 )
-def test_what_was_meant_is_asked(capsys, words, told):
+def test_what_was_meant_is_asked(capsys, words, expected):
     meant = {"bulid": "build", "--pionts=300": "--points", "--skeletom": "--skeleton", "tikc": "tick"}
     with pytest.raises(SystemExit) as ended:
         main(words)
     assert ended.value.code == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert expected in error
     assert error.count("\n") == 1
     asked = [f"; did you mean {other}? (see" in error for word, other in meant.items() if word in words]
     assert all(asked) if asked else "did you mean" not in error

@@ -57,7 +57,7 @@ def launch(monkeypatch):
 
 
 @pytest.fixture
-def share(tmp_path):
+def fraction(tmp_path):
     """The package's share folder, with two profiles."""
     folder = tmp_path / "config" / "bridges"
     folder.mkdir(parents=True)
@@ -66,33 +66,33 @@ def share(tmp_path):
     return tmp_path
 
 
-def start(launch, share, **given):
+def start(launch, fraction, **given):
     """The node that the launch file starts with these arguments."""
     file = launch("tissue_node.launch.py")
     defaults = {name: named["default_value"] for name, named in file.arguments.items()}
-    context = defaults | {"params_file": "params.yaml", "tissue_sim": str(share)} | given
+    context = defaults | {"params_file": "params.yaml", "tissue_sim": str(fraction)} | given
     (node,) = file.module["_start_node"](context)
     return node.named
 
 
-def test_node_takes_what_is_given_over_its_file(launch, share):
-    plain = start(launch, share)
+def test_node_takes_what_is_given_over_its_file(launch, fraction):
+    plain = start(launch, fraction)
     assert plain["parameters"] == ["params.yaml", {"use_sim_time": False}]
     assert plain["namespace"] == ""
     assert plain["executable"] == "tissue_node"
-    full = start(launch, share, profile="dvrk", organ_file="liver.npz", use_sim_time="True", namespace="ward")
+    full = start(launch, fraction, profile="dvrk", organ_file="liver.npz", use_sim_time="True", namespace="ward")
     assert full["parameters"] == [
         "params.yaml",
-        str(share / "config" / "bridges" / "dvrk.yaml"),
+        str(fraction / "config" / "bridges" / "dvrk.yaml"),
         {"organ_file": str(Path.cwd() / "liver.npz")},
         {"use_sim_time": True},
     ]
     assert full["namespace"] == "ward"
 
 
-def test_unknown_profile_is_named_with_those_that_there_are(launch, share):
+def test_unknown_profile_is_named_with_those_that_there_are(launch, fraction):
     with pytest.raises(RuntimeError, match="'phantom' is unknown; choose one of dvrk, touch"):
-        start(launch, share, profile="phantom")
+        start(launch, fraction, profile="phantom")
 
 
 @pytest.mark.parametrize("name", ["tissue_node.launch.py", "demo.launch.py"])

@@ -98,7 +98,7 @@ def commands() -> dict[tuple[str, ...], set[str]]:
 def parameters() -> tuple[set[str], set[str]]:
     """Names of the node's parameters, and of those of each tool."""
     pytest.importorskip("rclpy")
-    from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+    from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS
 
     return {spec.name for spec in NODE_SPECS} | {"tools", "use_sim_time"}, {spec.name for spec in TOOL_SPECS}
 
@@ -114,7 +114,8 @@ def launch_arguments() -> dict[str, set[str]]:
 def topics() -> dict[str, str]:
     """Type of every topic and service of the node, by its name; a tool's as its bridge has them by default."""
     pytest.importorskip("rclpy")
-    from tissue_sim.ros.shared.parameters import TOOL_SPECS, usual_topics
+    from tissue_sim.ros.shared.parameter_specs import TOOL_SPECS
+    from tissue_sim.ros.shared.parameter_values import usual_topics
 
     default = {spec.name: spec.default for spec in TOOL_SPECS}
     types = {

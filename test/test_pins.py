@@ -1,4 +1,4 @@
-"""The pins: renewed from an index, told by an advisory service. Both are local here, pip and pip-audit are real."""
+"""The pins: renewed from an index, checked by an advisory service. Both are local here, pip and pip-audit are real."""
 
 import json
 import os
@@ -243,7 +243,7 @@ def test_what_the_service_does_not_know_does_not_pass():
     assert AUDIT["holes"](pins) == []
 
 
-def test_a_hole_that_nothing_closes_yet_is_told():
+def test_a_hole_that_nothing_closes_yet_is_reported():
     pins = [{"name": "six", "version": "1.17.0", "vulns": [{"id": "CVE-2099-1", "fix_versions": []}]}]
     assert AUDIT["holes"](pins) == ["six 1.17.0: CVE-2099-1, fixed in none yet"]
 

@@ -49,7 +49,7 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch):
-    """No thread, no terminal, and a time of its own: what is told hangs on that alone."""
+    """No thread, no terminal, and a time of its own: what is reported depends on that alone."""
     clock = Clock()
     monkeypatch.setattr(progress, "time", clock)
     monkeypatch.setattr(progress, "_teller", progress._Teller())
@@ -94,7 +94,7 @@ def test_many_short_tasks_after_each_other_are_not_silent(clock, capsys):
     assert [line.split(";")[0] for line in lines(capsys)] == ["stage 2 1 of 2", "stage 9 1 of 2"]
 
 
-def test_what_was_told_otherwise_puts_the_next_line_off(clock, capsys):
+def test_what_was_reported_otherwise_puts_the_next_line_off(clock, capsys):
     with progress.task("bench fall") as one:
         for row in range(6):
             clock.now += 9.0
@@ -128,15 +128,15 @@ def test_a_process_says_how_far_it_is_while_a_step_lasts():
 
 
 def test_a_log_of_its_own_and_none(clock, capsys):
-    told = []
+    logged = []
     with progress.task("starting") as one:
-        progress.tell_by(told.append)
+        progress.tell_by(logged.append)
         clock.now += 4.0
         one.advance(0)
         progress.tell_by(None)
         clock.now += 100.0
         one.advance(0)
-    assert told == ["starting; 00:04"]
+    assert logged == ["starting; 00:04"]
     assert lines(capsys) == []
 
 
@@ -229,7 +229,7 @@ def compiled(function):
     return {"dispatcher": SimpleNamespace(py_func=function)}
 
 
-def test_compiling_is_told_with_the_time_of_all_kernels(clock, monkeypatch, capsys):
+def test_compiling_is_reported_with_the_time_of_all_kernels(clock, monkeypatch, capsys):
     monkeypatch.setattr(jit, "time", clock)
     for _ in range(4):
         for _ in range(2):  # one for the other
@@ -242,7 +242,7 @@ def test_compiling_is_told_with_the_time_of_all_kernels(clock, monkeypatch, caps
     assert lines(capsys) == ["compiling kernels, once for this version: what asks for it; 00:00"]
 
 
-def test_kernels_of_others_are_not_told(clock, capsys):
+def test_kernels_of_others_are_not_reported(clock, capsys):
     event.start_event("numba:compile", compiled(re.match))
     clock.now += 100.0
     assert progress.name_of_all() == ""

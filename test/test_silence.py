@@ -77,13 +77,13 @@ COMMANDS = {
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_line_comes_while_a_command_works(name, clock, files, monkeypatch, capsys):
     words, slowed = COMMANDS[name]
-    told = []
+    reported = []
 
     def work(*_, **__):
         capsys.readouterr()
         for _ in range(2):
             clock.pass_by(SLOW)
-        told.extend(capsys.readouterr().err.splitlines())
+        reported.extend(capsys.readouterr().err.splitlines())
         raise Over
 
     def within(function, *given):
@@ -96,8 +96,8 @@ def test_a_line_comes_while_a_command_works(name, clock, files, monkeypatch, cap
     monkeypatch.setattr(found(owner), attribute, work)
     main(words.split())
     command = " ".join(words.split()[: 2 if words.startswith("bench") else 1])
-    assert len(told) == 2, told
-    assert all(line.startswith(command) for line in told), told
+    assert len(reported) == 2, reported
+    assert all(line.startswith(command) for line in reported), reported
 
 
 def found(name):
@@ -118,5 +118,5 @@ def test_a_line_comes_between_the_rounds_of_what_is_timed(clock, capsys):
 
     with progress.task("bench tick"):
         timing.interleave(timing.Phase({"ours": burst, "theirs": burst}, 60.0, "poked"))
-    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("bench tick: poked")]
-    assert len(told) >= (clock.now - 1000.0) // (progress.PERIOD + 1.0) - 1, told
+    reported = [line for line in capsys.readouterr().err.splitlines() if line.startswith("bench tick: poked")]
+    assert len(reported) >= (clock.now - 1000.0) // (progress.PERIOD + 1.0) - 1, reported

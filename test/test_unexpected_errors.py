@@ -9,7 +9,7 @@ import pytest
 
 from tissue_sim import cli
 from tissue_sim.organ.organ import Organ
-from tissue_sim.unexpected_errors import TRACEBACK, place_of, told
+from tissue_sim.unexpected_errors import TRACEBACK, described, place_of
 
 ORGAN = "tissue_sim.organ.organ"
 # A program whose reading of an organ fails as nobody thinks: at first as a user sees it, then as a developer asks.
@@ -61,7 +61,7 @@ def test_command_that_fails_ends_with_one_line_and_1():
     assert re.search(rf"^{ONE_LINE}second 1\n\Z", developer, re.MULTILINE)
 
 
-def test_thread_and_what_is_uncaught_are_told_in_one_line_each():
+def test_thread_and_what_is_uncaught_are_reported_in_one_line_each():
     code = """
 import threading
 from tissue_sim.unexpected_errors import catch_all
@@ -85,8 +85,8 @@ def test_place_is_the_innermost_inside_the_package():
         Organ.load(7)
     assert re.fullmatch(r"tissue_sim/organ/\S+\.py:\d+", place_of(caught.value))
     assert place_of(ValueError()) == ""
-    assert told(ValueError("in\n two  lines")) == "ValueError: in two lines"
-    assert told(KeyboardInterrupt()) == "KeyboardInterrupt"
+    assert described(ValueError("in\n two  lines")) == "ValueError: in two lines"
+    assert described(KeyboardInterrupt()) == "KeyboardInterrupt"
 
 
 @pytest.mark.parametrize(
@@ -137,13 +137,13 @@ def test_output_is_gone_when_its_reader_is():
     assert subprocess.run(gone, shell=True, capture_output=True, text=True, check=False).stderr == "True"
 
 
-def test_what_a_terminal_obeys_is_told_and_not_sent(capsys):
+def test_what_a_terminal_obeys_is_reported_and_not_sent(capsys):
     assert cli.main(["info", "no\x1b[2Jorgan\n.npz"]) == 2
     told_line = capsys.readouterr().err
     assert "\x1b" not in told_line
     assert told_line.count("\n") == 1
     assert "no\\x1b[2Jorgan\\n.npz" in told_line
-    assert len(told(ValueError("x" * 10_000))) < 700
+    assert len(described(ValueError("x" * 10_000))) < 700
 
 
 def test_caller_of_main_keeps_its_hooks():

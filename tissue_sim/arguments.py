@@ -31,7 +31,7 @@ def finite(given: ArrayLike, count: int, name: str) -> Floats:
 
 
 def number_of(given: int | str, names: Sequence[str], what: str) -> int:
-    """Return the number of a thing that is given by its name or its number; negative ones count from the last.
+    """Return the number of an item that is given by its name or its number; negative ones count from the last.
 
     Parameters
     ----------

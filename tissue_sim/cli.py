@@ -13,7 +13,7 @@ import tissue_sim
 from tissue_sim import progress
 from tissue_sim.commands import COMMANDS
 from tissue_sim.errors import UserError, output_is_gone, printable, stop_output
-from tissue_sim.unexpected_errors import INTERRUPTED, catch_all, tell
+from tissue_sim.unexpected_errors import INTERRUPTED, catch_all, report_error
 from tissue_sim.version import __version__
 
 UNTIL_ASKED = (
@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0, 1 for a failed check, 2 for wrong use.
+        Exit code: 0, 1 for a failed check, 2 for invalid use.
     """
     if arguments is None:  # not where another program calls this
         catch_all("tissue_sim")
@@ -90,14 +90,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except BrokenPipeError as error:
         if not output_is_gone():
-            tell(error, "tissue_sim")
+            report_error(error, "tissue_sim")
             return 1
         stop_output()
         return 0
     except KeyboardInterrupt:  # before the command listens for it
         return 0 if chosen in UNTIL_ASKED else INTERRUPTED
-    except Exception as error:  # what nobody thought of
-        tell(error, "tissue_sim")
+    except Exception as error:  # what was not foreseen
+        report_error(error, "tissue_sim")
         if isinstance(error, OSError):  # perhaps a full disk, where the remaining output would fail again
             stop_output()
         return 1

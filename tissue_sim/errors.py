@@ -1,4 +1,4 @@
-"""Errors that reach a user: one line that names the thing and the remedy."""
+"""Errors that reach a user: one line that names the cause and the remedy."""
 
 import os
 import select
@@ -6,7 +6,7 @@ import sys
 
 
 class UserError(Exception):
-    """Wrong use or bad input, reported in one line.
+    """Invalid use or input, reported in one line.
 
     The command line prints the message and exits with code 2; the node logs it and continues.
     """

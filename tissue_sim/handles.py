@@ -163,7 +163,7 @@ class HandleRow:
 
     @property
     def places(self) -> np.ndarray:
-        """Return the addresses of the handles, (k,): whoever writes others there must keep their handles."""
+        """Return the addresses of the handles, (k,): code that writes others there must keep their handles."""
         return self._places
 
 

@@ -142,7 +142,7 @@ def _compiled(function: Callable[..., Any], inline: str) -> Any:
 
 
 class CacheFile(IndexDataCacheFile):  # type: ignore[misc]
-    """Versions of one kernel on disk, each in a file whose name nobody else takes.
+    """Versions of one kernel on disk, each in a file with a unique name.
 
     Numba numbers the files and writes the index first: of two processes that save at the same time, or one that loads
     while another saves, one would take machine code that was compiled for other types, and crash.

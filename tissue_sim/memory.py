@@ -58,7 +58,7 @@ def provide(values: Any) -> None:
     Parameters
     ----------
     values : Any
-        An array, or a NamedTuple of such and of further ones; nobody may be using them.
+        An array, or a NamedTuple of such and of further ones; they must not be in use.
     """
     if isinstance(values, tuple):
         for one in values:

@@ -6,7 +6,7 @@ import socket
 
 
 def free_port() -> int:
-    """Return a TCP port that nobody serves on this machine at present."""
+    """Return a TCP port that is unused on this machine at present."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

@@ -195,7 +195,7 @@ class _Teller:
     def __init__(self) -> None:
         self.lock = threading.RLock()
         self.terminal: TextIO | None = None  # where a bar is drawn
-        self.inside_line = False  # whether somebody has written half a line to the terminal
+        self.inside_line = False  # whether half a line was written to the terminal
         self._tasks: list[Task] = []
         self._write: Callable[[str], object] | None = _to_stderr
         self._due, self._period, self._ended = math.inf, PERIOD, -math.inf
@@ -359,8 +359,8 @@ class _Teller:
         seconds = now - one.started
         if one.counted and one.total is not None:
             path = self._path().removesuffix(one.text) + one.name
-            told = "" if one.unit == "%" else f" {one.done:g}/{one.total:g}"
-            shape = "{l_bar}{bar}|" + told + " [{elapsed}<{remaining}{postfix}]"
+            count = "" if one.unit == "%" else f" {one.done:g}/{one.total:g}"
+            shape = "{l_bar}{bar}|" + count + " [{elapsed}<{remaining}{postfix}]"
             line = tqdm.format_meter(
                 one.done, one.total, seconds, ncols=columns, prefix=path, postfix=one.remark, bar_format=shape
             )

@@ -41,7 +41,7 @@ def place_of(error: BaseException) -> str:
     return inside or outside
 
 
-def told(error: BaseException) -> str:
+def described(error: BaseException) -> str:
     """Return an error in one line: its type, its message, and its place.
 
     Parameters
@@ -59,7 +59,7 @@ def told(error: BaseException) -> str:
     return f"{type(error).__name__}{': ' if said else ''}{said}{f' ({place})' if place else ''}"
 
 
-def tell(error: BaseException, program: str) -> None:
+def report_error(error: BaseException, program: str) -> None:
     """Write the line of an error that ends a program, or a thread of it, to the standard error.
 
     Parameters
@@ -77,11 +77,11 @@ def tell(error: BaseException, program: str) -> None:
         names = ", ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
         write_error(f"{program}: error: {error.strerror}{f': {names}' if names else ''} ({place_of(error)})\n")
     else:
-        write_error(f"{program}: error: internal: {told(error)}; {TRACEBACK}=1 shows the traceback\n")
+        write_error(f"{program}: error: internal: {described(error)}; {TRACEBACK}=1 shows the traceback\n")
 
 
 def catch_all(program: str) -> None:
-    """Report every error that nothing else catches in this process by `tell`; for programs only.
+    """Report every error that nothing else catches in this process by `report_error`; for programs only.
 
     Closed standard streams are opened on the null device: writing to them must neither fail nor go to another file.
 
@@ -96,15 +96,15 @@ def catch_all(program: str) -> None:
 
     def uncaught(_: type[BaseException], error: BaseException, __: TracebackType | None) -> None:
         if not isinstance(error, KeyboardInterrupt):
-            tell(error, program)
+            report_error(error, program)
 
     def in_thread(given: threading.ExceptHookArgs) -> None:
         if given.exc_value is not None:
-            tell(given.exc_value, program)
+            report_error(given.exc_value, program)
 
     def unraisable(given: sys.UnraisableHookArgs) -> None:
         if given.exc_value is not None and not isinstance(given.exc_value, (KeyboardInterrupt, BrokenPipeError)):
-            tell(given.exc_value, program)
+            report_error(given.exc_value, program)
 
     sys.excepthook, threading.excepthook, sys.unraisablehook = uncaught, in_thread, unraisable
 
@@ -118,7 +118,7 @@ def _open_on_nothing(name: str, number: int) -> None:
 
 
 def write_error(text: str) -> None:
-    """Write text to the standard error, or nowhere when nobody reads it: a process that ends must not fail at that."""
+    """Write text to the standard error, or nowhere when it is not read: a process that ends must not fail at that."""
     try:
         sys.stderr.write(text)
         sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""Read a recorded bag as NumPy arrays: what a gripper's hand did and felt."""
+"""Read a recorded bag as NumPy arrays: a gripper's motion and the force on the hand."""
 
 from pathlib import Path
 

@@ -7,9 +7,9 @@ from rclpy.qos import qos_profile_sensor_data as qos
 
 rclpy.init()
 node = rclpy.create_node("hand")
-felt: list[WrenchStamped] = []
+wrenches: list[WrenchStamped] = []
 poses = node.create_publisher(PoseStamped, "/left/measured_cp", qos)
-node.create_subscription(WrenchStamped, "/left/servo_cf", felt.append, qos)
+node.create_subscription(WrenchStamped, "/left/servo_cf", wrenches.append, qos)
 
 xs, forces = [], []
 while len(xs) < 900:
@@ -18,9 +18,9 @@ while len(xs) < 900:
     pose.header.frame_id, pose.header.stamp = "organ", node.get_clock().now().to_msg()
     poses.publish(pose)
     rclpy.spin_once(node, timeout_sec=0.01)  # until the wrench that answers the pose
-    if felt:  # the node hears us
+    if wrenches:  # the node receives the poses
         xs.append(x)
-        forces.append(felt[-1].wrench.force.x)
+        forces.append(wrenches[-1].wrench.force.x)
 rclpy.shutdown()
 print(f"{max(forces):.2f} N at most")
 

@@ -16,7 +16,7 @@ for entry in ElementTree.parse("nip.pvd").iter("DataSet"):
     frames.setdefault(float(entry.attrib["timestep"]), []).append(entry.attrib["file"])
 
 times = sorted(frames)
-chosen = [times[round(share * (len(times) - 1))] for share in (0.0, 0.25, 0.5, 0.75)]
+chosen = [times[round(fraction * (len(times) - 1))] for fraction in (0.0, 0.25, 0.5, 0.75)]
 colours = plt.get_cmap("YlOrRd").with_extremes(bad="steelblue")  # bad: of tools, which have no displacement
 figure, axes = plt.subplots(1, 4, figsize=(11, 3.5), subplot_kw={"projection": "3d"}, layout="constrained")
 for axis, time in zip(axes, chosen, strict=True):

@@ -15,8 +15,8 @@ front = np.array([0.065, scene.surface_positions()[near, 1].min() - 0.005, 0.0])
 path = [(-0.004, 0.006, 1), (0.008, 0.006, 500), (0.008, 0.020, 600), (-0.02, 0.030, 400)]
 before, pictures = path[0], []
 for depth, apart, ticks in path:  # m into the tissue, m from the cut
-    for share in np.arange(1, ticks + 1) / ticks:
-        into, aside = before[0] + share * (depth - before[0]), before[1] + share * (apart - before[1])
+    for fraction in np.arange(1, ticks + 1) / ticks:
+        into, aside = before[0] + fraction * (depth - before[0]), before[1] + fraction * (apart - before[1])
         scene.move("left", front + [0.0, into, -aside])
         scene.move("right", front + [0.0, into, aside])
         scene.step()

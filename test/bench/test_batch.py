@@ -25,12 +25,12 @@ def measured_bounds(organ):
     return bounds_of(as_json(organ, [one], [], copies.bytes_a_copy, differing(scene, presses)))
 
 
-FELT, SAME = "copies that feel 0.02 N or more", "numbers that differ from those of the scene alone"
+PRESSED, SAME = "copies pressed with 0.02 N or more", "numbers that differ from those of the scene alone"
 
 
 def test_every_copy_feels_its_press_and_what_the_scene_feels():
     met = measured_bounds(ball_of_cells())
-    assert met[FELT]
+    assert met[PRESSED]
     assert met[SAME]
     assert met["memory of a copy"]
 
@@ -44,7 +44,7 @@ def test_a_batch_without_contact_is_noticed(monkeypatch):
 
     monkeypatch.setattr(CompiledCopies, "advance", without_contact)
     met = measured_bounds(ball_of_cells())
-    assert not met[FELT]
+    assert not met[PRESSED]
     assert not met[SAME]
 
 
@@ -91,6 +91,6 @@ def test_the_command_prints_and_checks(tmp_path, capsys):
     assert code == 0
     printed = capsys.readouterr().out
     assert "4 copies, each pressed by a ball" in printed
-    assert FELT in printed
+    assert PRESSED in printed
     cli.main(["bench", "batch", str(tmp_path / "ball.npz"), "--copies", "4", "--seconds", "1", "--no-peers", "--json"])
     assert {row["threads"] for row in json.loads(capsys.readouterr().out)["rows"]} >= {1, 2}

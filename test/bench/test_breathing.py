@@ -18,7 +18,7 @@ def test_a_slow_breath_carries_an_organ_as_finite_elements_go():
     assert all(one.off < max(0.3 * one.bent, WAKE_DISPLACEMENT) for one in found), (
         "it bends as they do, where that is visible"
     )
-    told = as_json(found)
-    assert [bound["met"] for bound in told["bounds"]] == [True]
-    assert "120" in text(organ, told)
+    result = as_json(found)
+    assert [bound["met"] for bound in result["bounds"]] == [True]
+    assert "120" in text(organ, result)
     assert as_json([slow._replace(most_off=0.06 * WAY)])["bounds"][0]["met"] is False

@@ -75,6 +75,6 @@ def test_missing_compiler_is_named(monkeypatch):
 
 
 @needs_compiler
-def test_flag_that_the_compiler_does_not_know_is_told():
+def test_flag_that_the_compiler_does_not_know_is_reported():
     with pytest.raises(CLoopError, match="--no-such-flag"):
         loop_of(ball(2), ("--no-such-flag",))

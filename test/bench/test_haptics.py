@@ -87,7 +87,7 @@ def trial(places, device=VISCOUS):
     return Trial(np.asarray(places), np.ones(len(places)), device.finest)
 
 
-def test_a_limit_cycle_is_told_from_what_decays_and_from_the_encoders_own():
+def test_a_limit_cycle_is_reported_from_what_decays_and_from_the_encoders_own():
     time = np.linspace(0.0, 40.0 * np.pi, 800)
     assert trial(1e-3 * np.sin(time)).swings
     assert not trial(1e-3 * np.exp(-0.05 * time) * np.sin(time)).swings

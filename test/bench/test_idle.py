@@ -9,10 +9,10 @@ from tissue_sim.cli import main
 
 
 def test_least_of_the_turns_is_held_against_the_bound():
-    turns = [{SERVED: share, SENDING: 1.0, BARE: 0.1} for share in (9.0, 2.9, 4.0)]
+    turns = [{SERVED: fraction, SENDING: 1.0, BARE: 0.1} for fraction in (9.0, 2.9, 4.0)]
     found = as_json(turns, 5.0)
-    share, seen = found["bounds"]
-    assert (share["value"], share["met"]) == (2.9, True)
+    fraction, seen = found["bounds"]
+    assert (fraction["value"], fraction["met"]) == (2.9, True)
     assert (seen["value"], seen["met"]) == (5.0, False)
     assert found["shares_percent"][SERVED] == {"least": 2.9, "median": 4.0, "most": 9.0}
     assert as_json(turns[:1], 0.1)["bounds"][0]["met"] is False

@@ -39,35 +39,35 @@ def trip(seconds, lost=0):
     return Trip(np.full(500, seconds), lost)
 
 
-def test_bounds_are_on_what_is_felt_and_on_the_bare_loop():
+def test_bounds_are_on_delays_and_on_the_bare_loop():
     both = together([trip(1e-3, 1), trip(1e-3, 2)])
     assert (len(both.seconds), both.lost) == (1000, 3)
 
     def bounds(node, napping, late):
         trips = {name: node if name.startswith("wrench") else trip(2e-4) for name in names()} | {WOKEN[0]: napping}
-        told = {name: one.as_json() for name, one in trips.items()}
-        return as_json(1.0, told, (1000.0, late), np.r_[np.zeros(990), np.full(10, 2e-3)], 100.0)["bounds"]
+        percentiles = {name: one.as_json() for name, one in trips.items()}
+        return as_json(1.0, percentiles, (1000.0, late), np.r_[np.zeros(990), np.full(10, 2e-3)], 100.0)["bounds"]
 
-    *felt, woken, late = bounds(trip(4e-4), trip(1e-3), 10.0)
-    assert [bound["limit"] for bound in felt] == [450.0, 1000.0, 450.0, 1000.0, 600.0, 600.0]
+    *delays, woken, late = bounds(trip(4e-4), trip(1e-3), 10.0)
+    assert [bound["limit"] for bound in delays] == [450.0, 1000.0, 450.0, 1000.0, 600.0, 600.0]
     assert woken["limit"] == pytest.approx(1.5 * 200.0 + 1000.0)
-    assert all(bound["met"] for bound in (*felt, woken, late))
+    assert all(bound["met"] for bound in (*delays, woken, late))
     assert late["value"] == pytest.approx(1.0)
     assert late["limit"] == pytest.approx(2.0 * 1.0 + 0.2)
     assert not any(bound["met"] for bound in bounds(trip(0.01), trip(0.01), 500.0))
 
 
-# what is felt of a pose ------------------------------------------------------------------------
+# the answer to a pose --------------------------------------------------------------------------
 TICK, SENT = 1e-3, 0.1205  # s
 
 
 def wrenches(computed, delay=0, noise=1e-4):
     """Wrenches every tick, s and N: 0.3 N, and from a tick on 0.03 N more, which comes in five of them."""
-    rng, felt = np.random.default_rng(3), []
+    rng, delays = np.random.default_rng(3), []
     for tick in range(220):
         risen = np.clip((tick - computed - delay + 1) / 5.0, 0.0, 1.0)
-        felt.append((TICK * tick + 2e-4, np.array([0.3 + 0.03 * risen, 0.0, 0.0]) + noise * rng.standard_normal(3)))
-    return felt
+        delays.append((TICK * tick + 2e-4, np.array([0.3 + 0.03 * risen, 0.0, 0.0]) + noise * rng.standard_normal(3)))
+    return delays
 
 
 def test_what_is_timed_is_the_first_wrench_that_was_computed_with_the_pose():
@@ -80,7 +80,7 @@ def test_a_delay_of_ticks_shows(ticks):
     assert first_change(SENT, wrenches(121, ticks)) == pytest.approx(0.0007 + ticks * TICK)
 
 
-def test_a_pose_that_is_not_felt_is_none():
+def test_a_pose_without_an_answer_has_no_delay():
     assert first_change(SENT, wrenches(1000)) is None
     assert first_change(SENT, []) is None
     assert first_change(SENT, wrenches(121)[:50]) is None
@@ -106,9 +106,9 @@ def test_a_delay_that_is_planted_in_the_node_shows_at_every_rate(monkeypatch):
     monkeypatch.setattr(Graph, "serve", serve)
     trips = measure(None, 4.0)["round_trips"]
     for rate in RATES:
-        felt = trips[wrench_row_name(rate)]
-        assert felt["p50_us"] >= 19_000.0
-        assert felt["lost"] < felt["trips"], "those that are lost count as later still"
+        delays = trips[wrench_row_name(rate)]
+        assert delays["p50_us"] >= 19_000.0
+        assert delays["lost"] < delays["trips"], "those that are lost count as later still"
 
 
 def test_seconds_out_of_range_are_refused(capsys):
@@ -131,7 +131,7 @@ def test_a_priority_that_is_not_allowed_is_refused_in_one_line(name, monkeypatch
     assert error.count("\n") == 1
 
 
-def told(seconds, tick, late=0, dropped=0, pace=1.0, degraded="none"):
+def report_of(seconds, tick, late=0, dropped=0, pace=1.0, degraded="none"):
     return NodeReport(seconds, tick, late, dropped, pace, 1e-4, degraded)
 
 
@@ -140,7 +140,11 @@ def test_a_hand_comes_from_outside_and_is_deepest_in_the_middle_of_a_poke():
 
 
 def test_a_phase_is_what_the_node_did_between_its_first_report_and_its_last():
-    reports = [told(10.0, 5000, 7, 2), told(11.0, 5900, 17, 52, 0.95, "markers"), told(13.0, 7700, 26, 52, 0.8)]
+    reports = [
+        report_of(10.0, 5000, 7, 2),
+        report_of(11.0, 5900, 17, 52, 0.95, "markers"),
+        report_of(13.0, 7700, 26, 52, 0.8),
+    ]
     phase = latency_busy.phase_json(PokeFigures(np.array([0.2, 0.3]), 0.004, reports), 1.5)
     assert phase["ticks_per_second"] == pytest.approx(900.0)
     assert phase["late_percent"] == pytest.approx(100.0 * 19 / 2700)
@@ -152,7 +156,10 @@ def test_a_phase_is_what_the_node_did_between_its_first_report_and_its_last():
 def busy_bounds(priority, *, peaks=(0.2, 0.2), rate=1000.0, late=0.0, back=0.0):
     def phase(name):
         hit = name == BUSY
-        ticks = [told(0.0, 0), told(10.0, round(10.0 * (rate if hit else 1000.0)), round(late if hit else 0.0))]
+        ticks = [
+            report_of(0.0, 0),
+            report_of(10.0, round(10.0 * (rate if hit else 1000.0)), round(late if hit else 0.0)),
+        ]
         return latency_busy.phase_json(PokeFigures(np.array(peaks if hit else (0.2, 0.2)), 0.0, ticks), 0.0)
 
     nodes = [

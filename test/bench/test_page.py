@@ -22,21 +22,21 @@ def found(hz):
     """Four seconds, in the last of which nothing moves."""
     times = {name: (100.0 + (np.arange(4 * rate) + 0.5) / rate).tolist() for name, rate in hz.items()}
     sent = 100.0 + (np.arange(180) + 0.5) / 60.0
-    watched = {"began": 100.0, "came": {f"/organ/{name}": came for name, came in times.items()}, "bytes": 8_000_000}
-    return as_json(SCENE, watched, sent.tolist(), {"the page": 20.0}, 4.0)
+    arrivals = {"began": 100.0, "came": {f"/organ/{name}": came for name, came in times.items()}, "bytes": 8_000_000}
+    return as_json(SCENE, arrivals, sent.tolist(), {"the page": 20.0}, 4.0)
 
 
 def test_least_of_the_organs_is_held_against_the_bound():
-    told = found({"left": 40, "right": 31})
-    assert told["bounds"][0]["value"] == pytest.approx(31.0)
-    assert told["bounds"][0]["met"] is True
-    assert (told["seconds"], told["megabytes_a_second"]) == (3, 2.0)
+    result = found({"left": 40, "right": 31})
+    assert result["bounds"][0]["value"] == pytest.approx(31.0)
+    assert result["bounds"][0]["met"] is True
+    assert (result["seconds"], result["megabytes_a_second"]) == (3, 2.0)
     assert found({"left": 40, "right": 29})["bounds"][0]["met"] is False
     assert found({"left": 40})["bounds"][0]["met"] is False, "one that never came"
-    assert "31.0" in next(line for line in text(told).splitlines() if line.startswith("right"))
+    assert "31.0" in next(line for line in text(result).splitlines() if line.startswith("right"))
 
 
-def test_a_node_that_sends_too_little_is_told():
+def test_a_node_that_sends_too_little_is_reported():
     with pytest.raises(UserError, match="never sent 50 surfaces in a second"):
         as_json(SCENE, {"began": 0.0, "came": {}, "bytes": 0}, [0.5], {}, 4.0)
 
@@ -66,8 +66,8 @@ def test_short_run_with_real_processes(tmp_path, monkeypatch, place):
     scene, file = tmp_path / "balls.yaml", tmp_path / "page.json"
     scene.write_text("\n".join(lines))
     assert main(["bench", "page", "--seconds", "8", "--scene", str(scene), "--json", str(file), *place]) == 0
-    told = json.loads(file.read_text())
-    assert [row["organ"] for row in told["organs"]] == ["left", "right"]
-    assert min(row["pictures_hz"] for row in told["organs"]) > 0.0
-    assert told["megabytes_a_second"] > 0.0
-    assert set(told["shares_percent"]) == {"the page", "the node", "a bare loop"}
+    result = json.loads(file.read_text())
+    assert [row["organ"] for row in result["organs"]] == ["left", "right"]
+    assert min(row["pictures_hz"] for row in result["organs"]) > 0.0
+    assert result["megabytes_a_second"] > 0.0
+    assert set(result["shares_percent"]) == {"the page", "the node", "a bare loop"}

@@ -26,7 +26,7 @@ def gentle():
     return two_tools.pinched(organ, "spheres", SPHERES, 0, 0.2)
 
 
-def test_a_gentle_pinch_is_felt_and_leaves_nothing(gentle):
+def test_a_gentle_pinch_has_a_force_and_leaves_nothing(gentle):
     assert gentle.width == pytest.approx(0.06, rel=0.1)
     assert gentle.force > 0.05
     assert 0.0 < gentle.least < 1.0
@@ -37,8 +37,8 @@ def test_a_gentle_pinch_is_felt_and_leaves_nothing(gentle):
 
 
 def test_bounds_take_the_worst_and_the_text_names_every_pinch(gentle):
-    bad = gentle._replace(tools="jaws", axis=2, share=0.4, held_turned=3, left=2e-3, seconds=np.full(5, 1e-3))
-    hard = bad._replace(share=0.6, held_turned=9)
+    bad = gentle._replace(tools="jaws", axis=2, fraction=0.4, held_turned=3, left=2e-3, seconds=np.full(5, 1e-3))
+    hard = bad._replace(fraction=0.6, held_turned=9)
     found = pinch.as_json([gentle, bad, hard], np.full(10, 5e-5))
     value = {bound["name"]: (bound["value"], bound["met"]) for bound in found["bounds"]}
     assert value["inverted cells, held at 20 and 40 %"] == (3, False)
@@ -70,8 +70,8 @@ def table_of(organ, rows):
     return {"organ": organ.name, "fits": pinch_reference.fits(organ), "rows": rows}
 
 
-def row_of(axis, force, share=10.0):
-    return {"axis": axis, "share_percent": share, "force_n": force, "least_volume": 0.8}
+def row_of(axis, force, fraction=10.0):
+    return {"axis": axis, "share_percent": fraction, "force_n": force, "least_volume": 0.8}
 
 
 @pytest.mark.usefixtures("quick")
@@ -96,7 +96,7 @@ def test_the_table_that_ships_is_of_the_kidney_that_ships():
 
 def test_a_table_of_another_organ_or_of_other_pinches_is_refused(tmp_path):
     path, organ = tmp_path / "pinch.json", ball_of_cells()
-    rows = [row_of(axis, np.ones((2, 3)).tolist(), share) for axis in "xyz" for share in (20.0, 40.0)]
+    rows = [row_of(axis, np.ones((2, 3)).tolist(), fraction) for axis in "xyz" for fraction in (20.0, 40.0)]
     path.write_text(json.dumps(table_of(organ, rows)))
     assert pinch_reference.read(path, organ)["rows"] == rows
     with pytest.raises(UserError, match="another surface, clamp or material"):
@@ -130,10 +130,10 @@ def test_a_sphere_that_comes_upon_the_clamp_is_not_compared():
     assert not pinch_reference.meets_clamp(organ, two_tools.place(organ, 0, two_tools.SPHERE)).any()
 
 
-def test_what_did_not_settle_is_told_and_leaves_the_bound_open():
+def test_what_did_not_settle_is_reported_and_leaves_the_bound_open():
     force = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     good = pinch_reference.Compared("x", 20.0, 1.08 * force, force, 0.5, 0.7)
-    found = pinch_reference.as_json([good, good._replace(axis="z", share=40.0)])
+    found = pinch_reference.as_json([good, good._replace(axis="z", fraction=40.0)])
     assert found["bound"]["value"] == pytest.approx(8.0)
     lost = pinch_reference.as_json([good, good._replace(reference=None, reference_least=None)])
     assert lost["bound"]["value"] is None
@@ -142,7 +142,7 @@ def test_what_did_not_settle_is_told_and_leaves_the_bound_open():
 
 
 @pytest.mark.extended
-def test_finite_elements_are_squeezed_on_two_meshes(monkeypatch):
+def test_finite_elements_are_compressed_on_two_meshes(monkeypatch):
     monkeypatch.setattr(pinch_reference, "SHARES", (0.05,))
     organ = ball_of_cells()
     (row,) = pinch_reference.by_elements(organ, two_tools.place(organ, 0, two_tools.SPHERE), 0)

@@ -127,8 +127,8 @@ def test_a_hand_that_falls_through_is_found(monkeypatch):
     assert not figures["bounds"][0]["met"]
 
 
-def one(felt, slow=(1.0, 0.0, 0.0)):
-    return Pressed("kidney", "sphere, 5 mm", "0.8 m/s, 500 Hz", np.array(slow), np.array(felt))
+def one(force, slow=(1.0, 0.0, 0.0)):
+    return Pressed("kidney", "sphere, 5 mm", "0.8 m/s, 500 Hz", np.array(slow), np.array(force))
 
 
 def test_a_wrong_force_moves_the_figure():
@@ -181,7 +181,7 @@ class Starved:
 
     def press(self, poses, rate):
         self.pressed += 1
-        return np.array([1.0 if self.pressed == 1 else 0.0, 0.0, 0.0])  # the slow one is felt
+        return np.array([1.0 if self.pressed == 1 else 0.0, 0.0, 0.0])  # the slow one has a force
 
     def hold_on(self, ticks):
         self.held.append(ticks)

@@ -32,16 +32,16 @@ def test_busiest_thread_is_left_out_when_asked():
     assert 0.0 <= processor_seconds(process, busiest=False) < processor_seconds(process)
 
 
-def test_shares_are_those_of_the_wait():
+def test_fractions_are_those_of_the_wait():
     spent = {"working": 0.0, "idle": 0.0}
 
     def wait():
         time.sleep(0.05)
         spent["working"] = 0.025
 
-    shares = processor_load_during({name: lambda n=name: spent[n] for name in spent}, wait)
-    assert 0.0 < shares["working"] <= 50.0
-    assert shares["idle"] == 0.0
+    fractions = processor_load_during({name: lambda n=name: spent[n] for name in spent}, wait)
+    assert 0.0 < fractions["working"] <= 50.0
+    assert fractions["idle"] == 0.0
 
 
 def test_process_that_has_ended_is_named():

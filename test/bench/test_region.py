@@ -37,7 +37,7 @@ def test_auto_keeps_its_bounds_by_handing_over_and_what_is_frozen_is_far_off(cas
 
 
 @pytest.mark.extended
-def test_missed_bound_is_told(cases):
+def test_missed_bound_is_reported(cases):
     worse = [case._replace(auto=2.0 * WHOLE_NONLINEAR) for case in cases]
     assert is_met(worse) == [True, False, True]
     assert is_met([cases[0]._replace(settled=False), *cases[1:]]) == [True, True, False]

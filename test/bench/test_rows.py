@@ -15,7 +15,7 @@ from tissue_sim.cli import main
 
 
 @pytest.fixture(autouse=True)
-def anew():
+def no_rows():
     rows.begin()
     yield
     rows.begin()
@@ -32,7 +32,7 @@ def test_what_was_measured_stays_and_what_follows_has_nothing_to_do(capsys):
             if one == 2:
                 interrupted()
             found.append(one)
-            rows.tell(f"load {one}", "3 %", "4 N")
+            rows.report(f"load {one}", "3 %", "4 N")
     assert (found, rows.stopped()) == ([0, 1], True)
     assert list(rows.each(range(5), "other loads")) == []
     captured = capsys.readouterr()
@@ -148,8 +148,8 @@ def test_figures_of_few_rows():
 
 
 def test_a_start_without_its_node():
-    told = {"wall": 9.0, "processor": 8.0, "parts": {"imports": 1.0}, "compiled": {}}
-    found = start.as_json({start.TO_COMPILE: told}, {}, {}, "")
+    measured = {"wall": 9.0, "processor": 8.0, "parts": {"imports": 1.0}, "compiled": {}}
+    found = start.as_json({start.TO_COMPILE: measured}, {}, {}, "")
     assert found["bounds"][-1]["value"] is None
     assert "node, to its first tick" in start.text(found)
 

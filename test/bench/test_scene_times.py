@@ -46,7 +46,7 @@ def test_each_bound_is_missed_by_a_bad_figure_alone(name, us):
 @pytest.mark.parametrize(
     "bad", [bench.WakeThresholdError(1.1e-4, 0.0, 1.0, 2.0), bench.WakeThresholdError(0.0, 1.1e-3, 1.0, 2.0)]
 )
-def test_a_scene_that_lacks_too_much_is_told(bad):
+def test_a_scene_that_lacks_too_much_is_reported(bad):
     assert [bound.met for bound in bench.bounds(measured(bad))].count(False) == 1
 
 
@@ -73,7 +73,7 @@ def hanging_pair():
     return SceneFile(("one", "two"), (first, second), (1.0, 1.0), (0.0, 0.0), (ligament,), None, 0.0, (0.0, 0.0, 0.0))
 
 
-def test_a_scene_that_a_core_cannot_keep_up_with_is_told(monkeypatch, capsys):
+def test_a_scene_that_a_core_cannot_keep_up_with_is_reported(monkeypatch, capsys):
     monkeypatch.setattr(bench, "in_one_thread", lambda *_: measured(**{bench.AWAKE: 1200.0, bench.ASLEEP: 9.0}))
     assert main(["bench", "scene"]) == 0
     assert main(["bench", "scene", "--check"]) == 1
@@ -108,15 +108,15 @@ def test_a_scene_is_timed_beside_copies_of_an_organ(monkeypatch, tmp_path):
     assert [row["name"] for row in found["rows"]] == [*COPIES, *OF_SCENE]
     assert all(row["median_us"] > 0.0 for row in found["rows"] if row["name"] != bench.ASLEEP)
     assert found["scene"] == ["one", "two"]
-    assert found["organs_awake"] < found["organs_awake_where_all_is_felt"] + 1e-9
+    assert found["organs_awake"] < found["organs_awake_without_threshold"] + 1e-9
 
 
 @pytest.mark.extended
-def test_the_abdomen_that_ships_lacks_nothing_that_is_seen_or_felt():
+def test_the_abdomen_that_ships_lacks_nothing_perceptible():
     """A breath with a tool on the liver: organs sleep for most of it, all are awake without the wake threshold."""
     found = bench.lacking(SceneFile.read(bench.shipped_scene()))
     assert found.moved < WAKE_DISPLACEMENT
-    assert found.felt < WAKE_FORCE
+    assert found.force < WAKE_FORCE
     assert found.awake < 2.0
     assert found.awake_of_all > 3.0
 

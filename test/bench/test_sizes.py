@@ -97,10 +97,10 @@ def test_finer_surface_is_held_at_the_same_places(organ):
 
 def test_organ_assembled_anew_keeps_clamp_tissue_and_atoms():
     organ = filled(kidney(), 20)
-    anew = reassembled(organ, organ.surface_positions, organ.surface_triangles, 20)
-    np.testing.assert_array_equal(anew.fixed, organ.fixed)
-    np.testing.assert_array_equal(anew.spring_stiffness, organ.spring_stiffness)
-    assert (anew.n_interior, anew.n_atoms, anew.youngs_modulus) == (20, organ.n_atoms, organ.youngs_modulus)
+    remade = reassembled(organ, organ.surface_positions, organ.surface_triangles, 20)
+    np.testing.assert_array_equal(remade.fixed, organ.fixed)
+    np.testing.assert_array_equal(remade.spring_stiffness, organ.spring_stiffness)
+    assert (remade.n_interior, remade.n_atoms, remade.youngs_modulus) == (20, organ.n_atoms, organ.youngs_modulus)
     other = reassembled(COARSE, FINE.surface_positions, FINE.surface_triangles, 0)
     assert other.surface_positions[other.fixed, 2].max() < -0.5 * 0.03
     assert len(other.fixed) / other.n_surface == pytest.approx(len(COARSE.fixed) / COARSE.n_surface, rel=0.5)

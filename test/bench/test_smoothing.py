@@ -12,7 +12,7 @@ def found():
     return {(fraction, rate): smoothing.one(ball(2), fraction, rate) for fraction in (1.0, 0.0) for rate in (500, 50)}
 
 
-def test_half_of_a_step_is_felt_after_half_of_the_time_between_poses(found):
+def test_half_of_a_step_arrives_after_half_of_the_time_between_poses(found):
     """At 50 Hz a tool takes 20 ticks to a pose, or one: half of the force, a contact's way, is half of the way."""
     assert found[1.0, 50].half - found[0.0, 50].half == pytest.approx(9, abs=2)
     assert found[1.0, 500].half - found[0.0, 500].half <= 1
@@ -30,7 +30,7 @@ def test_a_force_that_is_a_tenth_too_large_makes_steps_that_are(found, monkeypat
     monkeypatch.setattr(Scene, "wrenches", property(lambda scene: 1.1 * plain(scene)))
     wrong = smoothing.one(ball(2), 1.0, 500)
     assert wrong.step == pytest.approx(1.1 * found[1.0, 500].step, rel=1e-6)
-    assert wrong.half == found[1.0, 500].half, "half of a larger step is felt as soon"
+    assert wrong.half == found[1.0, 500].half, "half of a larger step arrives as soon"
 
 
 def test_the_table_has_every_figure(found):

@@ -156,7 +156,7 @@ def test_soft_organ_gains_no_energy_of_its_modal_region():
     assert record.energy_gain < 1e-3
 
 
-def test_step_axis_sets_the_substep_to_a_share_of_the_critical_one():
+def test_step_axis_sets_the_substep_to_a_fraction_of_the_critical_one():
     simulation = simulation_of(cell("step", 0.5))
     simulation.apply_force([0], [[0.0, 0.0, 0.01]])
     simulation.step()
@@ -288,7 +288,7 @@ def test_check_fails_where_a_default_cell_diverged(capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (["--axes", "colour"], "--axes: unknown axis 'colour'"),
         (["--jobs", "0"], "--jobs 0"),
@@ -300,10 +300,10 @@ def test_check_fails_where_a_default_cell_diverged(capsys):
         (["no_such_organ.npz"], "no_such_organ.npz does not exist"),
     ],
 )
-def test_wrong_use_takes_one_line(words, told, capsys):
+def test_wrong_use_takes_one_line(words, expected, capsys):
     assert bench("--quick", *words) == 2
     shown = capsys.readouterr().err.strip().splitlines()
-    assert told in shown[-1]
+    assert expected in shown[-1]
     assert not any("Traceback" in line for line in shown)
 
 

@@ -19,18 +19,18 @@ from tissue_sim.organ.shipped import shipped_organ
 PARTS = ("interpreter", "imports", "organ", "assembling", "compiling", "first tick")
 
 
-def told(wall, compiled):
+def result(wall, compiled):
     return {"parts": dict.fromkeys(PARTS, wall / 6.0), "compiled": compiled, "wall": wall, "processor": 0.8 * wall}
 
 
 def found(wall, to_end=0.2, to_find=0.3):
-    starts = {TO_COMPILE: told(10.0 * wall, {"model.tick": 5.0, "model.guard": 2.0}), ON_DISK: told(wall, {})}
+    starts = {TO_COMPILE: result(10.0 * wall, {"model.tick": 5.0, "model.guard": 2.0}), ON_DISK: result(wall, {})}
     node = {"to_first_tick": 2.0, "to_first_answer": 2.5, "to_end": to_end, "to_find": to_find}
     peers = {name: Start(1.0, 0.4) for name in start.PEERS}
     return as_json(starts, {TO_COMPILE: None, ON_DISK: node}, peers, "skipped: no node")
 
 
-def test_compiling_is_told_by_module_and_without_what_is_called():
+def test_compiling_is_reported_by_module_and_without_what_is_called():
     def event(module, is_start):
         dispatcher = SimpleNamespace(py_func=SimpleNamespace(__module__=module))
         return SimpleNamespace(is_start=is_start, data={"dispatcher": dispatcher})
@@ -43,7 +43,7 @@ def test_compiling_is_told_by_module_and_without_what_is_called():
 def test_bounds_are_held_or_missed():
     assert [bound["met"] for bound in found(1.0)["bounds"]] == [True] * 4
     assert [bound["met"] for bound in found(2.5, to_end=1.5, to_find=2.6)["bounds"]] == [False] * 4
-    alone = as_json({ON_DISK: told(1.0, {})}, {ON_DISK: None}, {}, "skipped")
+    alone = as_json({ON_DISK: result(1.0, {})}, {ON_DISK: None}, {}, "skipped")
     assert [bound["met"] for bound in alone["bounds"]] == [True, None, None]
 
 
@@ -83,7 +83,7 @@ def test_parts_of_a_first_start_make_up_all_of_it():
     assert one["processor"] > 0.0
 
 
-def test_organ_that_can_not_be_read_is_told(tmp_path, capsys):
+def test_organ_that_can_not_be_read_is_reported(tmp_path, capsys):
     with pytest.raises(UserError, match="first tick"):
         first_start(tmp_path / "none.npz", {})
     assert main(["bench", "start", str(tmp_path / "none.npz")]) == 2
@@ -95,7 +95,7 @@ def test_organ_that_can_not_be_read_is_told(tmp_path, capsys):
 def test_command_runs_with_real_processes(capsys, monkeypatch):
     monkeypatch.setattr(start, "TIMES", 1)
     assert main(["bench", "start", "--quick", "--json", "-"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert set(told["starts"]) == {ON_DISK}
-    assert told["nodes"][ON_DISK]["to_find"] > 0.0
-    assert told["nodes"][ON_DISK]["to_first_answer"] >= told["nodes"][ON_DISK]["to_first_tick"] > 0.0
+    result = json.loads(capsys.readouterr().out)
+    assert set(result["starts"]) == {ON_DISK}
+    assert result["nodes"][ON_DISK]["to_find"] > 0.0
+    assert result["nodes"][ON_DISK]["to_first_answer"] >= result["nodes"][ON_DISK]["to_first_tick"] > 0.0

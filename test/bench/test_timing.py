@@ -107,7 +107,7 @@ def test_child_process_uses_one_thread_and_leaves_the_environment_alone():
     assert dict(os.environ) == before
 
 
-def test_mistakes_in_the_child_process_are_told_here():
+def test_mistakes_in_the_child_process_are_reported_here():
     with pytest.raises(UserError, match=r"missing\.npz"):
         in_one_thread(Organ.load, "missing.npz")
 

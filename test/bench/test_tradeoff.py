@@ -169,7 +169,7 @@ def test_at_other_sizes_the_papers_springs_and_the_steps_are_left_out():
 
 @pytest.mark.parametrize(
     "measured_row",
-    # A tick is compiled anew wherever it is timed.
+    # A tick is compiled again wherever it is timed.
     ["ChainMail", pytest.param("surface", marks=pytest.mark.extended)],
 )
 def test_row_that_cannot_be_made_is_skipped_with_the_extra_to_install(monkeypatch, measured_row):

@@ -17,7 +17,7 @@ def asked(organ):
     return text, int(re.search(r"--points (\d+)", text)[1])
 
 
-def test_a_thin_organ_is_told_how_many_points_it_needs():
+def test_a_thin_organ_is_reported_how_many_points_it_needs():
     thin = replace(ball(2), atom_radius=[0.03, 0.02, 0.005, 0.005, 0.02])
     reason, points = asked(thin)
     assert re.search(r"'ball' is 10\.0 mm thick in places.* edges of \d\d?\.\d mm; build it with --refine auto", reason)

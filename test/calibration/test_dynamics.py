@@ -111,8 +111,8 @@ def test_a_weight_on_the_end_slows_a_beam_down():
     weight[ends] = beam / len(ends)
     solid.add_masses(weight)
     assert solid.mass.sum() == pytest.approx(2.0 * beam)
-    share = 33.0 / 140.0
-    assert frequencies(solid, 1)[0] == pytest.approx(alone * np.sqrt(share / (share + 1.0)), rel=0.03)
+    fraction = 33.0 / 140.0
+    assert frequencies(solid, 1)[0] == pytest.approx(alone * np.sqrt(fraction / (fraction + 1.0)), rel=0.03)
 
 
 def test_organ_let_go_starts_where_it_settled_and_comes_to_rest():

@@ -47,10 +47,10 @@ def test_middles_lie_half_way_or_a_quarter_from_the_clamps_edge():
     ends = mesh.elements[:, [[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]]]
     middle = mesh.nodes[mesh.elements[:, 4:]]
     a, b = mesh.nodes[ends[..., 0]], mesh.nodes[ends[..., 1]]
-    share = np.linalg.norm(middle - a, axis=2) / np.linalg.norm(b - a, axis=2)
+    fraction = np.linalg.norm(middle - a, axis=2) / np.linalg.norm(b - a, axis=2)
     at_a, at_b = np.isin(ends[..., 0], front), np.isin(ends[..., 1], front)
     wanted = np.where(at_a == at_b, 0.5, np.where(at_a, 0.25, 0.75))
-    np.testing.assert_allclose(share, wanted, atol=1e-9)
+    np.testing.assert_allclose(fraction, wanted, atol=1e-9)
     assert (at_a != at_b).any()
     np.testing.assert_allclose(np.linalg.norm(np.cross(middle - a, b - a), axis=2), 0.0, atol=1e-15)
     for facet, edges in ((mesh.facets[:, 3], (0, 1)), (mesh.facets[:, 4], (1, 2)), (mesh.facets[:, 5], (0, 2))):

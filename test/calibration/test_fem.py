@@ -46,8 +46,8 @@ def test_uniform_pressure_is_that_of_the_facets(body):
     organ = body.organ
     a, b, c = (organ.surface_positions[organ.surface_triangles[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-    share = np.bincount(organ.surface_triangles.ravel(), np.repeat(area / 3.0, 3))
-    found = body.loads(np.column_stack([share, 2.0 * share, 0.0 * share]))
+    fraction = np.bincount(organ.surface_triangles.ravel(), np.repeat(area / 3.0, 3))
+    found = body.loads(np.column_stack([fraction, 2.0 * fraction, 0.0 * fraction]))
     facets, nodes = body.filling.facets, body.filling.nodes
     straight = np.zeros(len(nodes))
     one, other, third = (nodes[facets[:, k]] for k in range(3))
@@ -175,8 +175,8 @@ def test_every_load_of_a_calibration_settles_on_the_kidney():
     forces = []
     for number, middle in enumerate(rng.choice(away, 8)):
         distance = np.linalg.norm(x - x[middle], axis=1)
-        share = np.maximum(0.0, 1.0 - (distance / (0.011 if number % 2 else 0.005)) ** 2)
-        forces.append(share[:, None] * rng.normal(size=3))
+        fraction = np.maximum(0.0, 1.0 - (distance / (0.011 if number % 2 else 0.005)) ** 2)
+        forces.append(fraction[:, None] * rng.normal(size=3))
     loads = np.array(forces)
     depth = 0.012 / np.linalg.norm(body.settle_linear(loads), axis=2).max(axis=1)
     scale = np.minimum(depth, strongest(loads, np.ones(len(loads)), organ))

@@ -54,7 +54,7 @@ def test_linear_slope_is_that_by_finite_differences():
     np.testing.assert_allclose(slope[chosen], list(slope_by_differences(misfit, START, chosen, 1e-4)), rtol=1e-4)
 
 
-def test_overlapping_linear_cases_are_combined_and_tell_what_they_told_apart():
+def test_overlapping_linear_cases_are_combined_and_tell_what_they_distinguished():
     force = fit_cases(ORGAN, 600, 0)
     wanted = linear_answers(TRUTH, force)
     misfit, found = Misfit(SPRINGS, force, wanted), linear_answers(START, force)

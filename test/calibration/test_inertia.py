@@ -63,9 +63,9 @@ def test_least_mass_bounds_the_critical_step(step):
 def test_an_organ_gives_away_more_of_its_mass_the_stiffer_it_is_up_to_a_bound():
     total = ORGAN.density * ORGAN.volume
     needed = least_mass(SPRINGS, SPRINGS.tangent(START), total, 1e-5).sum() / total / 1e-10  # for a step of 1 s
-    for wanted, share in ((0.4, 0.4), (0.7, 0.6), (1.0, 0.6), (1.2, 0.72), (9.0, 0.75)):
+    for wanted, fraction in ((0.4, 0.4), (0.7, 0.6), (1.0, 0.6), (1.2, 0.72), (9.0, 0.75)):
         least = least_mass(SPRINGS, SPRINGS.tangent(START), total, np.sqrt(wanted / needed))
-        assert least.sum() == pytest.approx(share * total)
+        assert least.sum() == pytest.approx(fraction * total)
 
 
 def test_an_organ_that_nothing_holds_is_refused():

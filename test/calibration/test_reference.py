@@ -1,4 +1,4 @@
-"""What the reference lacks: told, and made good."""
+"""What the reference lacks is reported, and corrected."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from tissue_sim.calibration.reference import FINER, LEFT, Refined, finer_referen
 
 
 @pytest.mark.extended
-def test_what_is_left_is_a_share_of_the_difference_to_a_finer_mesh():
+def test_what_is_left_is_a_fraction_of_the_difference_to_a_finer_mesh():
     organ = ball(1)
     loads = np.zeros((2, organ.n_surface, 3))
     loads[[0, 1], np.argmax(organ.surface_positions[:, 2])] = [[0.0, 0.0, -0.01], [0.02, 0.0, 0.0]]
@@ -48,8 +48,8 @@ def test_what_few_shapes_differ_by_is_made_good():
     """A difference that follows the first shapes of every answer is found from samples, to rounding."""
     random = np.random.default_rng(4)
     shapes, change = random.normal(size=(5, 60)), random.normal(size=(5, 60))
-    shares = random.normal(size=(40, 5))
-    coarse, fine = (shares @ shapes).reshape(40, 20, 3), (shares @ (shapes + 0.01 * change)).reshape(40, 20, 3)
+    fractions = random.normal(size=(40, 5))
+    coarse, fine = (fractions @ shapes).reshape(40, 20, 3), (fractions @ (shapes + 0.01 * change)).reshape(40, 20, 3)
     np.testing.assert_allclose(made_good(coarse, coarse[:10], fine[:10]), fine, atol=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""The finite-element body beside the fit: the same answers, told one by one; its failures; its end."""
+"""The finite-element body beside the fit: the same answers, reported one by one; its failures; its end."""
 
 from concurrent.futures import wait
 from dataclasses import replace
@@ -37,13 +37,13 @@ def test_answers_are_those_of_the_body_and_are_kept(tmp_path):
     organ = ball(1)
     cases = held_out_cases(organ, 2, 0).scaled(np.array([0.1, 0.2]))
     reference = reference_of(organ, tmp_path, cases)
-    told, body = [], Body(organ)
+    steps, body = [], Body(organ)
     try:
-        linear, found = reference.linear(), reference.answer(body, lambda: told.append(1))
+        linear, found = reference.linear(), reference.answer(body, lambda: steps.append(1))
         motion = reference.motion()
     finally:
         reference.stop()
-    assert len(told) == 2
+    assert len(steps) == 2
     np.testing.assert_allclose(linear["held_out"], body.settle_linear(cases.force), atol=1e-12)
     np.testing.assert_allclose(linear["frequencies"], lowest_frequencies(body, MODES), rtol=1e-6)
     settled = list(body.settle_many(cases.force))

@@ -63,7 +63,7 @@ def test_it_has_one_thread_and_leaves_ours_alone(monkeypatch):
         assert os.environ["OPENBLAS_NUM_THREADS"] == "3"
 
 
-def test_a_process_that_was_killed_is_told_in_one_line():
+def test_a_process_that_was_killed_is_reported_in_one_line():
     with its("os") as remote:
         os.kill(remote.call("getpid"), signal.SIGKILL)
         for _ in range(2):

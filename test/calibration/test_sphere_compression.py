@@ -7,7 +7,7 @@ from helpers.blocks import box
 from helpers.scenes import ball
 from tissue_sim.calibration import sphere_compression as squeeze
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.sphere_compression import TIE, Tied, own_nodes, squeezed, touchable
+from tissue_sim.calibration.sphere_compression import TIE, Tied, compressed, own_nodes, touchable
 
 E, NU = 3000.0, 0.3
 RADIUS, DEPTH = 0.02, 6e-4  # m
@@ -38,16 +38,16 @@ def above(depths):
 def test_a_sphere_is_pushed_back_as_hertz_has_it():
     """F = 4/3 E / (1 - nu^2) sqrt(R) d^1.5, times (1 - nu) ln(3 - 4 nu) / (1 - 2 nu) where it sticks (Spence 1968).
 
-    And a share of sqrt(R d) over the block's height more, as its foot is bonded (Dimitriadis et al. 2002).
+    And a fraction of sqrt(R d) over the block's height more, as its foot is bonded (Dimitriadis et al. 2002).
     """
     depths = DEPTH * np.array([0.4, 1.0])
     fine = block([2.0, 4.0, 6.0, 10.0, 18.0, 30.0], [1.0, 2.0, 4.0, 8.0, 15.0, 30.0])
-    steps = squeezed(*fine, above(depths), RADIUS)
+    steps = compressed(*fine, above(depths), RADIUS)
     force = np.array([step.forces[0, 2] for step in steps])
     assert all(step.settled for step in steps)
     sticking = (1.0 - NU) * np.log(3.0 - 4.0 * NU) / (1.0 - 2.0 * NU)
-    share = 2.0 / np.pi * (1.2876 - 1.4678 * NU + 1.3442 * NU**2) / (1.0 - NU) * np.sqrt(RADIUS * depths) / 0.03
-    wanted = (1.0 + share + share**2) * sticking * 4.0 / 3.0 * E / (1.0 - NU**2) * np.sqrt(RADIUS) * depths**1.5
+    fraction = 2.0 / np.pi * (1.2876 - 1.4678 * NU + 1.3442 * NU**2) / (1.0 - NU) * np.sqrt(RADIUS * depths) / 0.03
+    wanted = (1.0 + fraction + fraction**2) * sticking * 4.0 / 3.0 * E / (1.0 - NU**2) * np.sqrt(RADIUS) * depths**1.5
     assert -force == pytest.approx(wanted, rel=0.04)
     assert np.abs(steps[-1].forces[0, :2]).max() < 0.03 * -force[-1]  # the mesh is not symmetric
 
@@ -66,7 +66,7 @@ def test_a_tied_solid_gives_way_as_its_matrix_has_it(coarse):
     solid.ties = np.zeros(len(solid.nodes))
     solid.ties[top[[7, 11]]] = TIE
     tied, before = Tied(solid), by_matrix()
-    for stuck in ([7, 11], [3, 7, 11], [3, 4]):  # as it was factored, one more, and two let go
+    for stuck in ([7, 11], [3, 7, 11], [3, 4]):  # as it was factored, one more, and two released
         solid.ties = np.zeros(len(solid.nodes))
         solid.ties[top[stuck]] = TIE
         tied.retie()
@@ -84,7 +84,7 @@ def test_what_the_spheres_push_with_is_what_the_foot_holds(coarse):
     solid, top = coarse
     paths = above([DEPTH]).repeat(2, axis=1)
     paths[:, 1, 0] = 0.009  # a second one near the edge
-    (step,) = squeezed(solid, top, paths, RADIUS)
+    (step,) = compressed(solid, top, paths, RADIUS)
     inner = solid.energy(step.displacement)[1]
     assert solid.ties is None
     assert inner[solid.held].reshape(-1, 3).sum(axis=0) == pytest.approx(-step.forces.sum(axis=0), abs=1e-6)
@@ -103,16 +103,16 @@ def test_a_step_that_is_too_long_is_taken_in_parts(coarse, monkeypatch):
             return False
         return whole(run, centres)
 
-    (once,) = squeezed(*coarse, above([DEPTH]), RADIUS)
+    (once,) = compressed(*coarse, above([DEPTH]), RADIUS)
     monkeypatch.setattr(squeeze._Squeeze, "_settle", short_only)
-    found = squeezed(*coarse, above([0.1 * DEPTH, DEPTH]), RADIUS)
+    found = compressed(*coarse, above([0.1 * DEPTH, DEPTH]), RADIUS)
     assert [step.settled for step in found] == [True, True]
     assert len(asked) > 3
     assert found[-1].forces[0, 2] == pytest.approx(once.forces[0, 2], rel=0.05)
 
 
 def test_a_sphere_that_goes_away_is_let_go(coarse):
-    down = squeezed(*coarse, above([0.4 * DEPTH, -1e-4]), RADIUS)
+    down = compressed(*coarse, above([0.4 * DEPTH, -1e-4]), RADIUS)
     assert [step.settled for step in down] == [True, True]
     assert len(down[0].touching) > len(down[1].touching) == 0
     assert np.abs(down[1].displacement).max() < 1e-9

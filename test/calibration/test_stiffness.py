@@ -20,8 +20,8 @@ from tissue_sim.model.elasticity.modes import strains_of
 
 def test_cells_fill_the_organ_and_groups_take_it_as_it_is():
     cells = prepared(ball(2), Settings())
-    for aim, share in INTERIOR_FRACTION.items():
-        assert prepared(ball(2), Settings(aim=aim)).n_interior == round(share * cells.n_surface)
+    for aim, fraction in INTERIOR_FRACTION.items():
+        assert prepared(ball(2), Settings(aim=aim)).n_interior == round(fraction * cells.n_surface)
     assert cells.n_interior == round(INTERIOR_FRACTION["balanced"] * cells.n_surface)
     assert prepared(cells, Settings(interior=30)).n_interior == 30
     mu, lam = cells.lame_moduli

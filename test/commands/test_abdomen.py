@@ -69,9 +69,9 @@ def test_the_scene_is_read_again_and_breathes(folder):
 @pytest.mark.extended
 def test_info_tells_it(folder, capsys):
     assert main(["info", str(folder / "abdomen.yaml")]) == 0
-    told = capsys.readouterr().out
-    assert all(part.name in told for part in PARTS)
-    assert f"{BREATHS:g} a minute, 0, 0, {1e3 * WAY[2]:g} mm" in told
+    output = capsys.readouterr().out
+    assert all(part.name in output for part in PARTS)
+    assert f"{BREATHS:g} a minute, 0, 0, {1e3 * WAY[2]:g} mm" in output
 
 
 @pytest.mark.extended

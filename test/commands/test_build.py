@@ -180,7 +180,7 @@ def test_a_mesh_has_a_report_too_beside_the_organ(tmp_path, capsys):
     assert len(parsed.images) == 7
 
 
-def test_a_surface_gets_new_points_interior_atoms_and_provenance_and_repairs_are_told(tmp_path, capsys):
+def test_a_surface_gets_new_points_interior_atoms_and_provenance_and_repairs_are_reported(tmp_path, capsys):
     path, mesh = egg(tmp_path, inward=True)
     options = ["--interior", "20", "--name", "my egg", "--length", "0.08"]
     organ, text = build(capsys, "--surface", path, *options, out=tmp_path / "n.npz")
@@ -192,10 +192,15 @@ def test_a_surface_gets_new_points_interior_atoms_and_provenance_and_repairs_are
     np.testing.assert_allclose(organ.surface_positions.mean(axis=0), 0.0, atol=1e-3)
     assert len(organ.interior_positions) == 20
     assert organ.name == "my egg"
-    told = organ.provenance
-    assert (told["points"], told["atoms"], told["interior_atoms"], told["branches"]) == (200, 12, 20, "none")
-    assert told["source_sha256"] == hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    assert told["packages"]["numpy"] == np.__version__
+    provenance = organ.provenance
+    assert (provenance["points"], provenance["atoms"], provenance["interior_atoms"], provenance["branches"]) == (
+        200,
+        12,
+        20,
+        "none",
+    )
+    assert provenance["source_sha256"] == hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    assert provenance["packages"]["numpy"] == np.__version__
 
 
 def test_wrong_arguments_take_one_line_each(ct, tmp_path, capsys):
@@ -369,8 +374,8 @@ def test_from_ct_crop_to_organ_within_a_minute(tmp_path):
 def test_parts_of_a_mask_are_refused_or_taken(tmp_path, capsys):
     both = solid(lambda x, y, z: np.minimum(round_at(-24, 18)(x, y, z), round_at(24, 14)(x, y, z)), size=(100, 44, 44))
     path = write(both, tmp_path / "kidneys.nrrd")
-    told = refused(capsys, "--mask", path)
-    assert "kidneys.nrrd has 2 separate parts: 1 24.5 mL, 2 11.5 mL; select one with --part N" in told
+    error = refused(capsys, "--mask", path)
+    assert "kidneys.nrrd has 2 separate parts: 1 24.5 mL, 2 11.5 mL; select one with --part N" in error
     organ, text = build(capsys, "--mask", path, "--part", "2", out=tmp_path / "o.npz")
     assert "omitted 1 separate part of 24.5 mL next to 11.5 mL" in text
     assert "11.5 mL read, " in text

@@ -69,7 +69,7 @@ def test_a_worker_that_is_killed_in_the_middle_costs_nothing_but_time(cluster, t
     assert at_work in pid_of.values()
     os.kill(at_work, signal.SIGKILL)
     assert sorted([first, *results]) == [(number, number**2) for number in range(6)]
-    assert len(list(tmp_path.glob("0-*"))) == 2, "the other worker began it anew"
+    assert len(list(tmp_path.glob("0-*"))) == 2, "the other worker began it again"
 
 
 @pytest.mark.slow
@@ -96,9 +96,9 @@ def test_a_cohort_is_the_same_bits_here_and_on_a_cluster_that_loses_a_worker(org
             return [worker for worker, tasks in client.processing().items() if tasks]
 
         os.kill(pids[wait_for(busy, "no worker took an organ up")[0]], signal.SIGKILL)
-        told = process.communicate(timeout=1000)[0]
+        output = process.communicate(timeout=1000)[0]
     assert process.returncode == 1
-    assert "2 organs calibrated, 2 not" in told
+    assert "2 organs calibrated, 2 not" in output
     for name in ("one", "two"):
         assert Organ.load(there / f"{name}.npz").digest() == Organ.load(here / f"{name}.npz").digest()
 
@@ -110,7 +110,7 @@ def test_a_cohort_is_the_same_bits_here_and_on_a_cluster_that_loses_a_worker(org
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (("--jobs", "0"), "--jobs 0 is less than 1"),
         (("--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"), "--jobs is for this machine"),
@@ -118,13 +118,13 @@ def test_a_cohort_is_the_same_bits_here_and_on_a_cluster_that_loses_a_worker(org
         (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers at tcp://127.0.0.1:1"),
     ],
 )
-def test_wrong_use_is_one_line(organs, tmp_path, capsys, monkeypatch, words, told):
+def test_wrong_use_is_one_line(organs, tmp_path, capsys, monkeypatch, words, expected):
     monkeypatch.setattr("tissue_sim.calibration.cohort.CONNECT", 1.0)
-    if told.startswith("no Dask"):
+    if expected.startswith("no Dask"):
         pytest.importorskip("distributed")
     assert main(["calibrate", str(organs / "one.npz"), "--out", str(tmp_path / "out"), *words]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert expected in error
     assert error.count("\n") == 1
 
 

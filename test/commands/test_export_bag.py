@@ -44,8 +44,8 @@ def test_a_tool_stands_where_the_hand_held_it(poke, shown):
         _, tool = frame.parts
         held = poke["left/position"].at([frame.tick])[0]
         np.testing.assert_allclose(np.linalg.norm(tool.positions - held, axis=1), poke.tools[0].radius, rtol=1e-6)
-        felt = poke["left/force"]
-        newest = felt.values[felt.ticks <= frame.tick][-1]
+        forces = poke["left/force"]
+        newest = forces.values[forces.ticks <= frame.tick][-1]
         np.testing.assert_allclose(tool.data["force_N"][0], newest, atol=0.05)
 
 

@@ -48,7 +48,7 @@ def test_text_says_it_all(path, egg, capsys):
         assert line in lines
 
 
-def test_a_law_is_told(egg, tmp_path, capsys):
+def test_a_law_is_reported(egg, tmp_path, capsys):
     replace(egg, stiffening=8.0, relaxation_fraction=0.3, relaxation_time=1.5).save(tmp_path / "law.npz")
     assert main(["info", str(tmp_path / "law.npz")]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -66,7 +66,7 @@ def test_frozen_region_moves_the_nodes_around_the_load_alone(organ_file, tmp_pat
     assert moved.sum() == 19
 
 
-def test_load_that_does_not_settle_is_told_and_is_no_failure(organ_file, tmp_path, capsys):
+def test_load_that_does_not_settle_is_reported_and_is_no_failure(organ_file, tmp_path, capsys):
     loads = write_loads(tmp_path / "loads.npz", two_loads())
     assert solve(organ_file, loads, tmp_path / "u.npz", "--longest", "0.02") == 0
     with np.load(tmp_path / "u.npz") as result:

@@ -79,15 +79,15 @@ def test_a_point_that_breathes_draws_an_organ_that_does_not():
 
 
 def test_a_tool_between_two_organs_feels_both():
-    felt = []
+    wrenches = []
     for organs in (pair(0.008), pair(0.008)[:1], pair(0.008)[1:]):
         scene = Scene(organs, TOOL)
         between = np.array([RADIUS + 0.004, 0.0, 0.0])
         for tick in range(300):
             scene.move(0, between + [0.0, 0.0, 0.04 * (1.0 - min(1.0, tick / 200.0))])
             scene.step()
-        felt.append(scene.wrenches[0, :3].copy())
-    both, left, right = felt
+        wrenches.append(scene.wrenches[0, :3].copy())
+    both, left, right = wrenches
     assert left[0] > 0.005
     assert right[0] < -0.005
     np.testing.assert_allclose(both, left + right, atol=1e-6)
@@ -106,7 +106,7 @@ def test_what_a_hand_feels_of_several_organs_is_clamped_as_one():
 
 
 @pytest.mark.parametrize(
-    ("attachment", "told"),
+    ("attachment", "expected"),
     [
         (Attachment((0, 5), 10.0, within=0.1), "there are 2"),
         (Attachment((0, 0), 10.0, within=0.1), "there are 2"),
@@ -116,14 +116,14 @@ def test_what_a_hand_feels_of_several_organs_is_clamped_as_one():
         (Attachment((0, 1), 1.0, nodes=[[0, 99_999]]), "don't exist"),
     ],
 )
-def test_an_attachment_that_can_not_be_is_named(attachment, told):
+def test_an_attachment_that_can_not_be_is_named(attachment, expected):
     with pytest.raises(UserError, match="attachment 0") as found:
         Scene(pair(), TOOL, attachments=[attachment])
-    assert told in str(found.value)
+    assert expected in str(found.value)
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "expected"),
     [
         ({"breathing": Breathing(0.5, [0, 0, 0.01])}, "breathing rate"),
         ({"breathing": Breathing(15.0, [0, 0])}, "three numbers"),
@@ -133,8 +133,8 @@ def test_an_attachment_that_can_not_be_is_named(attachment, told):
         ({"integrator": "explicit", "attachments": [Attachment((0, 1), 1.0, within=0.01)]}, "symplectic"),
     ],
 )
-def test_what_does_not_fit_together_is_told(options, told):
-    with pytest.raises(UserError, match=told):
+def test_what_does_not_fit_together_is_reported(options, expected):
+    with pytest.raises(UserError, match=expected):
         Scene(pair(), TOOL, **options)
 
 

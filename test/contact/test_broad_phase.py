@@ -8,7 +8,6 @@ from helpers.turns import random_turns
 from tissue_sim.contact.broad_phase import (
     Near,
     Placed,
-    add_normals,
     body_box,
     boxes_meet,
     holds_node,
@@ -16,6 +15,7 @@ from tissue_sim.contact.broad_phase import (
     surface_box,
     triangles_in_box,
 )
+from tissue_sim.contact.contact_points import add_normals
 from tissue_sim.contact.tools import Tool, ToolSet
 
 ORGAN = kidney()

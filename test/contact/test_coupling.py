@@ -122,13 +122,13 @@ def bounce(stiffness, damping=0.2, seconds=1.5):
     scene.simulation.settings.stiffness_scale = 100.0
     scene.simulation.settings.force_slew = 1e6
     scene.simulation.set_substeps()
-    place, speed, felt = top_of(organ) + [0.0, 0.0, 0.0105], np.zeros(3), np.zeros(3)
+    place, speed, force = top_of(organ) + [0.0, 0.0, 0.0105], np.zeros(3), np.zeros(3)
     speeds = []
     for _ in range(round(1e3 * seconds)):
         for _ in range(10):  # the device itself, between two samples
-            speed = speed + 1e-4 * ([0.0, 0.0, -0.5] + felt - DEVICE_DAMPING * speed) / DEVICE_MASS
+            speed = speed + 1e-4 * ([0.0, 0.0, -0.5] + force - DEVICE_DAMPING * speed) / DEVICE_MASS
             place = place + 1e-4 * speed
-        felt = scene.wrenches[0, :3].copy()
+        force = scene.wrenches[0, :3].copy()
         scene.move(0, place)
         scene.step()
         speeds.append(np.linalg.norm(speed))

@@ -72,9 +72,9 @@ def test_forces_on_the_tissue_are_minus_the_wrench():
     scene.simulation.settings.force_clamp = 100.0
     lead(scene, 0, line([MIDDLE, 0.015, TOP + 0.004], [MIDDLE + 0.001, 0.016, 0.008], 300), 100)
     push, nodes = pushes(scene)
-    felt = scene.wrenches[0, :3]
-    assert np.linalg.norm(felt) > 0.02
-    np.testing.assert_allclose(push.sum(axis=0), -felt, atol=0.02 * np.linalg.norm(felt))  # of the last substep
+    force = scene.wrenches[0, :3]
+    assert np.linalg.norm(force) > 0.02
+    np.testing.assert_allclose(push.sum(axis=0), -force, atol=0.02 * np.linalg.norm(force))  # of the last substep
     np.testing.assert_allclose(nodes.sum(axis=0), push.sum(axis=0), rtol=1e-9, atol=1e-12)
     contacts = scene.simulation.state.contacts
     points = int(contacts.header.points)

@@ -9,14 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.contact.contact_lattice import divisions_of, edge_and_face_points
-from tissue_sim.contact.finder import (
-    TIP_REACH,
-    TISSUE_WAY,
-    ContactFinder,
-    Sought,
-    reach_margins,
-)
+from tissue_sim.contact.finder import TIP_REACH, TISSUE_WAY, ContactFinder, Sought
 from tissue_sim.contact.local_compliance import OF_OTHERS, local_compliance, most_give
+from tissue_sim.contact.reach_margins import reach_margins
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
 from tissue_sim.model.data.contact_set import MOST_POINTS, Engaged
@@ -271,7 +266,7 @@ def test_tool_whose_tip_alone_is_in_tissue_is_inside():
 
 
 def test_tool_that_appears_with_its_tip_in_tissue_is_held_off_and_resisted_once_it_has_been_outside():
-    """It was neither: it stood where it had appeared, and its hand felt nothing wherever it went."""
+    """It was neither: it stood where it had appeared, and exerted no force wherever it went."""
     organ = ball(2)
     scene = Scene(organ, [Tool("left", "capsule", radius=0.001, length=0.02)])
 

@@ -26,7 +26,7 @@ SPEED = 0.005  # m/s of the pull
 
 
 class Bar(NamedTuple):
-    """A bar that is grasped: its organ, a factor on its stiffness, friction, and the squeezed fraction of its width."""
+    """A bar that is grasped: its organ, a factor on its stiffness, friction, and the compression of its width."""
 
     organ: Organ
     stiffness: float

@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from helpers.touching import Touching
-from tissue_sim.contact.grasp import CLEARANCE, DEPTH, SQUEEZED, at_lower_pole
+from tissue_sim.contact.grasp import CLEARANCE, COMPRESSED, DEPTH, at_lower_pole
 from tissue_sim.contact.gripper import WIDEST, Jaws, about, jaw_poses
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
@@ -74,10 +74,10 @@ def test_a_grasp_lies_across_the_lower_pole(subdivisions):
     assert z == pytest.approx(-grasp.out)
     assert abs(x @ lean.apply([1.0, 0.0, 0.0])) > 0.999
     assert jaws.gap(grasp.opened) == pytest.approx(grasp.width + CLEARANCE)
-    assert jaws.gap(grasp.closed) == pytest.approx(SQUEEZED * grasp.width)
+    assert jaws.gap(grasp.closed) == pytest.approx(COMPRESSED * grasp.width)
 
 
-def test_a_gripper_that_is_too_small_is_told():
+def test_a_gripper_that_is_too_small_is_reported():
     egg = trimesh.creation.icosphere(3, 0.05)
     with pytest.raises(ValueError, match=r"\d mm wide, and the tips open to 19 mm at most"):
         at_lower_pole(np.asarray(egg.vertices), np.asarray(egg.faces), Jaws(0.0, 0.01))
@@ -120,8 +120,11 @@ class Nip(Touching):
     def lead(self, place, angle, ticks):
         """Move the gripper to a place (3,) m and open or close it to an angle, within so many ticks."""
         start, began = self.at, self.angle
-        for share in np.linspace(0.0, 1.0, ticks):
-            self.at, self.angle = (1.0 - share) * start + share * place, (1.0 - share) * began + share * angle
+        for fraction in np.linspace(0.0, 1.0, ticks):
+            self.at, self.angle = (
+                (1.0 - fraction) * start + fraction * place,
+                (1.0 - fraction) * began + fraction * angle,
+            )
             self.scene.move(0, self.at, self.grasp.turn, self.angle)
             self.scene.step()
 
@@ -152,7 +155,7 @@ def test_jaws_lift_the_kidney_by_a_centimetre_and_hold_it_without_slip(pads, sec
     nip.lead(nip.at, nip.grasp.opened, 300)
     nip.lead(nip.at + 0.05 * nip.up, nip.grasp.opened, 3000)
     simulation = nip.scene.simulation
-    assert np.abs(nip.scene.wrenches).max() == 0.0, "let go"
+    assert np.abs(nip.scene.wrenches).max() == 0.0, "released"
     assert simulation.asleep
     assert np.abs(simulation.positions - simulation.model.rest).max() < 1e-5
 

@@ -75,25 +75,25 @@ def test_points_between_nodes_give_way_by_more():
     nodes = parts**2 * local_compliance(organ, 2.0 * edge)
     assert {1, 2, 3} >= set(np.count_nonzero(found.weight, axis=1)) > {1}
     for node, weight, compliance in zip(found.node, found.weight, found.compliance, strict=True):
-        mean = sum(share * nodes[which] for share, which in zip(weight, node, strict=True))
-        more = 1.0 + OF_BALLS.between * (1.0 - sum(share**2 for share in weight))
+        mean = sum(fraction * nodes[which] for fraction, which in zip(weight, node, strict=True))
+        more = 1.0 + OF_BALLS.between * (1.0 - sum(fraction**2 for fraction in weight))
         np.testing.assert_allclose(compliance, more * mean, rtol=1e-12)
 
 
 def test_a_small_ball_feels_the_same_over_a_node_as_between_nodes():
-    """Over the middle of a triangle it felt a third more, of points that could give way no farther."""
+    """Over the middle of a triangle the force was a third larger, as its points could yield no farther."""
     organ = kidney()
     corners = organ.surface_positions[organ.surface_triangles[973]]  # where the kidney is flat
     inwards = np.cross(corners[2] - corners[0], corners[1] - corners[0])
     inwards /= np.linalg.norm(inwards)
     radius = 0.5 * np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean()
-    felt = []
+    forces = []
     for place in (corners[0], corners[:2].mean(axis=0), corners.mean(axis=0)):
         scene = Scene(organ, [Tool("finger", radius=radius)], ticks_a_set=4)
         start, end = (place + inwards * (deep - radius) for deep in (-0.001, 0.8 * radius))
-        felt.append(-lead(scene, 0, line(start, end, 600), hold=200)[-1] @ inwards)
-    assert min(felt) > 0.0
-    assert max(felt) / min(felt) < 1.2
+        forces.append(-lead(scene, 0, line(start, end, 600), hold=200)[-1] @ inwards)
+    assert min(forces) > 0.0
+    assert max(forces) / min(forces) < 1.2
 
 
 def test_an_organ_of_unknown_stiffness_gives_way_by_nothing():

@@ -51,7 +51,7 @@ def test_poses_that_come_late_change_the_highest_force_by_a_tenth_at_most(period
 
 
 def test_a_tool_that_comes_back_elsewhere_feels_nothing_of_before():
-    """However slowly a force may change: it was let go meanwhile."""
+    """However slowly a force may change: it was released meanwhile."""
     scene = Scene(ball(2), [Tool("left", "sphere", radius=0.005)])
     scene.simulation.settings.force_slew = 1.0
     top = scene.simulation.organ.surface_positions[:, 2].max()
@@ -59,7 +59,7 @@ def test_a_tool_that_comes_back_elsewhere_feels_nothing_of_before():
         scene.move(0, [0.0, 0.0, top + 0.006 - 0.005 * min(1.0, tick / 100.0)])
         scene.step()
     assert np.linalg.norm(scene.wrenches[0]) > 0.05
-    for _ in range(75):  # stale after 50, let go after 70
+    for _ in range(75):  # stale after 50, released after 70
         scene.step()
     assert not scene.wrenches.any()
     scene.move(0, [0.0, 0.0, 1.0])
@@ -77,17 +77,17 @@ def test_momentum_of_a_free_organ_changes_by_minus_the_wrench(friction, subdivis
     scene.simulation.settings.force_clamp = 100.0
     above = top_of(organ) + [0.0, 0.0, 0.008]
     side = np.array([RADIUS + 0.004, 0.0, 0.025])
-    momentum, felt, most = [np.zeros(3)], [], np.zeros(2)
+    momentum, forces, most = [np.zeros(3)], [], np.zeros(2)
     for tick in range(150):
         scene.move(0, above + [2e-5 * tick, 1e-5 * tick, 0.001 - 4e-5 * tick])
         scene.move(1, side - [3e-5 * tick, 2e-5 * tick, 0.0])
         scene.step()
         momentum.append(organ.mass @ scene.simulation.velocities)
-        felt.append(scene.wrenches[:, :3].sum(axis=0))
+        forces.append(scene.wrenches[:, :3].sum(axis=0))
         most = np.maximum(most, np.linalg.norm(scene.wrenches[:, :3], axis=1))
     change = np.diff(momentum, axis=0) / 1e-3
     assert most.min() > 0.05, "a tool did not touch"
-    assert np.abs(change + felt).max() < 1e-9
+    assert np.abs(change + forces).max() < 1e-9
     assert is_sound(scene)
 
 
@@ -427,7 +427,7 @@ def test_stale_tool_lets_the_organ_go_and_goes_on_from_where_a_new_pose_is():
 
 @pytest.mark.extended
 def test_tissue_that_closed_around_a_tool_comes_off_it_evenly():
-    """As deep as a jaw that was let go and is taken in hand again, without the node's look whether it is outside."""
+    """As deep as a jaw that was released and is taken up again, without the node's check whether it is outside."""
     organ = kidney()
     scene = Scene(organ, [PROBE])
     place = top_of(organ) + [0.0, 0.0, 0.004]
@@ -444,7 +444,7 @@ def test_tissue_that_closed_around_a_tool_comes_off_it_evenly():
 
 
 # external force --------------------------------------------------------------------------------
-def test_external_force_dents_the_tissue_under_the_tip_and_is_not_felt():
+def test_external_force_dents_the_tissue_under_the_tip_and_is_not_in_the_wrench():
     organ = kidney()
     scene = Scene(organ, [PROBE])
     tip = top_of(organ) + [0.0, 0.0, 0.009]  # its ball does not touch

@@ -35,23 +35,23 @@ def course(seed, count, tools=1, depth=0.004):
 
 def alone(scene, poses, angle=0.0):
     """Step a scene along poses (count, tools, 7); return its wrenches and its state's words."""
-    felt = []
+    wrenches = []
     for each in poses:
         for tool, pose in enumerate(each):
             scene.move(tool, pose[:3], pose[3:], angle)
         scene.step(TICKS)
-        felt.append(scene.wrenches.copy())
-    return np.array(felt), [one.state.words.copy() for one in scene.simulations]
+        wrenches.append(scene.wrenches.copy())
+    return np.array(wrenches), [one.state.words.copy() for one in scene.simulations]
 
 
 def together(batch, poses, angle=0.0):
     """Step a batch along poses (n, count, tools, 7); return its wrenches (n, count, tools, 6)."""
-    felt = []
+    wrenches = []
     for each in np.swapaxes(poses, 0, 1):
         batch.move(each, angle)
         batch.step(TICKS)
-        felt.append(batch.wrenches)
-    return np.swapaxes(felt, 0, 1)
+        wrenches.append(batch.wrenches)
+    return np.swapaxes(wrenches, 0, 1)
 
 
 def states_of(batch, copy):
@@ -61,19 +61,19 @@ def states_of(batch, copy):
 def assert_as_alone(make, poses, angle=0.0, threads=2):
     """Each copy of a batch is moved another way, and compared with a scene that goes that way alone."""
     batch = SceneBatch(make(), len(poses), threads=threads)
-    felt = together(batch, poses, angle)
+    wrenches = together(batch, poses, angle)
     for copy, way in enumerate(poses):
         wrenches, states = alone(make(), way, angle)
-        np.testing.assert_array_equal(felt[copy], wrenches)
+        np.testing.assert_array_equal(wrenches[copy], wrenches)
         for own, words in zip(states_of(batch, copy), states, strict=True):
             np.testing.assert_array_equal(own, words)
-    return felt
+    return wrenches
 
 
 def test_a_copy_does_what_the_scene_does_alone():
-    felt = assert_as_alone(scene_of, np.array([course(seed, 30) for seed in range(5)]))
-    assert np.all(np.linalg.norm(felt[..., :3], axis=-1).max(axis=(1, 2)) > 0.05), "all of them press"
-    assert len(np.unique(felt[:, 15, 0, 0])) == 5, "each its own way"
+    wrenches = assert_as_alone(scene_of, np.array([course(seed, 30) for seed in range(5)]))
+    assert np.all(np.linalg.norm(wrenches[..., :3], axis=-1).max(axis=(1, 2)) > 0.05), "all of them press"
+    assert len(np.unique(wrenches[:, 15, 0, 0])) == 5, "each its own way"
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -84,12 +84,12 @@ def test_the_number_of_threads_changes_no_bit(threads):
     np.testing.assert_array_equal(some.save(), others.save())
 
 
-def test_copies_of_tissue_that_stiffens_share_nothing_that_changes():
+def test_copies_of_tissue_that_stiffens_fraction_nothing_that_changes():
     scene = Scene(replace(ball_of_cells(), stiffening=20.0), [FINGER])
     copies = SceneBatch(scene, 2)._scenes
     first, second = (one.simulation.model.tissue for one in copies)
     for name in ("rows", "work", "squeezed_cells", "stiff", "shortening"):
-        assert not np.shares_memory(getattr(first, name), getattr(second, name)), name
+        assert not np.fractions_memory(getattr(first, name), getattr(second, name)), name
 
 
 @pytest.mark.extended
@@ -114,8 +114,8 @@ def test_what_only_the_finder_can_do_is_left_to_it():
     poses = course(3, 8, depth=0.004)
     poses[4:, 0, :3] = [0.0, 0.0, 0.4 * RADIUS]
     batch, scene = SceneBatch(scene_of(), 2, threads=1), scene_of()
-    felt = together(batch, np.array([poses, poses]))
-    np.testing.assert_array_equal(felt[1], alone(scene, poses)[0])
+    wrenches = together(batch, np.array([poses, poses]))
+    np.testing.assert_array_equal(wrenches[1], alone(scene, poses)[0])
 
 
 @pytest.mark.extended
@@ -123,8 +123,8 @@ def test_joined_organs_do_what_they_do_alone():
     def make():
         return scene_of(breathing=Breathing(rate=60.0, way=(0.0, 0.0, 0.004)), breathes=[1.0])
 
-    felt = assert_as_alone(make, np.array([course(seed, 12) for seed in range(3)]))
-    assert np.all(np.linalg.norm(felt[..., :3], axis=-1).max(axis=(1, 2)) > 0.05)
+    wrenches = assert_as_alone(make, np.array([course(seed, 12) for seed in range(3)]))
+    assert np.all(np.linalg.norm(wrenches[..., :3], axis=-1).max(axis=(1, 2)) > 0.05)
 
 
 def test_the_scene_stays_as_it_is():
@@ -163,11 +163,11 @@ def test_saved_copies_go_on_to_the_last_bit_in_any_batch_of_the_scene():
     batch.set_stiffness([[2.0], [0.5]])
     together(batch, poses[:, :8])
     saved = batch.save()
-    felt = together(batch, poses[:, 8:])
+    wrenches = together(batch, poses[:, 8:])
     other = SceneBatch(scene_of(), 3, threads=2)
     together(other, poses[[1, 1, 1]])
     other.restore(saved, [2, 0])
-    np.testing.assert_array_equal(together(other, poses[[1, 0, 0], 8:])[[2, 0]], felt)
+    np.testing.assert_array_equal(together(other, poses[[1, 0, 0], 8:])[[2, 0]], wrenches)
 
 
 @pytest.mark.extended
@@ -176,19 +176,19 @@ def test_saved_joined_copies_go_on_to_the_last_bit():
     breathing = Breathing(rate=60.0, way=(0.0, 0.0, 0.004))
     batch = SceneBatch(scene_of(breathing=breathing, breathes=[1.0]), 2, threads=1)
     together(batch, poses[:, :6])
-    saved, felt = batch.save(), together(batch, poses[:, 6:])
+    saved, wrenches = batch.save(), together(batch, poses[:, 6:])
     batch.reset()
     batch.restore(saved)
-    np.testing.assert_array_equal(together(batch, poses[:, 6:]), felt)
+    np.testing.assert_array_equal(together(batch, poses[:, 6:]), wrenches)
 
 
 def test_stiffness_is_that_of_each_copy():
     poses = np.array([course(0, 16)] * 3)
     batch = SceneBatch(scene_of(), 3, threads=1)
     batch.set_stiffness([[1.0], [2.0], [2.0]])
-    felt = together(batch, poses)
-    np.testing.assert_array_equal(felt[1], felt[2])
-    assert np.linalg.norm(felt[1, 8, 0, :3]) > 1.3 * np.linalg.norm(felt[0, 8, 0, :3])
+    wrenches = together(batch, poses)
+    np.testing.assert_array_equal(wrenches[1], wrenches[2])
+    assert np.linalg.norm(wrenches[1, 8, 0, :3]) > 1.3 * np.linalg.norm(wrenches[0, 8, 0, :3])
 
 
 def test_surfaces_and_poses_are_those_of_each_copy():
@@ -232,7 +232,7 @@ def test_a_copy_of_a_kidneys_size_takes_two_megabytes_at_most():
         (lambda batch: batch.surface_positions("liver"), "no organ 'liver'; choose ball"),
     ],
 )
-def test_wrong_use_is_told_in_one_line(use, message):
+def test_wrong_use_is_reported_in_one_line(use, message):
     batch = SceneBatch(scene_of(), 2, threads=1)
     before = batch.save()
     with pytest.raises(UserError, match=message):
@@ -256,4 +256,4 @@ def test_pieces_hold_every_copy_and_become_small_towards_the_end(count, threads)
     assert sum(sizes) == count
     assert sizes == sorted(sizes, reverse=True)
     assert sizes[0] <= max(1, count / threads)
-    assert sizes[-1] == 1, "whoever is done first waits for one copy at most"
+    assert sizes[-1] == 1, "the copy that is done first waits for one copy at most"

@@ -1,4 +1,4 @@
-"""Scenes in a file: what they say is what comes of it, and what is wrong is told in one line."""
+"""Scenes in a file: what they say is what comes of it, and what is wrong is reported in one line."""
 
 import re
 
@@ -51,7 +51,7 @@ def test_a_scene_is_what_its_file_says(scene):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "expected"),
     [
         ("format: 1", "format: 2", "format is 2"),
         ("name: right", "name: left", "two organs have the name 'left'"),
@@ -73,12 +73,12 @@ def test_a_scene_is_what_its_file_says(scene):
         ("breathing:", "breathes:", "did you mean 'breathing'"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(scene, capsys, old, new, told):
+def test_what_is_wrong_is_reported_in_one_line(scene, capsys, old, new, expected):
     assert old in SCENE
     assert main(["info", str(scene(SCENE.replace(old, new, 1)))]) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
-    assert re.search(told, line), line
+    assert re.search(expected, line), line
 
 
 @pytest.mark.parametrize("text", ["", "7", "[1, 2]", "a: &a [*a]", "\x00", "!!python/object:os.system {}"])
@@ -89,8 +89,8 @@ def test_what_is_no_scene_at_all_is_refused(scene, text):
 
 def test_info_tells_a_scene(scene, capsys):
     assert main(["info", str(scene())]) == 0
-    told = capsys.readouterr().out
-    assert "scene scene.yaml: 2 organs" in told
-    assert re.search(r"left to right: \d+ links, 50 N/m in total, slack \d+\.\d to \d+\.\d mm", told)
-    assert "right to a point: 2 links, 5 N/m in total, slack 100.0 mm" in told
-    assert "breathing: 15 a minute, 0, 0, 12 mm" in told
+    output = capsys.readouterr().out
+    assert "scene scene.yaml: 2 organs" in output
+    assert re.search(r"left to right: \d+ links, 50 N/m in total, slack \d+\.\d to \d+\.\d mm", output)
+    assert "right to a point: 2 links, 5 N/m in total, slack 100.0 mm" in output
+    assert "breathing: 15 a minute, 0, 0, 12 mm" in output

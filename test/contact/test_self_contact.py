@@ -86,7 +86,7 @@ def test_a_node_may_be_behind_a_wall_that_it_was_in_front_of(depth):
     assert np.all(weights >= 0.0)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0)
     assert (farthest_behind(nodes, apart(depth)) > 1e-4) == (depth < -0.001)
-    # At once nobody knows which side it came from.
+    # At once it is unknown which side it came from.
     assert farthest_behind(at_once.find(apart(depth))[0], apart(depth)) == 0.0
     followed.forget()
     assert farthest_behind(followed.find(apart(depth))[0], apart(depth)) == 0.0

@@ -43,19 +43,21 @@ def thrown(friction, way=(0.4, 0.05, 0.02)):
     first = scene.simulations[0]
     first.velocities[:] = way
     first.state.status.asleep = False
-    told = []
+    momenta = []
     for _ in range(120):  # at a quarter of a second it would be farther away than it is large: the guard's business
         scene.step()
-        told.append(momentum(scene))
-    return scene, np.array(told)
+        momenta.append(momentum(scene))
+    return scene, np.array(momenta)
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_a_collision_keeps_momentum(friction):
-    scene, told = thrown(friction)
+    scene, momenta = thrown(friction)
     first, second = scene.simulations
-    assert np.linalg.norm(second.organ.mass @ second.velocities) > 0.2 * np.linalg.norm(told[0]), "it was hit"
-    np.testing.assert_allclose(told, np.broadcast_to(told[0], told.shape), atol=1e-9 * np.linalg.norm(told[0]))
+    assert np.linalg.norm(second.organ.mass @ second.velocities) > 0.2 * np.linalg.norm(momenta[0]), "it was hit"
+    np.testing.assert_allclose(
+        momenta, np.broadcast_to(momenta[0], momenta.shape), atol=1e-9 * np.linalg.norm(momenta[0])
+    )
     assert first.state.count.faults == second.state.count.faults == 0
 
 

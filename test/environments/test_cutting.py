@@ -19,11 +19,11 @@ def begun(count=1, threads=1):
     return copies
 
 
-def way_along(copies, beside=0.0, depth=1.0, share=1.0):
+def way_along(copies, beside=0.0, depth=1.0, fraction=1.0):
     """A way (k, 4) along the line of the first copy, moved sideways by some m, with a part of the wanted depth."""
     half, outward = copies._half[0], copies._outward[0]
     across = np.cross(outward, half / np.linalg.norm(half))
-    along = np.linspace(-share, share, 41)[:, None] * half
+    along = np.linspace(-fraction, fraction, 41)[:, None] * half
     points = copies._place[0] + along + beside * across
     points += (0.03 - np.linalg.norm(points, axis=1))[:, None] * points / np.linalg.norm(points, axis=1)[:, None]
     return [np.append(point, depth * copies._wanted[0]) for point in points]
@@ -46,7 +46,7 @@ def test_a_cut_beside_the_line_too_short_too_shallow_or_pressed_too_hard_is_wort
     near, is_good = worth(beside=0.001)
     assert is_good
     assert near == pytest.approx(best - DECLARED * 0.001 / LINE, abs=0.1 * DECLARED)
-    for fault in ({"beside": 0.004}, {"depth": 0.6}, {"share": 0.3}):
+    for fault in ({"beside": 0.004}, {"depth": 0.6}, {"fraction": 0.3}):
         reward, is_good = worth(**fault)
         assert not is_good, fault
         assert reward < best - 0.3 * DECLARED, fault

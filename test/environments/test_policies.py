@@ -17,7 +17,6 @@ from tissue_sim.environments.registration import NAMES
 from tissue_sim.environments.training import Plan, held_out, learn
 from tissue_sim.errors import UserError
 
-LEARNED = ("Press", "Hold", "Cut")
 SMALL = Plan(generations=6, candidates=6, each=2, steps=60, episodes=6)
 
 
@@ -97,9 +96,9 @@ def test_the_policy_that_ships_reaches_what_its_file_says(task):
     found, nothing = (
         held_out(task, weights, plan) for weights in (learned.weights, np.array(policy_class(task).start))
     )
-    if task in LEARNED:
-        assert found["return"] > nothing["return"]
-        assert said["learned"]["met"] > 0.7
+    assert found["return"] > nothing["return"]
+    assert said["learned"]["met"] > 0.65
+    assert said["untrained"]["met"] < 0.1
     assert found["met"] == pytest.approx(said["learned"]["met"], abs=0.35)
 
 
@@ -111,8 +110,8 @@ def test_a_task_is_learned_by_a_command(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "learned: goal met in " in text
     assert "untrained: goal met in 0 % of 2 new episodes" in text
-    told = json.loads(out.read_text())
-    assert len(told["about"]["curve"]) == 2
+    result = json.loads(out.read_text())
+    assert len(result["about"]["curve"]) == 2
     assert Learned.load(out).weights.shape == (3,)
     assert picture.read_bytes().startswith(b"\x89PNG")
 

@@ -61,7 +61,7 @@ def made(number: int) -> Scene:
 def test_nothing_is_lost(number, toughness, acts):
     scene, centre = made(number), kidney().surface_positions.mean(axis=0)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # cuts that can't be opened are told
+        warnings.simplefilter("ignore")  # cuts that can't be opened are reported
         for act in acts:
             scene.simulation.settings.toughness = toughness
             if act == "reset":

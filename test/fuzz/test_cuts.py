@@ -101,8 +101,8 @@ def _cut(scene, blade, centre):
 def _move(scene, way, centre):
     start, end = np.array(way.start) + centre, np.array(way.end) + centre
     ticks = max(2, round(1000 * float(np.linalg.norm(end - start)) / FASTEST))
-    for share in np.linspace(0.0, 1.0, ticks):
-        scene.move("ball", start + share * (end - start))
+    for fraction in np.linspace(0.0, 1.0, ticks):
+        scene.move("ball", start + fraction * (end - start))
         scene.step()
         force = np.linalg.norm(scene.wrench("ball")[:3])
         assert force <= scene.simulation.settings.force_clamp * (1.0 + 1e-9)

@@ -17,7 +17,7 @@ WORKERS = 2
 def cluster_in(folder: Path) -> Iterator[tuple[str, Any]]:
     """A scheduler and two workers, each a process of its own: its address, and a client.
 
-    Dask's own nanny would start a lost worker anew; without it what is lost stays lost.
+    Dask's own nanny would start a lost worker again; without it what is lost stays lost.
     """
     import distributed
 

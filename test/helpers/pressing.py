@@ -26,8 +26,8 @@ def lead(scene, tool, path, hold=0):
 
 
 def line(start, end, ticks):
-    share = np.linspace(0.0, 1.0, ticks)[:, None]
-    return (1.0 - share) * np.asarray(start) + share * np.asarray(end)
+    fraction = np.linspace(0.0, 1.0, ticks)[:, None]
+    return (1.0 - fraction) * np.asarray(start) + fraction * np.asarray(end)
 
 
 def press(scene, depth, ticks=60, hold=150, tool=0, radius=None):

@@ -65,7 +65,7 @@ def kidney() -> Organ:
 
 @cache
 def filled(organ: Organ, count: int) -> Organ:
-    """The organ assembled anew with `count` interior atoms."""
+    """The organ reassembled with `count` interior atoms."""
     return assemble_like(organ, name="filled", interior_atoms=count, provenance=None)
 
 

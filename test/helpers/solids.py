@@ -1,6 +1,7 @@
 """What every balloon must be, whatever the organ: closed, even, without folds; and how near it lies to the wall."""
 
-from tissue_sim.organ.surfaces.surface import compare, marching_cubes_surface, measure
+from tissue_sim.organ.surfaces.marching_cubes import marching_cubes_surface
+from tissue_sim.organ.surfaces.surface import compare, measure
 
 
 def assert_regular(positions, triangles, points):

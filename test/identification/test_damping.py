@@ -68,7 +68,7 @@ def test_what_relaxation_causes_is_no_damping(organ, swing, measured):
 
 
 @pytest.mark.extended
-def test_more_than_the_model_can_lose_is_told(organ, swing):
+def test_more_than_the_model_can_lose_is_reported(organ, swing):
     found = found_for(organ, swing, 1.5)
     assert np.isnan(found.scale)
     assert f"to {MOST:g} gives the measured one" in line_of(found)

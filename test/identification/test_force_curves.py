@@ -40,6 +40,6 @@ def test_a_thick_layer_is_a_half_space_and_a_thin_one_is_stiffer():
 def test_an_incompressible_layer_has_the_published_factors():
     """Dimitriadis et al. 2002, equation 13, for nu = 0.5: 1 + 1.133 x + 1.283 x^2 + 0.769 x^3 + 0.0975 x^4."""
     depth, force = hertz(RADIUS, MODULUS, 0.5, 0.002)
-    share = np.sqrt(RADIUS * depth) / 0.02
-    factor = np.polynomial.Polynomial([1.0, 1.133, 1.283, 0.769, 0.0975])(share)
+    fraction = np.sqrt(RADIUS * depth) / 0.02
+    factor = np.polynomial.Polynomial([1.0, 1.133, 1.283, 0.769, 0.0975])(fraction)
     np.testing.assert_allclose(bonded_layer(RADIUS, MODULUS, 0.5, 0.002, 0.02)[1], force * factor, rtol=2e-3)

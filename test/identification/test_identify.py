@@ -49,9 +49,9 @@ def test_the_modulus_comes_back(organ, presses):
     assert found.held_out is not None
     assert found.held_out.one < 0.12
     assert not found.diagnosis.stiffens
-    told = "\n".join(lines_of(found))
-    assert "no stroke was found" in told
-    assert "no times" in told
+    lines = "\n".join(lines_of(found))
+    assert "no stroke was found" in lines
+    assert "no times" in lines
     assert json.loads(json.dumps(provenance_of(found))) == found.organ.provenance[KEY]
 
 
@@ -151,7 +151,7 @@ def test_a_stream_in_a_table_is_fitted_like_a_bag(organ, presses, tmp_path, caps
         (["--out", "fitted.txt"], "must end in .npz"),
     ],
 )
-def test_wrong_use_is_told(organ, tmp_path, monkeypatch, capsys, given, what):
+def test_wrong_use_is_reported(organ, tmp_path, monkeypatch, capsys, given, what):
     monkeypatch.chdir(tmp_path)
     organ.save("ball.npz")
     try:

@@ -34,7 +34,7 @@ def test_far_from_places_nothing_is_known():
     assert far < 1e-3
 
 
-def test_presses_that_are_near_share_a_place():
+def test_presses_that_are_near_fraction_a_place():
     points = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [0.0005, 0.0, 0.0], [0.04, 0.0, 0.0]])
     place = places_of(points, 0.003)
     assert place[0] == place[2]
@@ -77,5 +77,5 @@ def test_an_organ_that_is_stiffer_on_one_side_is_mapped(organ):
     stiffer = found.of_cells[(middle[:, 0] > 0.008) & (np.linalg.norm(middle, axis=1) > 0.025) & (middle[:, 2] > 0.0)]
     softer = found.of_cells[(middle[:, 0] < -0.008) & (np.linalg.norm(middle, axis=1) > 0.025) & (middle[:, 2] > 0.0)]
     assert np.median(stiffer) > 1.5 * np.median(softer)
-    felt = curves_of(found.organ, measurement, 0.6).at(deep)[0]
-    assert np.median(np.abs(felt[:, -1] / force[:, -1] - 1.0)) < 0.05
+    fitted = curves_of(found.organ, measurement, 0.6).at(deep)[0]
+    assert np.median(np.abs(fitted[:, -1] / force[:, -1] - 1.0)) < 0.05

@@ -83,7 +83,7 @@ def test_the_exponent_of_power_laws_is_found():
         assert exponent_of(Samples(DEPTHS, forces, np.ones_like(forces))) == pytest.approx(power, abs=0.11)
 
 
-def test_tissue_that_stiffens_is_told():
+def test_tissue_that_stiffens_is_reported():
     priors = Priors()
     for power, stiffens in ((1.0, False), (2.0, True)):
         samples, _ = measured(np.random.default_rng(6), offset=5e-5, noise=1e-3, power=power)

@@ -50,6 +50,6 @@ def test_places_without_registration_are_shown_too(found, known):
     assert "Young's modulus of each press" in Page(report_page(found._replace(measurement=elsewhere))).text
 
 
-def test_a_folder_that_is_missing_is_told(found, tmp_path):
+def test_a_folder_that_is_missing_is_reported(found, tmp_path):
     with pytest.raises(UserError, match="cannot write report"):
         write_report(found, tmp_path / "none" / "report.html")

@@ -63,20 +63,20 @@ def test_what_is_no_sinusoid_is_none(what):
     assert cycles_of(time, 3e-3 + moved + noise, 0) is None
 
 
-def test_sinusoids_are_averaged_and_none_is_told():
+def test_sinusoids_are_averaged_and_none_is_reported():
     some = [cut(*swing(loss=loss)) for loss in (0.15, 0.25)]
-    found, told = losses_of(some, True)
+    found, line = losses_of(some, True)
     assert found.factor == pytest.approx(0.2, abs=0.01)
     assert found.deviation == pytest.approx(0.05, abs=0.01)
-    assert not told
+    assert not line
     for swings, has_times, why in (([], True, "no tool swings"), ([], False, "no times")):
-        found, told = losses_of(swings, has_times)
+        found, line = losses_of(swings, has_times)
         assert found is None
-        assert "not identifiable" in told
-        assert why in told
+        assert "not identifiable" in line
+        assert why in line
 
 
-def test_a_lag_within_a_sample_is_not_told():
-    found, told = losses_of([cut(*swing(loss=0.01, rate=50.0))], True)
+def test_a_lag_within_a_sample_is_not_reported():
+    found, line = losses_of([cut(*swing(loss=0.01, rate=50.0))], True)
     assert found is None
-    assert "sample faster" in told
+    assert "sample faster" in line

@@ -53,12 +53,12 @@ def test_two_presses_are_found_without_the_bias(organ):
 
 def test_a_stroke_has_its_friction(organ):
     found = found_in(stream_of([(0, 0, -0.004), (1, 0, 0.002), (3, 0.012, 0.002), (4, 0.012, -0.004)]), organ, RADIUS)
-    friction, told = friction_of(found.strokes)
+    friction, line = friction_of(found.strokes)
     assert friction.coefficient == pytest.approx(0.3, abs=0.05)
-    assert "friction: 0." in told
+    assert "friction: 0." in line
 
 
-def test_friction_is_not_told_without_a_stroke_or_with_a_wrong_sign():
+def test_friction_is_not_reported_without_a_stroke_or_with_a_wrong_sign():
     assert friction_of([])[0] is None
     assert friction_of([MeasuredStroke("one", np.ones(3), -np.ones(3), 0.01)])[0] is None
 

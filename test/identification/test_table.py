@@ -29,7 +29,7 @@ def test_one_press_a_row_with_its_place(tmp_path):
     np.testing.assert_allclose(found[0].place, [1.0, 2.0, 3.5])
 
 
-def test_streams_are_told_apart(tmp_path):
+def test_streams_are_distinguished(tmp_path):
     assert is_stream(read_columns(written(tmp_path, "time,x,y,z,fx,fy,fz\n" + "0,0,0,0,0,0,0\n")))
 
 

@@ -58,12 +58,12 @@ def test_moduli_are_those_of_the_tissue():
     np.testing.assert_allclose(organ.cell_lambda, 0.5 * e * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)))
 
 
-def test_too_few_nodes_inside_are_told_of():
+def test_too_few_nodes_inside_are_reported_of():
     with pytest.raises(UserError, match=r"cells fill 7\d % of organ 'kidney'; build it with more --interior"):
         with_cells(kidney())
 
 
-def test_a_node_that_no_cell_joins_is_told_of():
+def test_a_node_that_no_cell_joins_is_reported_of():
     organ = ball()
     outside = np.concatenate([organ.rest_positions, [[0.0, 0.0, 1.0]]])
     with pytest.raises(UserError, match="no cell joins 1 nodes"):
@@ -111,4 +111,4 @@ def test_a_body_with_edges_keeps_their_cells():
     volume, _ = quality_of(made.rest_positions, made.cell_nodes)
     assert volume.sum() == pytest.approx(made.volume, rel=1e-3)
     alone = np.bincount(made.cell_nodes.ravel(), minlength=made.n_nodes) == 1
-    assert alone.sum() <= 8, "corners at the most"
+    assert alone.sum() <= 8, "corners at most"

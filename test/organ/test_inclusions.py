@@ -94,11 +94,11 @@ def test_they_go_where_the_organ_is_placed():
 
 def test_info_tells_size_place_and_depth():
     organ = with_inclusions(ball(3), [sphere(0.01, (0.0, 0.0, 0.012))])
-    (told,) = describe(organ)["inclusions"]
-    assert told["times_as_stiff"] == 5.0
-    assert told["volume_ml"] == pytest.approx(4.19, rel=0.02)
-    np.testing.assert_allclose(told["middle_mm"], [0.0, 0.0, 12.0], atol=1e-6)
-    assert told["least_depth_mm"] == pytest.approx(8.0, abs=0.5)
+    (described,) = describe(organ)["inclusions"]
+    assert described["times_as_stiff"] == 5.0
+    assert described["volume_ml"] == pytest.approx(4.19, rel=0.02)
+    np.testing.assert_allclose(described["middle_mm"], [0.0, 0.0, 12.0], atol=1e-6)
+    assert described["least_depth_mm"] == pytest.approx(8.0, abs=0.5)
     assert "inclusions" not in describe(ball(2))
 
 

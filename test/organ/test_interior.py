@@ -30,9 +30,9 @@ def test_each_lies_on_the_spoke_of_a_boundary_point():
     assert placed.positions.shape == (150, 3)
     medial, boundary = placed.spoke.T
     np.testing.assert_array_equal(medial, nearest_atoms(surface, atoms, 1)[0][boundary, 0])
-    assert placed.share.min() >= 0.1
-    assert placed.share.max() <= 0.9
-    along = atoms[medial] + placed.share[:, None] * (surface[boundary] - atoms[medial])
+    assert placed.fraction.min() >= 0.1
+    assert placed.fraction.max() <= 0.9
+    along = atoms[medial] + placed.fraction[:, None] * (surface[boundary] - atoms[medial])
     np.testing.assert_allclose(placed.positions, along, atol=1e-15)
     assert np.all(inside(placed.positions, surface, triangles))
 
@@ -121,8 +121,8 @@ def test_virtual_springs_among_them_carry_the_volume_between():
     organ = filled(kidney(), 150)
     n = organ.n_surface
     among = (organ.spring_nodes[:, 0] >= n) & (organ.spring_kind != SpringKind.SKELETON)
-    share = organ.spring_stiffness[among] * organ.spring_rest_length[among] ** 2 / organ.youngs_modulus
-    assert 0.2 * organ.volume < share.sum() / 6.0 < organ.volume
+    fraction = organ.spring_stiffness[among] * organ.spring_rest_length[among] ** 2 / organ.youngs_modulus
+    assert 0.2 * organ.volume < fraction.sum() / 6.0 < organ.volume
 
 
 def test_mass_and_file(filled_kidney, tmp_path):

@@ -154,9 +154,9 @@ def test_a_slender_skeleton_bent_aside_is_not_turned_about_itself():
 def test_nothing_is_infinite_where_atoms_coincide():
     boundary, atoms, parent = kidney_like()
     rep = represent(boundary, atoms, parent)
-    squeezed = atoms.copy()
-    squeezed[10] = squeezed[9]
-    assert np.all(np.isfinite(recalculated_boundary(rep, squeezed)))
+    coinciding = atoms.copy()
+    coinciding[10] = coinciding[9]
+    assert np.all(np.isfinite(recalculated_boundary(rep, coinciding)))
     assert np.all(np.isfinite(recalculated_boundary(rep, np.zeros_like(atoms))))
     assert np.all(np.isfinite(recalculated_boundary(rep, atoms * [1.0, 1.0, -1.0])))
 

@@ -275,7 +275,7 @@ def test_no_single_damaged_byte_gives_a_traceback_or_another_organ(path, tmp_pat
     assert not surprises
 
 
-def test_organ_that_cannot_be_written_is_told(tmp_path):
+def test_organ_that_cannot_be_written_is_reported(tmp_path):
     with pytest.raises(UserError, match=r"cannot write organ file .*ball\.npz"):
         ball().save(tmp_path / "missing" / "ball.npz")
 

@@ -27,10 +27,10 @@ def test_stages_are_watched_in_order_and_timed(tmp_path):
     organ_from_mask(mask, Request(name="ball", points=100, atoms=3), progress=progress)
     stages = list(dict.fromkeys(stage for stage, _ in seen))
     assert stages == ["wall", "balloon", "skeleton", "springs"] == list(progress.record.seconds)
-    shares = [done for stage, done in seen if stage == "balloon"]
-    assert len(shares) > 4
-    assert shares == sorted(shares)
-    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    fractions = [done for stage, done in seen if stage == "balloon"]
+    assert len(fractions) > 4
+    assert fractions == sorted(fractions)
+    assert (fractions[0], fractions[-1]) == (0.0, 1.0)
     assert all(seconds > 0.0 for seconds in progress.record.seconds.values())
     assert progress.record.wall is not None
     assert progress.record.organ.n_surface == 100
@@ -67,12 +67,12 @@ def test_a_mask_that_is_no_organ_in_size_is_refused(spacing, size):
         organ_from_image(image.with_array(image.array.astype(np.float32)), np.zeros(3), Request(name="ball"))
 
 
-def test_both_volumes_are_told_and_kept():
+def test_both_volumes_are_reported_and_kept():
     lines = []
     organ = organ_from_mask(ball(2.0), Request(name="ball", points=200, atoms=4), Progress(lines.append))
     read = np.count_nonzero(ball(2.0).array) * 8e-3
-    (told,) = [line for line in lines if "mL read" in line]
-    assert told.startswith(f"{read:.1f} mL read, {organ.volume * 1e6:.1f} mL built (")
+    (line,) = [line for line in lines if "mL read" in line]
+    assert line.startswith(f"{read:.1f} mL read, {organ.volume * 1e6:.1f} mL built (")
     assert organ.volume * 1e6 == pytest.approx(read, rel=0.03)
     assert organ.provenance["volume_read_ml"] == pytest.approx(read, abs=1e-3)
     assert organ.provenance["volume_built_ml"] == pytest.approx(organ.volume * 1e6, abs=1e-3)

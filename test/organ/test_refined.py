@@ -34,8 +34,8 @@ def test_the_shape_stays_and_points_are_added_where_they_are_wanted():
 def test_new_points_lie_between_those_that_were_there():
     organ = ball_of_cells(2, 60)
     finer = refined(organ, Refinement(places=(LINE,)))
-    corner, share = places_on(organ, finer.surface_positions)
-    found = np.einsum("kc,kcx->kx", share, organ.surface_positions[corner])
+    corner, fraction = places_on(organ, finer.surface_positions)
+    found = np.einsum("kc,kcx->kx", fraction, organ.surface_positions[corner])
     np.testing.assert_allclose(found, finer.surface_positions, atol=1e-12)
     with pytest.raises(UserError, match="does not lie on the surface"):
         places_on(organ, np.zeros((1, 3)))

@@ -79,10 +79,10 @@ def test_edges_go_by_the_distance_from_a_line():
 
 def test_the_number_of_points_of_a_refined_surface_is_foretold():
     line = Refinement(places=(Along(np.array([[-0.02, 0.0, 0.01], [0.02, 0.0, 0.01]]), 0.01, 0.5 * EDGE),))
-    told = points_with(line, POSITIONS, TRIANGLES, HELD)
+    count = points_with(line, POSITIONS, TRIANGLES, HELD)
     made = split_in_place(POSITIONS, TRIANGLES, wanted_edges(line, POSITIONS, TRIANGLES, HELD), 20_000)[0]
-    assert len(POSITIONS) < told
-    assert told - len(POSITIONS) == pytest.approx(len(made) - len(POSITIONS), rel=0.4)
+    assert len(POSITIONS) < count
+    assert count - len(POSITIONS) == pytest.approx(len(made) - len(POSITIONS), rel=0.4)
 
 
 def test_edges_go_by_the_distance_from_a_mask_also_outside_its_image():

@@ -83,10 +83,10 @@ class TestOrgan:
 
     def test_surface_mass_follows_the_area(self, organ):
         mesh = trimesh.Trimesh(organ.surface_positions, organ.surface_triangles, process=False)
-        share = np.zeros(organ.n_surface)
-        np.add.at(share, organ.surface_triangles, mesh.area_faces[:, None] / 3.0)
+        fraction = np.zeros(organ.n_surface)
+        np.add.at(fraction, organ.surface_triangles, mesh.area_faces[:, None] / 3.0)
         surface = organ.mass[: organ.n_surface]
-        np.testing.assert_allclose(surface / surface.sum(), share / mesh.area, rtol=1e-9)
+        np.testing.assert_allclose(surface / surface.sum(), fraction / mesh.area, rtol=1e-9)
 
     def test_edge_springs_are_van_gelders(self, organ):
         """k = E h sum(A) / l^2, triangle by triangle."""
@@ -102,7 +102,7 @@ class TestOrgan:
         expected = organ.youngs_modulus * SHELL_THICKNESS * length.mean() * sums / length**2
         np.testing.assert_allclose(organ.spring_stiffness[kind], expected, rtol=1e-9)
 
-    def test_columns_share_the_stiffness_of_the_tissue_under_a_node(self, organ):
+    def test_columns_fraction_the_stiffness_of_the_tissue_under_a_node(self, organ):
         """Four springs in the ratio 1/L^2; E A / L each, were it alone, by the mean of free and confined tissue."""
         columns = organ.spring_kind == SPOKE
         columns |= organ.spring_kind == VIRTUAL
@@ -112,8 +112,8 @@ class TestOrgan:
         modulus = organ.youngs_modulus * np.sqrt((1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)))
         area = np.zeros(organ.n_surface)
         for corner in range(3):
-            share = triangle_area(organ.surface_positions, organ.surface_triangles) / 3.0
-            np.add.at(area, organ.surface_triangles[:, corner], share)
+            fraction = triangle_area(organ.surface_positions, organ.surface_triangles) / 3.0
+            np.add.at(area, organ.surface_triangles[:, corner], fraction)
         weight = 1.0 / length
         total = np.bincount(node, weights=weight)
         np.testing.assert_allclose(stiffness, modulus * area[node] / length * weight / total[node], rtol=1e-9)

@@ -31,8 +31,8 @@ def test_winding_number_is_one_inside_and_zero_outside():
     winding = winding_number(points, organ.surface_positions, organ.surface_triangles)
     within = inside(points, organ.surface_positions, organ.surface_triangles)
     np.testing.assert_allclose(winding, within, atol=1e-9)
-    share = within.mean() * np.prod(high - low + 0.02)
-    assert share == pytest.approx(organ.volume, rel=0.15)
+    fraction = within.mean() * np.prod(high - low + 0.02)
+    assert fraction == pytest.approx(organ.volume, rel=0.15)
     np.testing.assert_array_equal(within, crossings(points, mesh.triangles) % 2 == 1)
 
 

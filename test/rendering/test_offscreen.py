@@ -137,9 +137,9 @@ def test_the_texture_sticks_to_tissue_that_deforms():
         made.move("tissue", deformed)
         moved = colours(made.take(pose).colour, [1.4, 0.8], [0.004, -0.006])
         made.add("tissue", deformed, triangles)
-        anew = colours(made.take(pose).colour, [1.4, 0.8], [0.004, -0.006])
+        other = colours(made.take(pose).colour, [1.4, 0.8], [0.004, -0.006])
     assert np.corrcoef(before, moved)[0, 1] > 0.75
-    assert np.corrcoef(before, anew)[0, 1] < 0.4
+    assert np.corrcoef(before, other)[0, 1] < 0.4
 
 
 def test_pictures_repeat(balls):
@@ -179,19 +179,19 @@ def plate(side):
 def test_vertices_in_other_tissue_have_its_colour_and_no_others():
     looks = Look((0.0, 0.0, 1.0), texture=0.0, inner=(0.0, 1.0, 0.0)), Look((0.0, 0.0, 1.0), texture=0.0)
     vertices, triangles = plate(0.3)
-    share = (vertices[:, 0] > 0.0).astype(float)
+    fraction = (vertices[:, 0] > 0.0).astype(float)
     with Offscreen(LENS, NOWHERE, samples=1) as made:
-        made.add("plate", vertices, triangles, looks[0], share)
+        made.add("plate", vertices, triangles, looks[0], fraction)
         colour = made.take(POSE).colour.astype(int)
-        made.add("plate", vertices, triangles, looks[1], share)
+        made.add("plate", vertices, triangles, looks[1], fraction)
         plain = made.take(POSE).colour.astype(int)
-        with pytest.raises(UserError, match=r"shares of shape"):
-            made.add("plate", vertices, triangles, looks[0], share[:-1])
+        with pytest.raises(UserError, match=r"fractions of shape"):
+            made.add("plate", vertices, triangles, looks[0], fraction[:-1])
     lit, green = colour.max(axis=2) > 20, colour[..., 1] > 2 * colour[..., 2]
     assert 0.2 < green[lit].mean() < 0.8
     matrix = inverse_of(matrix_of(POSE))
     seen = np.rint(LENS.project(vertices @ matrix[:3, :3].T + matrix[:3, 3])).astype(int)
-    for (column, row), within in zip(seen.tolist(), share > 0.5, strict=True):
+    for (column, row), within in zip(seen.tolist(), fraction > 0.5, strict=True):
         if 0 <= row < LENS.height and 0 <= column < LENS.width and lit[row, column]:
             assert green[row, column] == within
     assert not (plain[..., 1] > 2 * plain[..., 2]).any()

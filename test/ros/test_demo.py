@@ -141,7 +141,7 @@ def test_a_child_ends_when_its_parent_is_killed():
     parent.wait()
 
     def has_ended():
-        """Or would have, if whoever took it over had asked how."""
+        """Or would have, if the user who took it over had asked how."""
         try:
             return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
         except (FileNotFoundError, ProcessLookupError):

@@ -26,13 +26,13 @@ def press(client, organ, way):
     node = int(np.argmax(surface.normal @ (way / np.linalg.norm(way))))
     normal = surface.normal[node]
     depths = np.concatenate([np.arange(-OUTSIDE, DEEP, STEP), np.full(60, DEEP), np.arange(DEEP, -OUTSIDE, -4 * STEP)])
-    felt = 0.0
+    force = 0.0
     for depth in depths:
         client.ask(surface.positions[node] + (RADIUS - depth) * normal)
         client.spin(0.004)
         if depth == DEEP:
-            felt = float(client.wrenches[-1][1][:3] @ normal)
-    return felt
+            force = float(client.wrenches[-1][1][:3] @ normal)
+    return force
 
 
 @contextlib.contextmanager
@@ -69,6 +69,6 @@ def test_a_fitted_node_feels_like_the_one_that_was_pressed(tmp_path, capsys):
     assert found["held_out_error_percent"] < 6.0
     assert "not identifiable" in capsys.readouterr().out
     with client_of(tmp_path / "fitted", f"organ_file:={fitted}") as client:
-        felt = [press(client, organ, way) for way in OTHERS]
-    np.testing.assert_allclose(felt, measured, rtol=0.06)
+        force = [press(client, organ, way) for way in OTHERS]
+    np.testing.assert_allclose(force, measured, rtol=0.06)
     assert min(measured) > 0.02, "there is something to feel"

@@ -12,7 +12,7 @@ from helpers.paths import CONFIG
 from helpers.ros.processes import FAKE_TF, Process, running_node
 from tissue_sim.ros import policy
 from tissue_sim.ros.node.services.simulation_services import SERVICES
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS
 
 SHIPPED = (CONFIG / "sros2_policy.xml").read_text()
 KINDS = ("publish", "subscribe", "reply", "request")
@@ -92,7 +92,7 @@ def check(graph, text, path, nodes, **unseen):
     assert found == wanted
 
 
-def test_the_form_is_that_of_sros2_and_others_are_told():
+def test_the_form_is_that_of_sros2_and_others_are_reported():
     check_form(ElementTree.fromstring(SHIPPED.encode()))
     for wrong in ("<policy version='0.2.0'/>", SHIPPED.replace("0.2.0", "9"), SHIPPED.replace("ALLOW", "MAYBE", 1)):
         with pytest.raises(AssertionError):

@@ -8,11 +8,12 @@ from ruamel.yaml import YAML
 
 from helpers.paths import CONFIG, ROOT
 from helpers.ros.haptic_bridges import BRIDGES, StandIn
+from helpers.ros.node_values import values as defaults
 from helpers.ros.processes import UNHURRIED, Process, poke_path, running_node, shipped
-from helpers.ros.told import values as defaults
 from tissue_sim.ros.policy import enclaves_of
 from tissue_sim.ros.shared.frames import tip_frame, wrench_frame
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, check_frames, placed_frames
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS
+from tissue_sim.ros.shared.parameter_values import check_frames, placed_frames
 
 PROFILES = {path.stem: path for path in sorted((CONFIG / "bridges").glob("*.yaml"))}
 
@@ -113,8 +114,8 @@ def test_a_bridge_feels_the_kidney(served, tmp_path):
         assert pressed, "the scripted bridge plays this one"
         script.wait_for(f"{BRIDGES[name].pose_topic} has another publisher: {tool} jumps between the two")
         assert script.stop() == 0, script.text()
-        felt = re.findall(rf"{tool} ([\d.]+) N", script.text())
-        assert 0.1 < float(felt[0]) < 2.0, script.text()
+        forces = re.findall(rf"{tool} ([\d.]+) N", script.text())
+        assert 0.1 < float(forces[0]) < 2.0, script.text()
     finally:
         stand_in.close()
 

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from tissue_sim.errors import UserError
+from tissue_sim.outputs import make_folder
 from tissue_sim.ros.shared.priority import HIGHEST, is_allowed
 
 DEFAULT_ORGAN = "the calibrated kidney of this package"
@@ -103,7 +104,4 @@ def check_shared(args: argparse.Namespace) -> None:
     if getattr(args, "out", None):
         import matplotlib  # noqa: F401
 
-        try:
-            Path(args.out).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UserError(f"cannot make folder {args.out}: {error.strerror}; name another with --out") from None
+        make_folder(Path(args.out))

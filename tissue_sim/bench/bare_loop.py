@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.printing import Bound
 from tissue_sim.jit import kernel
 from tissue_sim.model.runtime.loop import now, sleep_until
@@ -76,7 +74,7 @@ def late_bound(name: str, percent: float, usual_percent: float) -> Bound:
 
 
 @kernel
-def bare_loop(period: int, busy: int, late: Any, clock: Any) -> None:
+def bare_loop(period: int, busy: int, late: Longs, clock: Longs) -> None:
     """Sleep to each deadline, `period` ns apart, and be busy for `busy` ns; late (n,) receives ns."""
     deadline = now(clock)
     for tick in range(len(late)):

@@ -70,10 +70,10 @@ def run(args: argparse.Namespace) -> int:
         for threads in rows.each(sorted({1, 2, len(os.sched_getaffinity(0))}), "batches"):
             batch = SceneBatch(scene, args.copies, threads=threads)
             measured.append(of_batch(batch, presses, args.seconds))
-            rows.tell(measured[-1].name, f"{measured[-1].steps_a_second:.0f} steps/s")
+            rows.report(measured[-1].name, f"{measured[-1].steps_a_second:.0f} steps/s")
         for name, step in rows.each([] if args.no_peers else PEERS, "MuJoCo"):
             peers.append(of_flex(name, step, presses, args.seconds))
-            rows.tell(name, f"{peers[-1].steps_a_second:.1f} steps/s")
+            rows.report(name, f"{peers[-1].steps_a_second:.1f} steps/s")
     found = as_json(organ, measured, peers, batch.bytes_a_copy, differing(scene, presses))
     emit(found, text(found), args.json)
     return exit_code(found, check=args.check)
@@ -193,12 +193,12 @@ def as_json(organ: Organ, measured: list[Measured], peers: list[Measured], size:
     speedup = None if is_busy or len(measured) < 2 else measured[1].steps_a_second / one.steps_a_second
     serial = None if speedup is None else min(max(2.0 / speedup - 1.0, 0.0), 1.0)
     few = len(organ.cell_nodes) < FEW_CELLS
-    felt = 100.0 * float(np.mean(one.highest_force > LEAST_FORCE))
+    pressing = 100.0 * float(np.mean(one.highest_force > LEAST_FORCE))
     bounds = [
         Bound("environment steps a second and core", one.steps_a_core_second, _least(few), "1/s", True),
         Bound("two threads over one", speedup, LEAST_SPEEDUP, "times", True),
         Bound("memory of a copy", 1e-6 * size, MOST_MEMORY, "MB"),
-        Bound(f"copies that feel {LEAST_FORCE:g} N or more", felt, 100.0, "%", True),
+        Bound(f"copies pressed with {LEAST_FORCE:g} N or more", pressing, 100.0, "%", True),
         Bound("numbers that differ from those of the scene alone", different, 0.0, "numbers"),
     ]
     return {

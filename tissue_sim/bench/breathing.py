@@ -67,7 +67,7 @@ def measure(
     with rows.until_stopped():
         for rate, name in rows.each([(rate, name) for rate in rates for name in ways], "breaths"):
             found.append(_breathed(organ, body, rate, name, np.array(ways[name])))
-            rows.tell(f"{rate:g} a minute, {name}", f"error at most {1e3 * found[-1].most_off:.3f} mm")
+            rows.report(f"{rate:g} a minute, {name}", f"error at most {1e3 * found[-1].most_off:.3f} mm")
     return found
 
 
@@ -116,8 +116,8 @@ def text(organ: Organ, found: dict[str, Any]) -> str:
     ]
     for one in found["breaths"]:
         lengths = [f"{1e3 * one[key]:.3f}" for key in ("bent", "off", "most_off")]
-        share = 100.0 * one["most_off"] / found["way_m"]
-        table.append([f"{one['rate']:g}", one["way"], *lengths, f"{share:.2f}", f"{100.0 * one['asleep']:.0f}"])
+        fraction = 100.0 * one["most_off"] / found["way_m"]
+        table.append([f"{one['rate']:g}", one["way"], *lengths, f"{fraction:.2f}", f"{100.0 * one['asleep']:.0f}"])
     line = (
         f"organ '{organ.name}': its clamp breathes by {1e3 * found['way_m']:g} mm, compared with implicit finite"
         " elements"

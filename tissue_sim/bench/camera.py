@@ -24,7 +24,7 @@ from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_co
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
-from tissue_sim.ros.probes.graph import NODE, Graph, ticks, told
+from tissue_sim.ros.probes.graph import NODE, Graph, last_line, ticks
 from tissue_sim.ros.shared.children import Child
 from tissue_sim.ros.shared.priority import below, is_allowed
 
@@ -102,7 +102,7 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any], filmed: tuple
                     with camera as pictures:
                         figures = _turn(hand, length, priority, partial(PictureTimes, own, "camera"))
                     node["turns"][name].append(figures | pictures)
-                    rows.tell(f"{_whose(node)}, turn {number + 1}, {name}", f"{figures['late_percent']:.2f} % late")
+                    rows.report(f"{_whose(node)}, turn {number + 1}, {name}", f"{figures['late_percent']:.2f} % late")
 
 
 @contextmanager
@@ -118,7 +118,7 @@ def filming(
     try:
         hand.poke(WARMING_UP)  # while both start
         yield found
-        rates = json.loads(told(watcher))
+        rates = json.loads(last_line(watcher))
         found["pictures_hz"] = min(rates.values())
     finally:
         _end(camera)
@@ -135,12 +135,12 @@ def _turn(hand: PokeProbe, length: float, priority: int, times: Callable[[], Pic
     reports = times()
     found = hand.poke(length)
     spent = reports.close()
-    first, last = found.told[0], found.told[-1]
+    first, last = found.reports[0], found.reports[-1]
     done = last.tick - first.tick
     return {
         "late_percent": 100.0 * (last.late - first.late) / max(1, done),
-        "tick_p99_us": 1e6 * float(np.median([one.busy_p99 for one in found.told])),
-        "late_p99_us": 1e6 * float(np.median([one.late_p99 for one in found.told])),
+        "tick_p99_us": 1e6 * float(np.median([one.busy_p99 for one in found.reports])),
+        "late_p99_us": 1e6 * float(np.median([one.late_p99 for one in found.reports])),
         "ticks_per_second": done / (last.seconds - first.seconds),
         "bare_late_percent": late_percent(bare(BARE, last.busy, priority)),
         "picture_ms": float(np.median(spent)) if spent else float("nan"),

@@ -58,7 +58,7 @@ def measure(organ: Organ) -> dict[str, Any]:
         with rows.until_stopped():
             for name, tools in rows.each(pairs(Path(folder)), "pairs of tools"):
                 measured.append(pressed(organ, name, tools))
-                rows.tell(name, f"p50 {1e6 * float(np.median(measured[-1].seconds)):.0f} us")
+                rows.report(name, f"p50 {1e6 * float(np.median(measured[-1].seconds)):.0f} us")
     return as_json(measured, noise_burst(2000))
 
 

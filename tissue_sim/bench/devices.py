@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -132,7 +132,7 @@ class Moving:
 
 
 @kernel
-def move(motion: Any, properties: Any, force: float, step: float, count: int) -> None:
+def move(motion: Floats, properties: Floats, force: float, step: float, count: int) -> None:
     """Advance position and speed (2,) m, m/s by `count` steps, s, under a constant force, N.
 
     properties (5,): mass kg, damping N s/m, Coulomb friction N, stiffness N/m towards a place m.

@@ -64,22 +64,22 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(found, check=args.check)
 
 
-def measure(organ: Organ, count: int, shares: Sequence[float] = TRACTIONS) -> list[SuddenLoad]:
+def measure(organ: Organ, count: int, fractions: Sequence[float] = TRACTIONS) -> list[SuddenLoad]:
     """Return `count` loads for each fraction of Young's modulus. Raises UserError without enough free nodes."""
     sharp = count // SHARP
     cases = held_out_cases(organ, count - sharp, sharp)
     cases = cases.scaled(organ.youngs_modulus / tractions(cases.force, organ))
     simulation = Simulation(organ)
-    todo = [(share, case) for share in shares for case in range(count)]
+    todo = [(fraction, case) for fraction in fractions for case in range(count)]
     found = []
     with rows.until_stopped():
-        for share, case in rows.each(todo, "loads"):
-            found.append(fallen(simulation, share, cases.kind[case], share * cases.force[case]))
-            rows.tell(f"{share:g} E, {cases.kind[case]}", f"difference {100.0 * found[-1].off:.2f} %")
+        for fraction, case in rows.each(todo, "loads"):
+            found.append(fallen(simulation, fraction, cases.kind[case], fraction * cases.force[case]))
+            rows.report(f"{fraction:g} E, {cases.kind[case]}", f"difference {100.0 * found[-1].off:.2f} %")
     return found
 
 
-def fallen(simulation: Simulation, share: float, kind: str, force: Floats) -> SuddenLoad:
+def fallen(simulation: Simulation, fraction: float, kind: str, force: Floats) -> SuddenLoad:
     """Return the results of one load (n_surface, 3) N."""
     raised, rose = simulation.settle(force, TOLERANCE, LONGEST, RAMP)
     turned = swelling(simulation.model, simulation.positions) <= 0.0
@@ -87,7 +87,7 @@ def fallen(simulation: Simulation, share: float, kind: str, force: Floats) -> Su
     dropped, fell = simulation.settle(force, TOLERANCE, LONGEST)
     volume = swelling(simulation.model, simulation.positions)
     return SuddenLoad(
-        traction=share,
+        traction=fraction,
         kind=kind,
         newton=float(np.linalg.norm(force, axis=1).sum()),
         deepest=float(np.linalg.norm(raised, axis=1).max()),
@@ -118,12 +118,12 @@ def text(organ: Organ, found: dict[str, Any]) -> str:
     table = [
         ["traction / E", "loads", "settled", "deepest mm", "difference % worst", "inverted", "least volume", "faults"]
     ]
-    for share in dict.fromkeys(one["traction"] for one in found["loads"]):
-        some = [one for one in found["loads"] if one["traction"] == share]
+    for fraction in dict.fromkeys(one["traction"] for one in found["loads"]):
+        some = [one for one in found["loads"] if one["traction"] == fraction]
         deep, off = 1e3 * max(one["deepest"] for one in some), 100.0 * max(one["off"] for one in some)
         counts = [str(len(some)), str(sum(one["settled"] for one in some))]
         turned, faults = max(one["turned"] for one in some), sum(one["faults"] for one in some)
         least = f"{min(one['least'] for one in some):.2f}"
-        table.append([f"{share:g}", *counts, f"{deep:.1f}", f"{off:.2f}", str(turned), least, str(faults)])
+        table.append([f"{fraction:g}", *counts, f"{deep:.1f}", f"{off:.2f}", str(turned), least, str(faults)])
     lines = [f"organ '{organ.name}': suddenly applied loads, against the same ones raised within {RAMP:g} s"]
     return "\n".join([*lines, *aligned(table), "", *bound_lines(found["bounds"])])

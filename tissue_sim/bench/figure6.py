@@ -9,7 +9,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,16 @@ from tissue_sim.bench.organs import press_node
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
+from tissue_sim.figures import empty_figure
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.reporting.render import View, balls, rasterize, view_of
 from tissue_sim.organ.winding import inside
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 JAW = 0.004  # m, radius of the two jaws
 _OPEN, _DEEP, _PULL = 0.003, 0.007, 0.004  # m: gap before the nip, indentation of either jaw, pull outward
@@ -149,8 +155,6 @@ def write_figure(organ: Organ, panels: Sequence[Panel], folder: Path) -> list[Pa
     UserError
         Where the folder can't be written.
     """
-    from matplotlib.figure import Figure
-
     rest = organ.surface_positions
     most = max(float(np.linalg.norm(panel.positions - rest, axis=1).max()) for panel in panels)
     view = _view(organ, panels)
@@ -159,14 +163,14 @@ def write_figure(organ: Organ, panels: Sequence[Panel], folder: Path) -> list[Pa
     try:
         folder.mkdir(parents=True, exist_ok=True)
         width = _PANEL * view.size[0] / view.size[1] + 0.3
-        figure = Figure(figsize=(2.0 * width + 1.0, 2.0 * _PANEL + 1.2), layout="constrained")
+        figure = empty_figure(2.0 * width + 1.0, 2.0 * _PANEL + 1.2)
         axes = np.ravel(figure.subplots(2, 2))
         for axis, panel, pixels in zip(axes, panels, drawn, strict=True):
             _show(axis, view, organ, panel, pixels)
         _colour_bar(figure, list(axes), most)
         written.append(_save(figure, folder / "figure6.png"))
         for panel, pixels in zip(panels, drawn, strict=True):
-            single = Figure(figsize=(width + 1.0, _PANEL + 0.6), layout="constrained")
+            single = empty_figure(width + 1.0, _PANEL + 0.6)
             axis = single.subplots()
             _show(axis, view, organ, panel, pixels)
             _colour_bar(single, [axis], most)
@@ -218,7 +222,7 @@ def _shaded(view: View, organ: Organ, panel: Panel, most: float) -> Pixels:
     return (np.clip(small, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
-def _show(axis: Any, view: View, organ: Organ, panel: Panel, pixels: Pixels) -> None:
+def _show(axis: Axes, view: View, organ: Organ, panel: Panel, pixels: Pixels) -> None:
     """Put a rendered panel on an axis, with arrows for the forces and a caption."""
     axis.imshow(pixels, interpolation="antialiased")
     axis.set_axis_off()
@@ -249,7 +253,7 @@ def _colours() -> Any:
     return LinearSegmentedColormap.from_list("tissue", _COLOURS)
 
 
-def _colour_bar(figure: Any, axes: list[Any], most: float) -> None:
+def _colour_bar(figure: Figure, axes: list[Any], most: float) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -257,7 +261,7 @@ def _colour_bar(figure: Any, axes: list[Any], most: float) -> None:
     figure.colorbar(scale, ax=axes, label="displacement (mm)", shrink=0.7, pad=0.02)
 
 
-def _save(figure: Any, path: Path) -> Path:
+def _save(figure: Figure, path: Path) -> Path:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=130)
     path.write_bytes(buffer.getvalue())

@@ -34,7 +34,7 @@ from tissue_sim.bench.device_loop import (
 )
 from tissue_sim.bench.devices import DEVICES, GRIP, NO_HAND, Device
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, save
-from tissue_sim.bench.rows import each, stopped, tell, until_stopped
+from tissue_sim.bench.rows import each, report, stopped, until_stopped
 from tissue_sim.model.contact.virtual_coupling import passive_stiffness
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -134,10 +134,10 @@ def measure(cells: Sequence[Cell]) -> tuple[list[Row], list[Bare]]:
             at = f"{found.device}, {found.rate:g} Hz"
             if isinstance(found, Row):
                 rows.append(found)
-                tell(f"{at}, {1e3 * found.delay:g} ms", f"{_found(found.found)} N/m", f"{found.ratio:.2f} of theory")
+                report(f"{at}, {1e3 * found.delay:g} ms", f"{_found(found.found)} N/m", f"{found.ratio:.2f} of theory")
             else:
                 bare.append(found)
-                tell(f"{at}, uncoupled", "none" if found.delay is None else f"{1e3 * found.delay:g} ms")
+                report(f"{at}, uncoupled", "none" if found.delay is None else f"{1e3 * found.delay:g} ms")
     return rows, bare
 
 

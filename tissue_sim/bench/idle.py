@@ -70,7 +70,9 @@ def measure(organ_file: str, seconds: float) -> dict[str, Any]:
             with progress.still(), rows.until_stopped():
                 for turn in rows.each(range(max(1, round(seconds / TURN))), "turns"):
                     turns.append(processor_load_during(spent, partial(viewer.look, TURN)))
-                    rows.tell(f"turn {turn + 1}", *(f"{name} {share:.2f} %" for name, share in turns[-1].items()))
+                    rows.report(
+                        f"turn {turn + 1}", *(f"{name} {fraction:.2f} %" for name, fraction in turns[-1].items())
+                    )
     return as_json(turns, seen_after)
 
 
@@ -79,14 +81,14 @@ def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> dict[str
 
     A machine under load makes every waking more expensive, so that the least of the turns is compared with the bound.
     """
-    shares = {name: [turn[name] for turn in turns] for name in turns[0]}
+    percents = {name: [turn[name] for turn in turns] for name in turns[0]}
     bounds = [
-        Bound("idle node with a viewer, smallest of the turns", min(shares[SERVED]), MOST, "% of a core"),
+        Bound("idle node with a viewer, smallest of the turns", min(percents[SERVED]), MOST, "% of a core"),
         Bound("time until a late viewer has the organ", seen_after, MOST_TO_SEE, "s"),
     ]
     return {
         "shares_percent": {
-            name: {"least": min(of), "median": float(np.median(of)), "most": max(of)} for name, of in shares.items()
+            name: {"least": min(of), "median": float(np.median(of)), "most": max(of)} for name, of in percents.items()
         },
         "seen_after_s": seen_after,
         "bounds": [bound.as_json() for bound in bounds],
@@ -95,9 +97,9 @@ def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> dict[str
 
 def text(found: Mapping[str, Any]) -> str:
     """Return the figures as tables."""
-    shares = found["shares_percent"]
+    percents = found["shares_percent"]
     table = [["% of a core", "least", "median", "most", "node's median relative to this"]]
-    for name, of in shares.items():
-        ratio = figure(shares[SERVED]["median"] / of["median"]) if of["median"] else "-"
+    for name, of in percents.items():
+        ratio = figure(percents[SERVED]["median"] / of["median"]) if of["median"] else "-"
         table.append([name, *(f"{of[key]:.2f}" for key in ("least", "median", "most")), f"{ratio} x"])
     return "\n".join([*aligned(table), "", *bound_lines(found["bounds"])])

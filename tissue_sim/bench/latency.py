@@ -110,9 +110,9 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
                 for name, trip in turn.items():
                     trips[name].append(trip)
                 p50 = turn[wrench_row_name(RATES[0])].as_json()["p50_us"]
-                rows.tell(f"turn {number + 1}", f"{wrench_row_name(RATES[0])}: p50 {p50:.0f} us")
-        told = {name: together(parts).as_json() for name, parts in trips.items()}
-        found = as_json(seconds, told, (done, late), np.concatenate(bare_late), busy)
+                rows.report(f"turn {number + 1}", f"{wrench_row_name(RATES[0])}: p50 {p50:.0f} us")
+        percentiles = {name: together(parts).as_json() for name, parts in trips.items()}
+        found = as_json(seconds, percentiles, (done, late), np.concatenate(bare_late), busy)
         smoothed = [] if rows.stopped() else smoothing.as_json(smoothing.measure(organ))
         return {"realtime_priority": priority, **found, "smoothing": smoothed}
 
@@ -144,25 +144,25 @@ def as_json(
     lateness of the bare loop's ticks, s; busy: us of each.
     """
     period, (done, late) = 1.0 / RATE, ticks
-    shares = 100.0 * late / max(1.0, done), late_percent(bare_late)
+    percents = 100.0 * late / max(1.0, done), late_percent(bare_late)
     ticks_beyond = TICKS_BEYOND * 1e6 * period
     woken, echo_woken = (trips[name] for name in WOKEN)
-    felt = [
+    delays = [
         Bound(f"{wrench_row_name(rate)}, {name}", trips[wrench_row_name(rate)][f"{name}_us"], most, "us")
         for rate in RATES
         for name, most in zip(("p50", "p99"), MOST[rate], strict=True)
         if most is not None
     ]
     bounds = [
-        *felt,
+        *delays,
         Bound("that ends a nap, p50", woken["p50_us"], MOST_OF_ECHO * echo_woken["p50_us"] + ticks_beyond, "us"),
-        late_bound("ticks late by more than a period", *shares),
+        late_bound("ticks late by more than a period", *percents),
     ]
     return {
         "seconds": seconds,
         "rate_hz": RATE,
         "round_trips": trips,
-        "late": {"node_percent": shares[0], "bare_percent": shares[1], "ticks": done, "busy_us": busy},
+        "late": {"node_percent": percents[0], "bare_percent": percents[1], "ticks": done, "busy_us": busy},
         "bounds": [bound.as_json() for bound in bounds],
     }
 

@@ -34,9 +34,9 @@ PHASES = QUIET, BUSY, AFTER = "quiet", "busy", "quiet again"
 SHORTEST = 4.0  # s of a phase
 WARMING_UP = 3.0  # s of poking that aren't counted
 BARE_TURN = 5.0  # s that the bare loop runs at once
-BARE_SHARE = 0.25  # fraction of a phase's time for the bare loop after it
+BARE_FRACTION = 0.25  # fraction of a phase's time for the bare loop after it
 LONGEST_BACK = 90.0  # s for the node to recover from degradation
-MOST_FELT = 10.0  # %, largest difference of a poke's highest force from the undisturbed ones'
+MOST_OFF = 10.0  # %, largest difference of a poke's highest force from the undisturbed ones'
 MOST_LACKING = 1.0  # % of the ticks
 SPINNING = "while True: pass"
 
@@ -68,9 +68,11 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
     def phase(name: str) -> None:
         with progress.task(f"{name}, s", seconds) as poking:
             phases[name] = _phase(hand, seconds, priority, poking.advance)
-        told = phases[name]
-        rows.tell(
-            f"{_whose(node)}, {name}", f"{told['ticks_per_second']:.1f} ticks/s", f"{told['late_percent']:.2f} % late"
+        figures = phases[name]
+        rows.report(
+            f"{_whose(node)}, {name}",
+            f"{figures['ticks_per_second']:.1f} ticks/s",
+            f"{figures['late_percent']:.2f} % late",
         )
 
     with Graph() as graph:
@@ -111,10 +113,10 @@ def spinning() -> Iterator[None]:
 
 def _phase(hand: PokeProbe, seconds: float, priority: int, watch: Callable[[], object]) -> dict[str, Any]:
     found = hand.poke(seconds, watch)
-    turns = max(1, round(BARE_SHARE * seconds / BARE_TURN))
+    turns = max(1, round(BARE_FRACTION * seconds / BARE_TURN))
     late = []
     for _ in range(turns):
-        late.append(bare(BARE_SHARE * seconds / turns, found.told[-1].busy, priority))
+        late.append(bare(BARE_FRACTION * seconds / turns, found.reports[-1].busy, priority))
         watch()
     bare_late = late_percent(np.concatenate(late))
     return phase_json(found, bare_late)
@@ -125,9 +127,9 @@ def _phase(hand: PokeProbe, seconds: float, priority: int, watch: Callable[[], o
 
 def phase_json(found: PokeFigures, bare_percent: float) -> dict[str, Any]:
     """Return the figures of one phase: the node's between its first report and its last, and the forces."""
-    first, last = found.told[0], found.told[-1]
+    first, last = found.reports[0], found.reports[-1]
     done, wall = last.tick - first.tick, last.seconds - first.seconds
-    between = np.diff([told.seconds for told in found.told])
+    between = np.diff([report.seconds for report in found.reports])
     return {
         "peaks_n": found.peaks.tolist(),
         "longest_gap_ms": 1e3 * found.gap,
@@ -135,8 +137,8 @@ def phase_json(found: PokeFigures, bare_percent: float) -> dict[str, Any]:
         "late_percent": 100.0 * (last.late - first.late) / max(1, done),
         "bare_late_percent": bare_percent,
         "dropped": last.dropped - first.dropped,
-        "simulated_share": float(np.average([told.pace for told in found.told[1:]], weights=between)),
-        "degraded": sorted({told.degraded for told in found.told} - {"none"}),
+        "simulated_share": float(np.average([report.pace for report in found.reports[1:]], weights=between)),
+        "degraded": sorted({report.degraded for report in found.reports} - {"none"}),
     }
 
 
@@ -152,10 +154,10 @@ def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[
             raise UserError("no poke had a force on the quiet machine; use an organ wider than 12 mm along x")
         for phase in phases.values():
             off = np.abs(np.array(phase["peaks_n"]) - undisturbed) / undisturbed
-            phase["felt_off_percent"] = 100.0 * float(off.max())
+            phase["force_off_percent"] = 100.0 * float(off.max())
         busy, after = phases.get(BUSY), phases.get(AFTER)  # none where it was stopped before
         if busy:
-            bounds.append(Bound(f"{whose}: worst poke, busy", busy["felt_off_percent"], MOST_FELT, "%"))
+            bounds.append(Bound(f"{whose}: worst poke, busy", busy["force_off_percent"], MOST_OFF, "%"))
         bounds += [
             Bound(
                 f"{whose}: missing ticks, {name}", 100.0 * (1.0 - phase["ticks_per_second"] / RATE), MOST_LACKING, "%"
@@ -198,7 +200,7 @@ def text(found: dict[str, Any]) -> str:
                     f"{phase['dropped']}",
                     f"{100.0 * phase['simulated_share']:.2f} %",
                     f"{np.median(phase['peaks_n']):.3f} N",
-                    f"{phase['felt_off_percent']:.1f} %",
+                    f"{phase['force_off_percent']:.1f} %",
                     f"{phase['longest_gap_ms']:.1f} ms",
                 ]
             )

@@ -64,14 +64,14 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"--points {args.points} is outside 100..100000")
     if args.loss is not None:
         found = arriving.behind_link(path, args.loss, args.seconds)
-        told = arriving.text(found)
+        table = arriving.text(found)
     elif args.points is not None:
         found = arriving.of_large_organ(args.points, args.seconds)
-        told = arriving.text(found)
+        table = arriving.text(found)
     else:
         found = as_json(measure_colours(path, args.seconds))
-        told = text(found)
-    emit(found, told, args.json)
+        table = text(found)
+    emit(found, table, args.json)
     return exit_code(found, check=args.check)
 
 
@@ -119,7 +119,7 @@ def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict
         both = Viewer(own, *MARKERS.values())
         with both:
             both.wait()
-        time.sleep(1.0)  # until the poses are stale, the tool is forgotten and nobody has yet subscribed
+        time.sleep(1.0)  # until the poses are stale, the tool is forgotten, and there are no subscribers yet
         spent = {
             SERVED: partial(processor_seconds, served.pid, busiest=False),
             SENDING: partial(processor_seconds, sender.pid),
@@ -129,8 +129,8 @@ def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict
         with progress.still(), rows.until_stopped():
             for number in rows.each(turns, f"turns, {colour}"):
                 found.append(turn(spent, both))
-                shares = (f"{name} {one['percent']:.2f} % at {one['hz']:.0f} Hz" for name, one in found[-1].items())
-                rows.tell(f"turn {number + 1}, {colour}", *shares)
+                loads = (f"{name} {one['percent']:.2f} % at {one['hz']:.0f} Hz" for name, one in found[-1].items())
+                rows.report(f"turn {number + 1}, {colour}", *loads)
         return found
 
 
@@ -139,9 +139,9 @@ def turn(spent: Mapping[str, Callable[[], float]], both: Viewer) -> dict[str, di
     without = processor_load_during(spent, partial(time.sleep, TURN))
     with both:
         both.look(SETTLING)
-        watched = processor_load_during(spent, partial(both.look, TURN))
+        with_viewer = processor_load_during(spent, partial(both.look, TURN))
     rate = {name: both.count[topic] / TURN for name, topic in MARKERS.items()}
-    return {name: {"percent": watched[name] - without[name], "hz": rate[name]} for name in spent}
+    return {name: {"percent": with_viewer[name] - without[name], "hz": rate[name]} for name in spent}
 
 
 # telling -------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from typing import Any
 from tissue_sim.bench.organs import bean
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, figure
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.probes.graph import NODE, Graph, ticks, told
+from tissue_sim.ros.probes.graph import NODE, Graph, last_line, ticks
 from tissue_sim.ros.probes.lossy_link import lossy_link
 
 DELAY = 0.05  # s, each way
@@ -53,12 +53,12 @@ def behind_link(organ_file: str, loss: float, seconds: float) -> dict[str, Any]:
         # Few ticks, because the link is measured here and not the machine.
         settings = UNDAMPED, "rate:=100.0", f"marker_rate:={LINK_RATE}"
         ticks(graph.start_node(organ_file, *settings, within=here))
-        told(graph.start("probes.tool_driver", organ_file, within=here))
+        last_line(graph.start("probes.tool_driver", organ_file, within=here))
         message = Path(folder, "surface")
         message.write_bytes(CloudTemplate("organ", Organ.load(organ_file).n_surface, ("x", "y", "z")).message(0))
         graph.start("probes.sender", f"/{SENDER}/surface", "surface", str(message), str(LINK_RATE), within=here)
         topics = f"/{NODE}/surface", f"/{SENDER}/surface"
-        rates = json.loads(told(graph.start("probes.viewer", str(seconds), *topics, within=there)))
+        rates = json.loads(last_line(graph.start("probes.viewer", str(seconds), *topics, within=there)))
     about = (
         f"a link that loses {100.0 * loss:g} % of the packets and delays by {1e3 * DELAY:g} ms; {LINK_RATE:g} Hz"
         " are sent"
@@ -95,7 +95,7 @@ def of_large_organ(points: int, seconds: float) -> dict[str, Any]:
         # Soft tissue needs fewer substeps, because the sending is measured here.
         settings = UNDAMPED, "stiffness_scale:=0.02", f"marker_rate:={LARGE_RATE}"
         ticks(graph.start_node(organ_file, *settings))
-        told(graph.start("probes.tool_driver", organ_file))
+        last_line(graph.start("probes.tool_driver", organ_file))
         own = graph.enter_context(client_node("bench", NODE))
         topics = {kind: f"/{NODE}/{kind}" for kind in ("markers", "surface")}
         with Viewer(own, *topics.values()) as viewer:

@@ -29,7 +29,7 @@ from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
 from tissue_sim.organ.shipped import shipped_file
 from tissue_sim.ports import free_port
-from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, ticks, told
+from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, last_line, ticks
 from tissue_sim.ros.probes.lossy_link import ADDRESSES, inside, lossy_link
 from tissue_sim.ros.shared.children import Child
 
@@ -38,7 +38,7 @@ LEAST = 30.0  # frames per second
 HERE: tuple[str, Sequence[str]] = ("127.0.0.1", ())  # address of the page, and the command that runs its watcher
 BREATHS, WAY = 6.0, 0.015  # per minute; m
 MOVING = 50  # surfaces, of 60, that the node sends in a second in which frames are counted
-LOOK = 0.05  # s for which the node's messages are watched at a time
+LOOK = 0.05  # s for which the node's messages are read at a time
 PAGE, SERVED, BARE = "the page", "the node", "a bare loop"
 
 
@@ -105,9 +105,9 @@ def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) 
                     under_way.reach(min(round(time.monotonic() - began), seconds))
 
         spent = {name: partial(processor_seconds, child.pid) for name, child in children.items()}
-        shares = processor_load_during(spent, note)
-        watched = json.loads(told(watcher))
-    return as_json(scene, watched, sent, shares, seconds)
+        percents = processor_load_during(spent, note)
+        arrivals = json.loads(last_line(watcher))
+    return as_json(scene, arrivals, sent, percents, seconds)
 
 
 def served_at(page: Child) -> str:
@@ -135,24 +135,24 @@ def carried(scene: SceneFile, folder: Path) -> Path:
 
 def as_json(
     scene: SceneFile,
-    watched: Mapping[str, Any],
+    arrivals: Mapping[str, Any],
     sent: Sequence[float],
-    shares: Mapping[str, float],
+    percents: Mapping[str, float],
     seconds: float,
 ) -> dict[str, Any]:
     """Return the frames per second of each organ, on average and in the worst second, and the bounds.
 
-    watched: see `page_watcher.watch`; sent: when the node sent a surface, s. Raises UserError where there was no second
-    in which to count.
+    arrivals: see `page_watcher.watch`; sent: when the node sent a surface, s. Raises UserError where there was no
+    second in which to count.
     """
-    began = float(watched["began"])
+    began = float(arrivals["began"])
     edges = began + np.arange(math.floor(seconds) + 1)
     moving = np.histogram(sent, edges)[0] >= MOVING
     if not moving.any():
         raise UserError(f"the node never sent {MOVING} surfaces in a second: this machine is too slow, or too busy")
     rows: list[dict[str, Any]] = []
     for name, organ in zip(scene.names, scene.organs, strict=True):
-        came = np.array(watched["came"].get(f"/organ/{name}", []))
+        came = np.array(arrivals["came"].get(f"/organ/{name}", []))
         count = np.histogram(came, edges)[0][moving]
         rows.append(
             {
@@ -167,8 +167,8 @@ def as_json(
     return {
         "organs": rows,
         "seconds": int(moving.sum()),
-        "megabytes_a_second": watched["bytes"] / seconds / 1e6,
-        "shares_percent": dict(shares),
+        "megabytes_a_second": arrivals["bytes"] / seconds / 1e6,
+        "shares_percent": dict(percents),
         "bounds": [bound.as_json() for bound in bounds],
     }
 
@@ -178,9 +178,9 @@ def text(found: Mapping[str, Any]) -> str:
     rows = [["organ", "points", "pictures a second", "in the worst second"]]
     for row in found["organs"]:
         rows.append([row["organ"], str(row["points"]), f"{row['pictures_hz']:.1f}", str(row["worst_second"])])
-    shares = [["% of a core", ""], *([name, f"{share:.1f}"] for name, share in found["shares_percent"].items())]
+    percents = [["% of a core", ""], *([name, f"{fraction:.1f}"] for name, fraction in found["shares_percent"].items())]
     about = (
         f"{found['seconds']} s in which all organs move; {found['megabytes_a_second']:.1f} MB a second over the"
         " websocket"
     )
-    return "\n".join([about, "", *aligned(rows), "", *aligned(shares), "", *bound_lines(found["bounds"])])
+    return "\n".join([about, "", *aligned(rows), "", *aligned(percents), "", *bound_lines(found["bounds"])])

@@ -14,13 +14,14 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench import pinch_reference, rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.pinch_tools import Pinch, pairs, pinched
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines, write_json
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines
 from tissue_sim.bench.timing import in_one_thread, noise_burst
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.outputs import write_json
 
-SHARES = (0.2, 0.4, 0.6)  # fractions of the organ's width by which the tools squeeze it
+FRACTIONS = (0.2, 0.4, 0.6)  # fractions of the organ's width by which the tools squeeze it
 NOT_COMPARED = (
     "forces are not compared: this organ has no table of finite elements; --reference FILE --remake makes one"
 )
@@ -66,19 +67,19 @@ def table_of(args: argparse.Namespace, organ: Organ) -> dict[str, Any] | None:
             raise UserError("--remake writes a file; name it with --reference FILE")
         if path.suffix == ".npz":
             raise UserError(f"--reference {path} would write over an organ; name a file like pinch.json")
-        write_json(pinch_reference.make(organ), path)
+        write_json(path, pinch_reference.make(organ))
     return None if path is None else pinch_reference.read(path, organ)
 
 
 def measure(organ: Organ) -> tuple[list[Pinch], Floats]:
     """Return every pair of tools on every axis by every fraction, and seconds of a fixed loop, in one thread."""
     with tempfile.TemporaryDirectory() as folder:
-        todo = [(*pair, axis, share) for pair in pairs(Path(folder)) for axis in range(3) for share in SHARES]
+        todo = [(*pair, axis, fraction) for pair in pairs(Path(folder)) for axis in range(3) for fraction in FRACTIONS]
         found = []
         with rows.until_stopped():
             for one in rows.each(todo, "pinches"):
                 found.append(pinched(organ, *one))
-                rows.tell(f"{one[0]}, {'xyz'[one[2]]}, {100.0 * one[3]:g} %", f"{found[-1].force:.2f} N")
+                rows.report(f"{one[0]}, {'xyz'[one[2]]}, {100.0 * one[3]:g} %", f"{found[-1].force:.2f} N")
         return found, noise_burst(2000)
 
 
@@ -88,7 +89,7 @@ def as_json(pinches: Sequence[Pinch], bursts: Floats, reference: dict[str, Any] 
         {
             "tools": one.tools,
             "axis": "xyz"[one.axis],
-            "share_percent": 100.0 * one.share,
+            "share_percent": 100.0 * one.fraction,
             "width_mm": 1e3 * one.width,
             "p50_us": 1e6 * float(np.percentile(one.seconds, 50)),
             "p99_us": 1e6 * float(np.percentile(one.seconds, 99)),

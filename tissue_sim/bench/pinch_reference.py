@@ -24,7 +24,7 @@ from tissue_sim.bench.pinch_tools import CLEAR, SPHERE, Place, both, place
 from tissue_sim.bench.printing import Bound, aligned
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.reference import LEFT
-from tissue_sim.calibration.sphere_compression import Squeezed, squeezed, touchable
+from tissue_sim.calibration.sphere_compression import CompressionStep, compressed, touchable
 from tissue_sim.contact.scene import Scene
 from tissue_sim.errors import UserError
 from tissue_sim.model.elasticity.cells import swelling
@@ -32,7 +32,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_file
 
 STORED = "config/references/pinch.json"  # of the kidney that ships
-SHARES = (0.2, 0.4)  # of the organ's width
+FRACTIONS = (0.2, 0.4)  # of the organ's width
 STEP = 0.0014  # m, largest step of the finite elements: no longer than the elements where they are touched
 UNDER = 0.012  # m from the axis, where a sphere may touch: up to 7 mm do
 MESHES = (Grading(clamp=0), Grading(clamp=0, near=1, growth=1.6))  # the second is twice as fine where they touch
@@ -47,7 +47,7 @@ class Compared(NamedTuple):
     """Results of a pinch along one axis by a fraction of the width."""
 
     axis: str
-    share: float
+    fraction: float
     ours: Floats  # (t, 3) N on the tools that press tissue which may move
     reference: Floats | None  # (t, 3) N; None where finite elements did not settle
     least: float  # J of our cells
@@ -97,20 +97,20 @@ def make(organ: Organ) -> dict[str, Any]:
         As Body does.
     """
     start = time.monotonic()
-    squeezed_by = [
+    found = [
         row
         for axis in progress.steps(range(3), "finite elements, axes")
         for row in by_elements(organ, place(organ, axis, SPHERE), axis)
     ]
-    return {"organ": organ.name, "fits": fits(organ), "seconds": round(time.monotonic() - start), "rows": squeezed_by}
+    return {"organ": organ.name, "fits": fits(organ), "seconds": round(time.monotonic() - start), "rows": found}
 
 
 def by_elements(organ: Organ, where: Place, axis: int) -> list[dict[str, Any]]:
     """Return a row for every fraction: force on the tools (2, 3) N on both meshes, and the corrected one."""
-    coarse, fine = (_squeezed(organ, where, axis, mesh) for mesh in MESHES)
+    coarse, fine = (_compressed_between(organ, where, axis, mesh) for mesh in MESHES)
     found_rows = []
-    for share, one, other in zip(SHARES, coarse, fine, strict=True):
-        row: dict[str, Any] = {"axis": "xyz"[axis], "share_percent": 100.0 * share, "force_n": None}
+    for fraction, one, other in zip(FRACTIONS, coarse, fine, strict=True):
+        row: dict[str, Any] = {"axis": "xyz"[axis], "share_percent": 100.0 * fraction, "force_n": None}
         if one is not None and other is not None:
             force = -other.forces - LEFT * (other.forces - one.forces)
             found = {"force_n": force, "coarse_n": -one.forces, "fine_n": -other.forces}
@@ -120,16 +120,16 @@ def by_elements(organ: Organ, where: Place, axis: int) -> list[dict[str, Any]]:
     return found_rows
 
 
-def _squeezed(organ: Organ, where: Place, axis: int, mesh: Grading) -> list[Squeezed | None]:
+def _compressed_between(organ: Organ, where: Place, axis: int, mesh: Grading) -> list[CompressionStep | None]:
     """Return the equilibria of finite elements at every fraction; None where they don't settle."""
     beside = np.delete(organ.surface_positions - where.start[0], axis, axis=1)
     solid, nodes = touchable(organ, np.linalg.norm(beside, axis=1) < UNDER, mesh)
     deep, last = [0.0], []
-    for share in SHARES:
-        end = 0.5 * share * where.width
+    for fraction in FRACTIONS:
+        end = 0.5 * fraction * where.width
         deep += np.linspace(deep[-1], end, math.ceil((end - deep[-1]) / STEP) + 1)[1:].tolist()
         last.append(len(deep) - 2)
-    steps = squeezed(solid, nodes, np.array([where.at(one) for one in deep[1:]]), SPHERE)
+    steps = compressed(solid, nodes, np.array([where.at(one) for one in deep[1:]]), SPHERE)
     return [steps[number] if number < len(steps) and steps[number].settled else None for number in last]
 
 
@@ -138,7 +138,7 @@ def meets_clamp(organ: Organ, where: Place) -> NDArray[np.bool_]:
 
     A solid whose surface is held is like a wall.
     """
-    ends = where.at(0.5 * SHARES[-1] * where.width)
+    ends = where.at(0.5 * FRACTIONS[-1] * where.width)
     away = organ.surface_positions[organ.fixed] - where.start[:, None]
     along = np.clip(np.einsum("tkx,tx->tk", away, where.ways), 0.0, np.linalg.norm(ends - where.start, axis=1)[:, None])
     apart = np.linalg.norm(away - along[:, :, None] * where.ways[:, None], axis=2)
@@ -178,7 +178,7 @@ def read(path: Path, organ: Organ) -> dict[str, Any]:
             f"reference {path} was made for organ '{name}' of another surface, clamp or material than '{organ.name}';"
             " make one with --remake"
         )
-    if [row[:2] for row in pinches] != [(axis, 100.0 * share) for axis in "xyz" for share in SHARES]:
+    if [row[:2] for row in pinches] != [(axis, 100.0 * fraction) for axis in "xyz" for fraction in FRACTIONS]:
         raise UserError(f"reference {path} has other pinches than these; make it again with --remake")
     return dict(table)
 
@@ -213,7 +213,7 @@ def measure(organ: Organ, table: dict[str, Any]) -> list[Compared]:
                 )
                 found.append(one)
                 off = "not converged" if one.off is None else f"error {one.off:.1f} %"
-                rows.tell(f"{one.axis}, {one.share:g} %", off)
+                rows.report(f"{one.axis}, {one.fraction:g} %", off)
     return found
 
 
@@ -229,8 +229,8 @@ def slowly(organ: Organ, axis: int) -> list[tuple[Floats, float]]:
         scene.step()
 
     deep = -CLEAR
-    for share in SHARES:
-        end = 0.5 * share * where.width
+    for fraction in FRACTIONS:
+        end = 0.5 * fraction * where.width
         for at in np.linspace(deep, end, max(2, round((end - deep) / (SPEED * tick)))):
             go(float(at))
         deep, force = end, np.full((2, 3), np.inf)
@@ -264,7 +264,7 @@ def as_json(found: list[Compared]) -> dict[str, Any]:
     table = [
         {
             "axis": one.axis,
-            "share_percent": one.share,
+            "share_percent": one.fraction,
             "force_n": one.ours.tolist(),
             "reference_n": None if one.reference is None else one.reference.tolist(),
             "off_percent": one.off,

@@ -28,7 +28,7 @@ class Pinch(NamedTuple):
 
     tools: str
     axis: int
-    share: float
+    fraction: float
     width: float  # m
     seconds: Floats  # of processor time of every tick in contact
     substeps: int  # the most
@@ -38,7 +38,7 @@ class Pinch(NamedTuple):
     left_turned: int  # long after
     left: float  # m from rest then
     faults: int
-    forces: Floats  # (2, 3) N, felt by the tools, held
+    forces: Floats  # (2, 3) N, on the tools, held
 
     @property
     def force(self) -> float:
@@ -126,7 +126,7 @@ def place(organ: Organ, axis: int, ahead: float = 0.0) -> Place:
 
 
 def pinched(
-    organ: Organ, name: str, tools: list[Tool], axis: int, share: float, friction: float | None = None
+    organ: Organ, name: str, tools: list[Tool], axis: int, fraction: float, friction: float | None = None
 ) -> Pinch:
     """Squeeze the organ's middle along an axis, hold, release, and wait.
 
@@ -140,7 +140,7 @@ def pinched(
         The tools.
     axis : int
         The axis.
-    share : float
+    fraction : float
         Fraction of the organ's width there.
     friction : float | None, optional
         Coulomb coefficient; None for the default.
@@ -165,7 +165,7 @@ def pinched(
     simulation.step = timed  # type: ignore[method-assign]
     where = place(organ, axis, tools[0].radius if tools[0].shape == "sphere" else 0.0)
     turns = [Rotation.align_vectors([way], [[0.0, 0.0, 1.0]])[0].as_quat() for way in where.ways]
-    depth, substeps, turned = 0.5 * share * where.width, 0, 0
+    depth, substeps, turned = 0.5 * fraction * where.width, 0, 0
 
     def go(deep: float) -> None:
         nonlocal substeps, turned
@@ -192,7 +192,7 @@ def pinched(
     return Pinch(
         tools=name,
         axis=axis,
-        share=share,
+        fraction=fraction,
         width=where.width,
         seconds=touching,
         substeps=substeps,

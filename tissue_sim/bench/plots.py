@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tissue_sim.errors import UserError
+from tissue_sim.figures import empty_figure, hide_box
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 _OURS, _THEIRS, _LIMIT = "#2166ac", "#b2182b", "#777777"
 
@@ -40,12 +45,10 @@ def write_plots(found: dict[str, Any], folder: Path) -> list[Path]:
     return paths
 
 
-def _rows(found: dict[str, Any]) -> Any:
+def _rows(found: dict[str, Any]) -> Figure:
     """Return a figure of the median and p99 of every row, on a logarithmic scale."""
-    from matplotlib.figure import Figure
-
     rows = [row for row in found["rows"] if row["median_us"] is not None][::-1]
-    figure = Figure(figsize=(9.0, 0.36 * len(rows) + 1.3), layout="constrained")
+    figure = empty_figure(9.0, 0.36 * len(rows) + 1.3)
     axis = figure.subplots()
     peers = ("MuJoCo", "compliance", "the same")
     for place, row in enumerate(rows):
@@ -61,17 +64,15 @@ def _rows(found: dict[str, Any]) -> Any:
     axis.set_title(
         f"{found['organ']}, {found['surface_points']} points, 1 ms of simulated time, one thread", loc="left"
     )
-    _bare(axis)
+    hide_box(axis)
     return figure
 
 
-def _growth(found: dict[str, Any]) -> Any:
+def _growth(found: dict[str, Any]) -> Figure:
     """Return a figure of whole tick, substep and modal tick over the number of points."""
-    from matplotlib.figure import Figure
-
     sizes = found["growth"]["sizes"]
     points = [size["points"] for size in sizes]
-    figure = Figure(figsize=(6.6, 4.4), layout="constrained")
+    figure = empty_figure(6.6, 4.4)
     axis = figure.subplots()
     lines = (
         ("whole_us", "whole tick", _OURS, "o-"),
@@ -90,10 +91,5 @@ def _growth(found: dict[str, Any]) -> Any:
     axis.set_xlabel("surface points")
     axis.set_ylabel("median time (us)")
     axis.legend(frameon=False)
-    _bare(axis)
+    hide_box(axis)
     return figure
-
-
-def _bare(axis: Any) -> None:
-    for side in ("top", "right"):
-        axis.spines[side].set_visible(False)

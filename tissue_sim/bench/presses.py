@@ -145,18 +145,18 @@ class Pressed(NamedTuple):
     form: str
     motion: str
     slow: Floats
-    felt: Floats
+    force: Floats
     gap: float = 0.0
 
     @property
     def is_lost(self) -> bool:
         """Whether the press failed: its force is nearly zero, unlike that of the slow press."""
-        return bool(np.linalg.norm(self.felt) < LOST * np.linalg.norm(self.slow))
+        return bool(np.linalg.norm(self.force) < LOST * np.linalg.norm(self.slow))
 
     @property
     def off(self) -> float:
         """Difference from the slow press, % of that."""
-        return float(100.0 * np.linalg.norm(self.felt - self.slow) / np.linalg.norm(self.slow))
+        return float(100.0 * np.linalg.norm(self.force - self.slow) / np.linalg.norm(self.slow))
 
 
 # measuring -----------------------------------------------------------------------------------------
@@ -204,24 +204,24 @@ def measure(files: Sequence[str], n_places: int, friction: float | None = None) 
                     if pressed:
                         lost = sum(one.is_lost for one in pressed)
                         name = f"{organ.name}, {form.name}, place {number + 1}"
-                        rows.tell(name, f"{len(pressed)} presses", f"{lost} failed")
+                        rows.report(name, f"{len(pressed)} presses", f"{lost} failed")
     return found
 
 
 def at_place(
     presser: Any, form: Form, place: Place, tried: Sequence[Motion], under_way: progress.Task, organ: str = ""
 ) -> list[Pressed]:
-    """Press slowly, and by each motion; nothing where a slow press is hardly felt.
+    """Press slowly, and by each motion; nothing where a slow press meets hardly any force.
 
     presser: has `press` and `hold_on`, as `presser.Presser`; under_way: counts presses.
     """
 
-    def felt(motion: Motion) -> Floats:
+    def force_of(motion: Motion) -> Floats:
         under_way.advance()
         poses = (place.pose(form, depth) for depth in motion.depths(form.depth))
         return np.asarray(presser.press(poses, motion.rate))
 
-    slow = felt(SLOWLY)
+    slow = force_of(SLOWLY)
     if np.linalg.norm(slow) < LEAST_FORCE:
         slow = np.asarray(presser.hold_on(HELD_TICKS))
     if np.linalg.norm(slow) < LEAST_FORCE:
@@ -230,9 +230,9 @@ def at_place(
 
     found = []
     for motion in tried:
-        one = Pressed(organ, form.name, motion.name, slow, felt(motion), presser.gap)
+        one = Pressed(organ, form.name, motion.name, slow, force_of(motion), presser.gap)
         if one.is_lost:
-            one = one._replace(felt=np.asarray(presser.hold_on(HELD_TICKS)))
+            one = one._replace(force=np.asarray(presser.hold_on(HELD_TICKS)))
         found.append(one)
     return found
 
@@ -255,7 +255,7 @@ def as_json(pressed: Sequence[Pressed]) -> dict[str, Any]:
         "tools": _by(pressed, "form"),
         "motions": _by(pressed, "motion"),
         "lost": [
-            one._asdict() | {"slow": one.slow.tolist(), "felt": one.felt.tolist()} for one in pressed if one.is_lost
+            one._asdict() | {"slow": one.slow.tolist(), "force": one.force.tolist()} for one in pressed if one.is_lost
         ],
         "bounds": [bound.as_json() for bound in bounds],
     }
@@ -292,7 +292,7 @@ def text(found: dict[str, Any]) -> str:
         *aligned(table),
         "",
         *(
-            f"failed: {one['organ']}, {one['form']}, {one['motion']}: {np.linalg.norm(one['felt']):.3f} N instead"
+            f"failed: {one['organ']}, {one['form']}, {one['motion']}: {np.linalg.norm(one['force']):.3f} N instead"
             f" of {np.linalg.norm(one['slow']):.3f} N; longest between two poses {1e3 * one['gap']:.0f} ms"
             for one in found["lost"]
         ),

@@ -6,10 +6,14 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tissue_sim.bench import rows
 from tissue_sim.errors import UserError
+from tissue_sim.outputs import write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
@@ -222,16 +226,16 @@ def emit(found: dict[str, Any], text: str, json_to: str | None) -> None:
         return
     print(text)
     if json_to:
-        write_json(found, Path(json_to))
+        write_json(Path(json_to), found)
 
 
-def save(figure: Any, path: Path, dpi: float = 140.0) -> None:
+def save(figure: Figure, path: Path, dpi: float = 140.0) -> None:
     """Write a plot, and name it on the standard error.
 
     Parameters
     ----------
-    figure : Any
-        Matplotlib's figure.
+    figure : Figure
+        The figure.
     path : Path
         The picture.
     dpi : float, optional
@@ -246,10 +250,10 @@ def save(figure: Any, path: Path, dpi: float = 140.0) -> None:
         figure.savefig(path, dpi=dpi)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}") from None
-    told([path])
+    print_pictures([path])
 
 
-def told(pictures: Iterable[Path]) -> None:
+def print_pictures(pictures: Iterable[Path]) -> None:
     """Name the pictures that were written on the standard error.
 
     Parameters
@@ -259,24 +263,3 @@ def told(pictures: Iterable[Path]) -> None:
     """
     for path in pictures:
         print(f"picture: {path}", file=sys.stderr)
-
-
-def write_json(found: Any, path: Path) -> None:
-    """Write JSON to a file.
-
-    Parameters
-    ----------
-    found : Any
-        The content.
-    path : Path
-        The file.
-
-    Raises
-    ------
-    UserError
-        Where it can't be written.
-    """
-    try:
-        path.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from None

@@ -126,7 +126,7 @@ def measure(organ: Organ, count: int) -> list[PlaceErrors]:
                         off(surface, answer),
                     )
                 )
-                rows.tell(
+                rows.report(
                     f"point {place}, {force:.2f} N",
                     f"error modal {cases[-1].modal:.1f} %",
                     f"auto {cases[-1].auto:.1f} %",

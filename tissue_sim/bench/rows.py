@@ -1,6 +1,6 @@
 """Rows of a benchmark: reported as they come, and kept when Ctrl-C ends the measurement.
 
-Measurements run in `until_stopped`, take their items from `each`, and report every row by `tell`. Ctrl-C then leaves
+Measurements run in `until_stopped`, take their items from `each`, and report every row by `report`. Ctrl-C then leaves
 the rows that there are, later parts have nothing to measure, and the table says that it was stopped.
 """
 
@@ -32,7 +32,7 @@ def keep() -> None:
     _measured.any = True
 
 
-def tell(name: str, *figures: str) -> None:
+def report(name: str, *figures: str) -> None:
     """Report a row that has been measured.
 
     Parameters

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from tissue_sim import progress
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load, press_node
 from tissue_sim.bench.printing import Bound, bound_lines, emit, exit_code, figure, noise_lines, with_remarks
@@ -34,9 +34,10 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
+from tissue_sim.model.data.world import World
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.stepping.coupled_step import tick_coupled
+from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled
 from tissue_sim.model.stepping.inputs import load_nodes
 from tissue_sim.model.stepping.wake_threshold import WAKE_DISPLACEMENT, WAKE_FORCE
 from tissue_sim.organ.normals import surface_normals
@@ -76,7 +77,7 @@ class WakeThresholdError(NamedTuple):
     """
 
     moved: float  # m, of any node
-    felt: float  # N, of the haptic output
+    force: float  # N, of the haptic output
     awake: float  # organs awake on average, with the threshold
     awake_of_all: float  # likewise, without it
 
@@ -163,7 +164,7 @@ def lacking(scene: SceneFile) -> WakeThresholdError:
     everything.joined.threshold.most[:] = 0.0
     everything.joined.coarse.square[:] = 0.0
     seconds = max(LEAST_BREATH, float(some.joined.carried.breath.period))
-    moved = felt = 0.0
+    moved = force = 0.0
     awake, ticks = np.zeros(2), round(seconds / TICK)
     for tick in progress.steps(range(ticks), "loads below the wake threshold"):
         for number, (made, press) in enumerate(scenes):
@@ -173,8 +174,8 @@ def lacking(scene: SceneFile) -> WakeThresholdError:
             awake[number] += sum(not one.asleep for one in made.simulations)
         for one, other in zip(some.simulations, everything.simulations, strict=True):
             moved = max(moved, float(np.linalg.norm(one.positions - other.positions, axis=1).max()))
-        felt = max(felt, float(np.linalg.norm(some.wrenches[:, :3] - everything.wrenches[:, :3])))
-    return WakeThresholdError(moved, felt, *(awake / ticks))
+        force = max(force, float(np.linalg.norm(some.wrenches[:, :3] - everything.wrenches[:, :3])))
+    return WakeThresholdError(moved, force, *(awake / ticks))
 
 
 def _pressed(scene: SceneFile, count: int) -> tuple[Scene, Callable[[], None]]:
@@ -239,14 +240,21 @@ class JoinedTicks:
 
 
 @numba.njit(nogil=True, error_model="numpy")
-def _time_joined(worlds: Any, joined: Any, loads: Any, phase: Any, clock: Any, times: Any) -> None:
+def _time_joined(
+    worlds: Sequence[World],
+    joined: CoupledOrgans,
+    loads: Sequence[tuple[Longs, Floats]],
+    phase: Longs,
+    clock: Longs,
+    times: Longs,
+) -> None:
     """Step len(times) ticks and write the ns that each took, in a compiled loop as in the node."""
     for index in range(len(times)):
-        share = swelling(phase)
+        fraction = swelling(phase)
         for organ in range(len(worlds)):
             nodes, forces = loads[organ]
             if len(nodes) > 0:
-                load_nodes(worlds[organ].state, nodes, share * forces)
+                load_nodes(worlds[organ].state, nodes, fraction * forces)
         start = now(clock)
         tick_coupled(worlds, joined)
         times[index] = now(clock) - start
@@ -279,7 +287,7 @@ def bounds(measured: Figures) -> list[Bound]:
     if measured.lacking is not None:
         found += [
             Bound("error of organs with a wake threshold", 1e3 * measured.lacking.moved, 1e3 * WAKE_DISPLACEMENT, "mm"),
-            Bound("error of the haptic output on one", 1e3 * measured.lacking.felt, 1e3 * WAKE_FORCE, "mN"),
+            Bound("error of the haptic output on one", 1e3 * measured.lacking.force, 1e3 * WAKE_FORCE, "mN"),
         ]
     return found
 
@@ -295,7 +303,7 @@ def as_json(organ: Organ, scene: SceneFile, measured: Figures) -> dict[str, Any]
         "force_n": FORCE,
         "noise": measured.noise,
         "organs_awake": None if measured.lacking is None else measured.lacking.awake,
-        "organs_awake_where_all_is_felt": None if measured.lacking is None else measured.lacking.awake_of_all,
+        "organs_awake_without_threshold": None if measured.lacking is None else measured.lacking.awake_of_all,
         "rows": [
             {
                 "name": row.name,
@@ -312,7 +320,7 @@ def as_json(organ: Organ, scene: SceneFile, measured: Figures) -> dict[str, Any]
 
 
 def text(found: dict[str, Any]) -> str:
-    """Return the tables for people."""
+    """Return the tables to be printed."""
     lines = [
         f"organ '{found['organ']}', {found['surface_points']} surface points, {1e3 * APART:g} mm from the next one;"
         f" poked: {1e3 * found['force_n']:g} mN on a {PATCH_NODES}-node patch, oscillating 5 times a second",
@@ -321,7 +329,7 @@ def text(found: dict[str, Any]) -> str:
     ]
     lines += with_remarks(_table(found["rows"]))
     if found["organs_awake"] is not None:
-        awake, of_all = found["organs_awake"], found["organs_awake_where_all_is_felt"]
+        awake, of_all = found["organs_awake"], found["organs_awake_without_threshold"]
         lines += ["", f"a breath of the scene with a tool on {found['scene'][0]}: {awake:.2f} organs awake on average,"]
         lines[-1] += f" {of_all:.2f} if they respond to all loads"
     return "\n".join([*lines, "", *bound_lines(found["bounds"]), *noise_lines(found["noise"])])
@@ -332,6 +340,6 @@ def _table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
     for row in rows:
         figures = [figure(row[key]) for key in ("median_us", "p99_us")]
         late = "more than one core can compute at 1 kHz" if row["share_of_tick"] > 1.0 else ""
-        share = f"{100.0 * row['share_of_tick']:.0f} % of a core at 1 kHz"
-        table.append([row["name"], str(row["organs"]), *figures, str(row["samples"]), late or share])
+        fraction = f"{100.0 * row['share_of_tick']:.0f} % of a core at 1 kHz"
+        table.append([row["name"], str(row["organs"]), *figures, str(row["samples"]), late or fraction])
     return table

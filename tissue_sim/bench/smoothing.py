@@ -1,8 +1,8 @@
 """Delay and force steps of a tool's smoothing, in ticks and so the same on any machine.
 
 A tool follows the poses of a slow bridge evenly, each over the time until the next one is due (smoothing 1), over a
-fraction of it, or at once (0). The delay is the time until half of a step of 0.3 mm is felt; the steps are the largest
-change of the force within a tick while the hand oscillates in the tissue.
+fraction of it, or at once (0). The delay is the time until the force follows half of a step of 0.3 mm; the steps are
+the largest change of the force within a tick while the hand oscillates in the tissue.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Smoothed(NamedTuple):
 
     smoothing: float
     rate: float
-    half: int  # ticks until half of a step is felt
+    half: int  # ticks until the force has followed half of a step
     step: float  # N, largest change of the force within a tick while the hand oscillates
 
 
@@ -55,7 +55,7 @@ def one(organ: Organ, smoothing: float, rate: float) -> Smoothed:
     points = organ.surface_positions
     touch = points[np.argmax(points[:, 0])] - RADIUS * WAY
 
-    def felt(depths: Floats) -> Floats:
+    def forces_at(depths: Floats) -> Floats:
         """Return the force after each tick, (k, 3) N, while poses come at these depths (k,), m."""
         forces = np.empty((len(depths), 3))
         for tick, depth in enumerate(depths):
@@ -65,13 +65,13 @@ def one(organ: Organ, smoothing: float, rate: float) -> Smoothed:
             forces[tick] = scene.wrenches[0, :3]
         return forces
 
-    felt(np.linspace(-0.002, DEPTH, 400))
-    before = felt(np.full(REST // period * period, DEPTH))[-1]
-    after = felt(np.full(REST // period * period, DEPTH + STEP))
+    forces_at(np.linspace(-0.002, DEPTH, 400))
+    before = forces_at(np.full(REST // period * period, DEPTH))[-1]
+    after = forces_at(np.full(REST // period * period, DEPTH + STEP))
     change = np.linalg.norm(after - before, axis=1)
     half = 1 + int(np.argmax(change >= 0.5 * change[-1]))
     phase = 2.0 * np.pi * FREQUENCY / RATE * np.arange(round(SWINGS * RATE / FREQUENCY))
-    swung = felt(DEPTH + STEP + SWING * np.sin(phase))
+    swung = forces_at(DEPTH + STEP + SWING * np.sin(phase))
     return Smoothed(smoothing, rate, half, float(np.linalg.norm(np.diff(swung, axis=0), axis=1).max()))
 
 

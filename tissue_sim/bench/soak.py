@@ -161,7 +161,9 @@ def _soak(
             if len(samples) == LEAST_SAMPLES:
                 rows.keep()
             if second % 60 == 0:
-                rows.tell(f"minute {second // 60}", f"{samples[-1].megabytes:.2f} MB", f"{samples[-1].late} late ticks")
+                rows.report(
+                    f"minute {second // 60}", f"{samples[-1].megabytes:.2f} MB", f"{samples[-1].late} late ticks"
+                )
             under_way.advance()
     return samples, [(at, made.result()) for at, made in turns]
 
@@ -226,8 +228,8 @@ def as_json(soaked: Soaked) -> dict[str, Any]:
     first, last = samples[0], samples[-1]
     done, late = last.ticks - first.ticks, last.late - first.late
     bare_late: Floats = np.concatenate([own for _, own in turns]) if turns else np.zeros(0)
-    node_share = 100.0 * late / max(1, done)
-    bare_share = late_percent(bare_late) if turns else None
+    node_percent = 100.0 * late / max(1, done)
+    bare_percent = late_percent(bare_late) if turns else None
     seconds = [one.seconds for one in samples]
     memory = memory_of(seconds, [one.megabytes for one in samples])
     dropped = last.dropped - first.dropped
@@ -240,8 +242,8 @@ def as_json(soaked: Soaked) -> dict[str, Any]:
         Bound("problems in the diagnostics", sum(problems.values()) + len(soaked.failures), 0.0, ""),
         Bound("dropped ticks", dropped, 0.0, ""),
     ]
-    if bare_share is not None:
-        bounds.append(late_bound("ticks late by more than a period", node_share, bare_share))
+    if bare_percent is not None:
+        bounds.append(late_bound("ticks late by more than a period", node_percent, bare_percent))
     if repeats is not None:
         bounds.append(Bound("deviation of the replay", float(not repeats), 0.0, ""))
     return {
@@ -258,8 +260,8 @@ def as_json(soaked: Soaked) -> dict[str, Any]:
         "problems": problems,
         "failures": list(soaked.failures),
         "late": {
-            "node_percent": node_share,
-            "bare_percent": bare_share,
+            "node_percent": node_percent,
+            "bare_percent": bare_percent,
             "ticks": done,
             "bare_ticks": len(bare_late),
             "dropped": dropped,

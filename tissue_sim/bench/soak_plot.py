@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from tissue_sim.figures import empty_figure, hide_box
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 _NODE, _BARE, _GUIDE = "#2166ac", "#b2182b", "#777777"
 
 
-def drawn(found: dict[str, Any]) -> Any:
+def drawn(found: dict[str, Any]) -> Figure:
     """Draw memory and lateness over the minutes."""
-    from matplotlib.figure import Figure
-
     series = {name: np.array(values) for name, values in found["series"].items()}
     minutes = series["seconds"] / 60.0
-    figure = Figure(figsize=(9.0, 5.6), layout="constrained")
+    figure = empty_figure(9.0, 5.6)
     memory, lateness = figure.subplots(2, 1, sharex=True)
     memory.plot(minutes, series["megabytes"], color=_NODE, linewidth=1.0)
     for key in ("first", "last"):
@@ -36,7 +40,5 @@ def drawn(found: dict[str, Any]) -> Any:
     lateness.set_ylabel("ticks late by (us)")
     lateness.set_xlabel("time (min)")
     lateness.legend(frameon=False)
-    for axis in (memory, lateness):
-        for side in ("top", "right"):
-            axis.spines[side].set_visible(False)
+    hide_box(memory, lateness)
     return figure

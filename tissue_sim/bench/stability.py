@@ -14,7 +14,7 @@ from typing import Any
 from tissue_sim import progress
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import emit, told, write_json
+from tissue_sim.bench.printing import emit, print_pictures
 from tissue_sim.bench.sweeps.cells import AXES, QUICK_AXES, SMALL_ORGAN, Cell, axes_named, cells_of
 from tissue_sim.bench.sweeps.trial import Record, made_for, organ_of, run_cell, simulation_of
 from tissue_sim.calibration.cohort import on_cluster
@@ -23,6 +23,7 @@ from tissue_sim.model.data.settings import LOCAL_REGIONS
 from tissue_sim.model.simulation import moves_whole
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.outputs import write_json
 
 OUTCOMES = ("stable", "guarded", "diverged")
 
@@ -66,8 +67,8 @@ def run(args: argparse.Namespace) -> int:
 
         picture = Path(args.out) / "stability.png"
         draw_map(records, f"Stability of {report['organ']}: {len(records)} runs", picture)
-        write_json(report, picture.with_suffix(".json"))
-        told([picture])
+        write_json(picture.with_suffix(".json"), report)
+        print_pictures([picture])
     return int(bool(args.check and violations(records)))
 
 

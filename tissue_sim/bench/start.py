@@ -44,7 +44,7 @@ node.destroy_node()
 rclpy.shutdown()
 """
 IN_HERE = (
-    "_ROS_WHEELS_BOOTSTRAP_COMPLETE"  # tells children of an interpreter over the wheels not to start anew for them
+    "_ROS_WHEELS_BOOTSTRAP_COMPLETE"  # tells children of an interpreter over the wheels not to start again for them
 )
 TIMES = 3  # number of starts with kernels on disk
 SHOWN = 8  # modules of kernels in the table
@@ -111,7 +111,7 @@ def measure(organ: Path, wanted: Sequence[str]) -> dict[str, Any]:
                         for name, code in PEERS.items():
                             peers[name].append(peer_start(code, environment))
             starts[kernels] = min(tries[-TIMES:], key=lambda start: start["wall"])
-            rows.tell(f"a new process, {kernels}", f"{starts[kernels]['wall']:.2f} s to its first tick")
+            rows.report(f"a new process, {kernels}", f"{starts[kernels]['wall']:.2f} s to its first tick")
             for _ in range(1 if kernels == TO_COMPILE else 2):
                 with _cache(kernels) as environment, progress.task("a node"):
                     nodes[kernels], remark = built_or_skipped(partial(node_start, organ, environment))

@@ -63,8 +63,8 @@ def sampling(filling: FeMesh, points: Floats) -> csr_array:
     for number, (a, b) in enumerate(_MIDDLES, 3):
         start, end = corner[facet, a], corner[facet, b]
         along = end - start
-        share = np.sum((filling.nodes[nodes[:, number]] - start) * along, axis=1) / np.sum(along**2, axis=1)
-        place[:, number] = place[:, a] + share[:, None] * (place[:, b] - place[:, a])
+        fraction = np.sum((filling.nodes[nodes[:, number]] - start) * along, axis=1) / np.sum(along**2, axis=1)
+        place[:, number] = place[:, a] + fraction[:, None] * (place[:, b] - place[:, a])
     at = wanted.copy()
     for _ in range(STEPS):
         values, slopes = _shapes(at)
@@ -80,11 +80,11 @@ def sampling(filling: FeMesh, points: Floats) -> csr_array:
 
 def _shapes(at: Floats) -> tuple[Floats, Floats]:
     """Return the six quadratic functions (p, 6) of a facet at coordinates (p, 2), and their gradients (p, 6, 2)."""
-    share = np.stack([1.0 - at.sum(axis=1), at[:, 0], at[:, 1]], axis=1)
+    fraction = np.stack([1.0 - at.sum(axis=1), at[:, 0], at[:, 1]], axis=1)
     slope = np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
-    values = [share[:, k] * (2.0 * share[:, k] - 1.0) for k in range(3)]
-    slopes = [(4.0 * share[:, k, None] - 1.0) * slope[k] for k in range(3)]
+    values = [fraction[:, k] * (2.0 * fraction[:, k] - 1.0) for k in range(3)]
+    slopes = [(4.0 * fraction[:, k, None] - 1.0) * slope[k] for k in range(3)]
     for a, b in _MIDDLES:
-        values.append(4.0 * share[:, a] * share[:, b])
-        slopes.append(4.0 * (share[:, a, None] * slope[b] + share[:, b, None] * slope[a]))
+        values.append(4.0 * fraction[:, a] * fraction[:, b])
+        slopes.append(4.0 * (fraction[:, a, None] * slope[b] + fraction[:, b, None] * slope[a]))
     return np.stack(values, axis=1), np.stack(slopes, axis=1)

@@ -14,7 +14,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import spread_nodes
-from tissue_sim.bench.printing import aligned, emit, noise_lines, told
+from tissue_sim.bench.printing import aligned, emit, noise_lines, print_pictures
 from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out and not rows.stopped():
         from tissue_sim.bench.figure6 import write_figure
 
-        told(write_figure(organ, panels(organ, unit, cells), Path(args.out)))
+        print_pictures(write_figure(organ, panels(organ, unit, cells), Path(args.out)))
     return 0
 
 
@@ -174,7 +174,7 @@ def as_json(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], noise
 
 
 def text(found: dict[str, Any]) -> str:
-    """Return the table for people."""
+    """Return the table to be printed."""
     lines = [
         f"Table 1 of the paper on '{found['organ']}': {found['surface_points']} surface points,"
         f" {found['medial_atoms']} medial atoms, {found['interior_atoms']} interior atoms",

@@ -21,7 +21,7 @@ from tissue_sim.bench.printing import (
     exit_code,
     figure,
     noise_lines,
-    told,
+    print_pictures,
     with_remarks,
 )
 from tissue_sim.bench.tick_rows import (
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out:
         from tissue_sim.bench.plots import write_plots
 
-        told(write_plots(found, Path(args.out)))
+        print_pictures(write_plots(found, Path(args.out)))
     return exit_code(found, check=args.check)
 
 
@@ -148,8 +148,8 @@ def bounds(measured: Figures) -> list[Bound]:
     ]
 
 
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100.0 * share
+def _percent(fraction: float | None) -> float | None:
+    return None if fraction is None else 100.0 * fraction
 
 
 def as_json(organ: Organ, measured: Figures) -> dict[str, Any]:
@@ -185,7 +185,7 @@ def as_json(organ: Organ, measured: Figures) -> dict[str, Any]:
 
 
 def text(found: dict[str, Any]) -> str:
-    """Return the tables for people."""
+    """Return the tables to be printed."""
     lines = [
         f"organ '{found['organ']}', {found['surface_points']} surface points; a tick is 1 ms of simulated time;"
         f" {1e3 * found['force_n']:g} mN on a {found['patch_nodes']}-node patch, oscillating 5 times a second",

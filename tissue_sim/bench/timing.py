@@ -24,10 +24,11 @@ from numba import types
 from numpy.typing import NDArray
 
 from tissue_sim import progress
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench import rows
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
+from tissue_sim.model.data.world import World
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.guard import check_cells, guard
 from tissue_sim.model.stepping.inputs import load_nodes, take_pose
@@ -152,7 +153,7 @@ def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> R
 
 
 def _begin() -> None:
-    """Let Ctrl-C interrupt this process once, whoever sends it, so that its measurements are handed over."""
+    """Let Ctrl-C interrupt this process once, from any sender, so that its measurements are handed over."""
 
     def interrupt(_: int, __: FrameType | None) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -178,12 +179,12 @@ def _signal_children(number: signal.Signals) -> None:
 
 
 @numba.njit(nogil=True)
-def now(clock: Any) -> int:
+def now(clock: Longs) -> int:
     """Return the processor time of this thread.
 
     Parameters
     ----------
-    clock : Any, shape (2,)
+    clock : Longs, shape (2,)
         Buffer for the timespec.
 
     Returns
@@ -196,7 +197,7 @@ def now(clock: Any) -> int:
 
 
 @numba.njit(nogil=True)
-def _time_nothing(clock: Any, times: Any) -> None:
+def _time_nothing(clock: Longs, times: Longs) -> None:
     for index in range(len(times)):
         start = now(clock)
         times[index] = now(clock) - start
@@ -243,12 +244,12 @@ def time_calls(work: Callable[[], object], count: int) -> Floats:
 
 
 @numba.njit(nogil=True, error_model="numpy")
-def swelling(phase: Any) -> float:
+def swelling(phase: Longs) -> float:
     """Return the fraction of a load that rises and falls five times a second.
 
     Parameters
     ----------
-    phase : Any, shape (1,)
+    phase : Longs, shape (1,)
         The tick; advanced by one.
 
     Returns
@@ -256,9 +257,9 @@ def swelling(phase: Any) -> float:
     float
         The fraction.
     """
-    share = 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / _LOAD_PERIOD))
+    fraction = 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / _LOAD_PERIOD))
     phase[0] = phase[0] % _LOAD_PERIOD + 1
-    return share
+    return fraction
 
 
 class _Load(NamedTuple):
@@ -271,7 +272,7 @@ class _Load(NamedTuple):
 
 
 @numba.njit(nogil=True, error_model="numpy")
-def _time_ticks(world: Any, load: Any, guarded: bool, clock: Any, times: Any) -> None:
+def _time_ticks(world: World, load: _Load, guarded: bool, clock: Longs, times: Longs) -> None:
     """Step len(times) ticks under a _Load and write the ns that each took, or its guard alone.
 
     In a compiled loop, as in the node, so that no call from Python is in the figure. Not kept on disk, where nothing
@@ -280,8 +281,8 @@ def _time_ticks(world: Any, load: Any, guarded: bool, clock: Any, times: Any) ->
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     for index in range(len(times)):
         if len(load.nodes) > 0:
-            share = swelling(load.phase)
-            load_nodes(state, load.nodes, (1.0 if load.steady else share) * load.forces)
+            fraction = swelling(load.phase)
+            load_nodes(state, load.nodes, (1.0 if load.steady else fraction) * load.forces)
         for tool in range(len(state.body_pose)):
             goal = state.body_goal[tool].copy()
             take_pose(world, tool, goal, 0, state.bodies[tool].pose_sequence + 1)
@@ -352,7 +353,7 @@ class Ticks:
 
 
 @numba.njit(nogil=True)
-def _time_arithmetic(clock: Any, times: Any) -> float:
+def _time_arithmetic(clock: Longs, times: Longs) -> float:
     """Run a fixed loop that touches no memory, and write the ns of each turn."""
     x = 0.5
     for index in range(len(times)):

@@ -22,7 +22,7 @@ from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.peers.engine import Engine, Load
 from tissue_sim.bench.peers.rows import CALIBRATED, Row, rows_of
 from tissue_sim.bench.printing import built_or_skipped, emit, figure, noise_lines, save, with_remarks
-from tissue_sim.bench.rows import each, stopped, tell, until_stopped
+from tissue_sim.bench.rows import each, report, stopped, until_stopped
 from tissue_sim.bench.scaling import exponent
 from tissue_sim.bench.sizes import Sized, sized
 from tissue_sim.bench.timing import Burst, Phase, Timing, in_one_thread, interleave, noise_burst
@@ -170,7 +170,7 @@ def measure_rows(
             errors = [error_of(engine, case, size) for case in progress.steps(cases, asked.name)]
             measured.append(Evaluated(asked.name, asked.ours, asked.points, remark, errors, None, engine.update))
             bursts[str(number)] = engine.burst(load_of(cases[0], size))
-            tell(
+            report(
                 f"{asked.name}, {asked.points} points", f"error {_mean([100.0 * one.relative for one in errors]):.1f} %"
             )
     timings = interleave(Phase(bursts, seconds, "updates"))
@@ -320,7 +320,7 @@ def pareto(costs: Sequence[tuple[float | None, float | None]]) -> list[bool]:
 
 
 def text(found: dict[str, Any]) -> str:
-    """Return the table for people."""
+    """Return the table to be printed."""
     reference, loads = found["reference"], found["loads"]
     sharp = sum(load["kind"] == "sharp" for load in loads)
     depths = [load["largest_mm"] for load in loads]

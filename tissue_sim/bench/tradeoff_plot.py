@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tissue_sim.bench.peers.rows import CALIBRATED
 from tissue_sim.bench.variants import BALANCED
+from tissue_sim.figures import empty_figure, hide_box
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 _LEAST = 0.1  # %, below which an error is drawn there
 _ANCHORS = {"left": 1, "center": 0, "right": -1}, {"bottom": 1, "center": 0, "top": -1}
@@ -28,19 +34,18 @@ _SPRINGS = _Kind("the paper's springs", "#2f8f4e", "^", 1.0)
 _PEERS = _Kind("others", "#b5401f", "s", 1.0)
 
 
-def drawn(found: dict[str, Any]) -> Any:
+def drawn(found: dict[str, Any]) -> Figure:
     """Draw a line per row's name and a mark per size, log-log, with names beside marks of the organ's own size."""
-    from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator
 
     rows = [row for row in found["rows"] if row["errors"]]
-    figure = Figure(figsize=(9.0, 6.6), layout="constrained")
+    figure = empty_figure(9.0, 6.6)
     axis = figure.subplots()
     front = sorted(_place(row) for row in rows if row["pareto"])
     if front:
         axis.step(*zip(*front, strict=True), where="post", color="#bbbbbb", linewidth=7, zorder=0, label="Pareto front")
     names: list[tuple[tuple[float, float], str, _Kind]] = []
-    told: dict[str, _Kind] = {}
+    labelled: dict[str, _Kind] = {}
     for name in dict.fromkeys(row["name"] for row in rows):
         line = [row for row in rows if row["name"] == name]
         kind = _kind(name, line[0]["ours"])
@@ -51,10 +56,10 @@ def drawn(found: dict[str, Any]) -> Any:
             color=kind.colour,
             markersize=8 if name == CALIBRATED else 6,
             linewidth=kind.line,
-            label=None if kind.name in told else kind.name,
+            label=None if kind.name in labelled else kind.name,
             zorder=3 if kind is _CELLS else 2,
         )
-        told[kind.name] = kind
+        labelled[kind.name] = kind
         if name == CALIBRATED:
             for row in line:
                 aim = f", {BALANCED}" if row["points"] == found["surface_points"] else ""
@@ -77,8 +82,7 @@ def drawn(found: dict[str, Any]) -> Any:
     axis.set_ylabel("mean error (%), relative L2", fontsize=12)
     loads = f"{len(found['loads'])} loads against neo-Hookean finite elements; numbers are surface points"
     axis.set_title(f"{found['organ']}: {loads}", loc="left", fontsize=11)
-    for side in ("top", "right"):
-        axis.spines[side].set_visible(False)
+    hide_box(axis)
     figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=11)
     _name_marks(figure, axis, names, [_place(row) for row in rows])
     return figure
@@ -94,7 +98,7 @@ def _place(row: dict[str, Any]) -> tuple[float, float]:
     return row["ms_per_ms"], max(row["mean_percent"], _LEAST)
 
 
-def _name_marks(figure: Any, axis: Any, names: list[Any], marks: list[tuple[float, float]]) -> None:
+def _name_marks(figure: Figure, axis: Axes, names: list[Any], marks: list[tuple[float, float]]) -> None:
     """Write each name beside its mark, where it covers no other name and no mark, as far as there is room."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.transforms import Bbox
@@ -106,7 +110,7 @@ def _name_marks(figure: Any, axis: Any, names: list[Any], marks: list[tuple[floa
     for place, name, kind in sorted(names, key=lambda one: one[2] is not _CELLS):
         best = None
         for far, across, up in product(range(1, _FAR + 1), *_ANCHORS):
-            offset = [_NEAR * far * anchors[side] for anchors, side in zip(_ANCHORS, (across, up), strict=True)]
+            offset = _NEAR * far * _ANCHORS[0][across], _NEAR * far * _ANCHORS[1][up]
             if not any(offset):
                 continue
             text = axis.annotate(

@@ -199,10 +199,10 @@ def _kept(fit: Fit, make: Callable[[Fit], dict[str, NDArray]]) -> Organ | str:
     except UserError as error:
         return str(error)
     lowest, next_ones = 100.0 * made["modes_off"]
-    told = f"{fit.kind}: {effort.cases} linear loads, {effort.steps} evaluations; the error of modes 1 to {MODES}"
-    told += f" is at most {lowest:.1f} %, of {MODES + 1} to {MORE_MODES} at most {next_ones:.1f} %"
+    text = f"{fit.kind}: {effort.cases} linear loads, {effort.steps} evaluations; the error of modes 1 to {MODES}"
+    text += f" is at most {lowest:.1f} %, of {MODES + 1} to {MORE_MODES} at most {next_ones:.1f} %"
     values = {name: value for name, value in made.items() if name != "modes_off"}
-    return dataclasses.replace(fit.organ, provenance={**fit.organ.provenance, "fit": told}, **values)
+    return dataclasses.replace(fit.organ, provenance={**fit.organ.provenance, "fit": text}, **values)
 
 
 def fitted(body: Body, organ: Organ, kind: str, effort: Effort) -> dict[str, NDArray]:

@@ -55,7 +55,7 @@ class Progress(Protocol):
 
 
 class Silent:
-    """A progress that nobody sees."""
+    """A progress without output."""
 
     @contextmanager
     def stage(self, name: str, total: int) -> Iterator[Callable[..., None]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,12 @@ from tissue_sim.array_types import Floats
 from tissue_sim.calibration.calibrate import Calibrated
 from tissue_sim.calibration.evaluation import errors
 from tissue_sim.errors import UserError
+from tissue_sim.figures import empty_figure, hide_box
 from tissue_sim.organ.reporting.render import Solid, View, draw, view_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 WORST = 4  # cases with pictures
 _REFERENCE, _MODEL, _LINEAR = "#2166ac", "#d55e00", "#777777"
@@ -98,15 +103,9 @@ def write_pictures(found: Calibrated, folder: Path) -> list[Path]:
     return paths
 
 
-def _figure(width: float, height: float) -> Any:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def _errors(found: Calibrated) -> Any:
+def _errors(found: Calibrated) -> Figure:
     """Return a figure of the error of every held-out case, the best first, beside that of linear elasticity."""
-    figure = _figure(8.0, 4.2)
+    figure = empty_figure(8.0, 4.2)
     axis = figure.subplots()
     error = 100.0 * errors(found.found.displacement, found.wanted.displacement)
     by_linear = 100.0 * errors(found.linear, found.wanted.displacement)
@@ -123,13 +122,13 @@ def _errors(found: Calibrated) -> Any:
     axis.set_ylabel("relative L2 error (%)")
     axis.set_ylim(bottom=0.0)
     axis.legend(frameon=False)
-    _bare(axis)
+    hide_box(axis)
     return figure
 
 
-def _release(found: Calibrated) -> Any:
+def _release(found: Calibrated) -> Figure:
     """Return a figure of the poked node's distance from rest after the release."""
-    figure = _figure(7.0, 3.8)
+    figure = empty_figure(7.0, 3.8)
     axis = figure.subplots()
     motion = found.release
     for history, label, colour in ((motion.wanted, "finite elements", _REFERENCE), (motion.found, "model", _MODEL)):
@@ -139,17 +138,17 @@ def _release(found: Calibrated) -> Any:
     axis.set_ylabel("displacement of the poked node (mm)")
     axis.set_title(f"error {100.0 * motion.error:.1f} % (relative L2)", loc="left")
     axis.legend(frameon=False)
-    _bare(axis)
+    hide_box(axis)
     return figure
 
 
-def _worst(found: Calibrated) -> Any:
+def _worst(found: Calibrated) -> Figure:
     """Return a figure of the worst cases: finite elements, the model coloured by its error, and both by node."""
     from matplotlib.cm import ScalarMappable
 
     error = errors(found.found.displacement, found.wanted.displacement)
     cases = np.argsort(-error)[:WORST]
-    figure = _figure(10.0, 3.1 * len(cases))
+    figure = empty_figure(10.0, 3.1 * len(cases))
     rows = figure.subplots(len(cases), 3, squeeze=False)
     rest = found.organ.surface_positions
     for case, row in zip(cases, rows, strict=True):
@@ -171,7 +170,7 @@ def _worst(found: Calibrated) -> Any:
         row[2].set_xlabel("displacement (mm)")
         row[2].set_ylabel("error (mm)")
         row[2].legend(frameon=False, fontsize=8)
-        _bare(row[2])
+        hide_box(row[2])
     return figure
 
 
@@ -205,8 +204,3 @@ def _loaded_picture(found: Calibrated, view: View, positions: Floats, loaded: ND
     pressed = loaded[triangles].all(axis=1)
     skins = ((triangles[~pressed], _SKIN), (triangles[pressed], _LOADED))
     return draw(view, [Solid(positions, some, colour, lines=0.6) for some, colour in skins if len(some)])
-
-
-def _bare(axis: Any) -> None:
-    for side in ("top", "right"):
-        axis.spines[side].set_visible(False)

@@ -21,7 +21,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.tool_resolution import relative_size
 from tissue_sim.organ.topology import node_area
 
-HELD_OUT_SHARE = 0.3  # fraction of the nodes that may be pressed
+HELD_OUT_FRACTION = 0.3  # fraction of the nodes that may be pressed
 HELD_OUT_SEED = 7919  # seed of the split and of the held-out loads; independent of the fit's seed
 CLEARANCE = 0.006  # m from the clamp at least, to the centre of a patch, as all lengths below times `size_of`
 FIT_RADII = (0.0, 0.006, 0.009, 0.012, 0.016)  # m; 0: a node and its neighbours
@@ -138,7 +138,7 @@ def split_centres(organ: Organ) -> tuple[Longs, Longs]:
     if len(nodes) < 20:
         raise UserError(f"organ '{organ.name}' has {len(nodes)} nodes away from its clamp; calibration needs 20")
     mixed = np.random.default_rng(HELD_OUT_SEED).permutation(nodes)
-    held = max(1, round(HELD_OUT_SHARE * len(nodes)))
+    held = max(1, round(HELD_OUT_FRACTION * len(nodes)))
     return np.sort(mixed[held:]), np.sort(mixed[:held])
 
 
@@ -172,10 +172,10 @@ def fit_cases(organ: Organ, count: int, seed: int) -> Floats:
         others = random.choice(centres, random.integers(1, 6)) if place % MANY == 0 else centres[:0]
         for node in (first, *others):
             nodes = _patch(surface, node, FIT_RADII[random.integers(len(FIT_RADII))] * surface.size)
-            share = surface.area[nodes] / surface.area[nodes].sum()
+            fraction = surface.area[nodes] / surface.area[nodes].sum()
             size = random.uniform(0.5, 1.5) if len(others) else 1.0
             for axis in range(AXES):
-                force[place, axis, nodes, axis] += size * share
+                force[place, axis, nodes, axis] += size * fraction
     return force.reshape(-1, organ.n_surface, 3)
 
 

@@ -60,8 +60,8 @@ def coarseness(organ: Organ) -> str | None:
     refined = math.ceil(count / 100.0) * 100
     remedies = [f"--refine auto (about {refined} points)"] if refined <= MOST_POINTS else []
     remedies += [f"--points {points}"] if points <= MOST_POINTS else []
-    told = " or ".join(remedies) or f"another --fixed: more than {MOST_POINTS} points would be needed"
-    return f"organ '{organ.name}' {worst.reason}; build it with {told}"
+    remedy = " or ".join(remedies) or f"another --fixed: more than {MOST_POINTS} points would be needed"
+    return f"organ '{organ.name}' {worst.reason}; build it with {remedy}"
 
 
 def _in_thin_tissue(organ: Organ) -> Coarse | None:

@@ -28,9 +28,9 @@ AHEAD = 256  # items that the cluster has at a time: enough for hundreds of work
 _ASKED, _ANSWERED = "asked", "answered"  # files that a calculation's process reads and writes
 
 
-def spread[Item](
-    job: Callable[[Item], Any], items: Iterable[Item], *, jobs: int = 1, scheduler: str | None = None
-) -> Iterator[tuple[int, Any]]:
+def spread[Item, Result](
+    job: Callable[[Item], Result], items: Iterable[Item], *, jobs: int = 1, scheduler: str | None = None
+) -> Iterator[tuple[int, Result | UserError]]:
     """Yield the results of a job for every item, with the item's index, in the order in which they are ready.
 
     Where there is no result, a UserError that says why takes its place. Job and items are pickled, items one after the
@@ -38,7 +38,7 @@ def spread[Item](
 
     Parameters
     ----------
-    job : Callable[[Item], Any]
+    job : Callable[[Item], Result]
         A module's function, called with an item.
     items : Iterable[Item]
         The items.
@@ -49,7 +49,7 @@ def spread[Item](
 
     Yields
     ------
-    Iterator[tuple[int, Any]]
+    Iterator[tuple[int, Result | UserError]]
         Index and result.
 
     Raises
@@ -62,7 +62,7 @@ def spread[Item](
         return
     stopped = threading.Event()
     following = enumerate(items)
-    running: dict[Future[Any], int] = {}
+    running: dict[Future[Result | UserError], int] = {}
     with ThreadPoolExecutor(jobs) as threads:
         try:
             while True:
@@ -77,12 +77,14 @@ def spread[Item](
             stopped.set()
 
 
-def on_cluster[Item](job: Callable[[Item], Any], items: Iterable[Item], scheduler: str) -> Iterator[tuple[int, Any]]:
+def on_cluster[Item, Result](
+    job: Callable[[Item], Result], items: Iterable[Item], scheduler: str
+) -> Iterator[tuple[int, Result | UserError]]:
     """Yield the results of a job for every item, computed in the processes of a Dask cluster's workers.
 
     Parameters
     ----------
-    job : Callable[[Item], Any]
+    job : Callable[[Item], Result]
         A module's function, called with an item.
     items : Iterable[Item]
         The items.
@@ -91,7 +93,7 @@ def on_cluster[Item](job: Callable[[Item], Any], items: Iterable[Item], schedule
 
     Yields
     ------
-    Iterator[tuple[int, Any]]
+    Iterator[tuple[int, Result | UserError]]
         Index and result.
 
     Raises
@@ -133,7 +135,9 @@ def on_cluster[Item](job: Callable[[Item], Any], items: Iterable[Item], schedule
                 ready.add(more)
 
 
-def _in_process(work: tuple[Callable[[Any], Any], Any], stopped: threading.Event | None = None) -> Any:
+def _in_process[Item, Result](
+    work: tuple[Callable[[Item], Result], Item], stopped: threading.Event | None = None
+) -> Result | UserError:
     """Run job(item) in a new process; return its result, or a UserError.
 
     The process isn't multiprocessing's: Dask's workers are daemons, for which multiprocessing allows no children.
@@ -145,17 +149,17 @@ def _in_process(work: tuple[Callable[[Any], Any], Any], stopped: threading.Event
         command = [sys.executable, "-m", "tissue_sim.calibration.cohort", folder]
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
         with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
-            told = _told(process, stopped)
+            errors = _errors_of(process, stopped)
         answer = Path(folder) / _ANSWERED
         if process.returncode == 0 and answer.is_file():
             return pickle.loads(answer.read_bytes())
     if process.returncode < 0:
         name = signal.Signals(-process.returncode).name
         return UserError(f"its process was ended by {name}; it may need more memory")
-    return UserError(f"its process failed: {told.splitlines()[-1] if told else process.returncode}")
+    return UserError(f"its process failed: {errors.splitlines()[-1] if errors else process.returncode}")
 
 
-def _told(process: subprocess.Popen[bytes], stopped: threading.Event | None) -> str:
+def _errors_of(process: subprocess.Popen[bytes], stopped: threading.Event | None) -> str:
     """Return what a process wrote to its standard error until it ended or was killed."""
     while True:
         try:

@@ -232,13 +232,13 @@ def _half_step(
         slope = np.where(solid.held, 0.0, shift * (solid.mass @ half) + inner - push)
         if taken.any() and float(np.vdot(taken, slope - before)) > 0.0:
             steps, changes = [*steps[1 - KEPT :], taken], [*changes[1 - KEPT :], slope - before]
-        q, shares = slope.copy(), []
+        q, fractions = slope.copy(), []
         for step, change in zip(reversed(steps), reversed(changes), strict=True):
-            shares.append(float(np.vdot(step, q)) / float(np.vdot(step, change)))
-            q -= shares[-1] * change
+            fractions.append(float(np.vdot(step, q)) / float(np.vdot(step, change)))
+            q -= fractions[-1] * change
         way = factor.precondition(q.reshape(-1, 1)).reshape(q.shape)
-        for step, change, share in zip(steps, changes, reversed(shares), strict=True):
-            way += step * (share - float(np.vdot(change, way)) / float(np.vdot(step, change)))
+        for step, change, fraction in zip(steps, changes, reversed(fractions), strict=True):
+            way += step * (fraction - float(np.vdot(change, way)) / float(np.vdot(step, change)))
         size = math.sqrt(max(float(np.vdot(slope, way)), 0.0))
         enough = enough or TOLERANCE * _size(solid, push - np.where(solid.held, 0.0, inner), factor)
         before, taken = slope, -way

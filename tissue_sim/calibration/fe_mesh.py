@@ -255,8 +255,8 @@ def _along(positions: Floats, edges: Ints, apart: float) -> Floats:
         return np.zeros((0, 3))
     a, b = positions[edges[:, 0]], positions[edges[:, 1]]
     count = int(np.ceil(np.linalg.norm(b - a, axis=1).max() / apart)) + 1
-    share = np.linspace(0.0, 1.0, count)[None, :, None]
-    return (a[:, None] * (1.0 - share) + b[:, None] * share).reshape(-1, 3)
+    fraction = np.linspace(0.0, 1.0, count)[None, :, None]
+    return (a[:, None] * (1.0 - fraction) + b[:, None] * fraction).reshape(-1, 3)
 
 
 def _tetrahedra(organ: Organ) -> tuple[Floats, Ints]:
@@ -312,9 +312,9 @@ def parents(small: Floats, large: Floats) -> Ints:
         if not len(open_):
             break
         t = column[open_]
-        share = coordinates(middle[open_], large[t])
+        fraction = coordinates(middle[open_], large[t])
         height = np.abs(np.einsum("fx,fx->f", middle[open_] - a[t], normal[t])) / double[t] ** 1.5
-        inside = (share.min(axis=1) > -ON_PLANE) & (height < ON_PLANE)
+        inside = (fraction.min(axis=1) > -ON_PLANE) & (height < ON_PLANE)
         parent[open_[inside]] = t[inside]
     if np.any(parent < 0):
         raise UserError("the tetrahedra do not follow the organ's surface; remesh it")

@@ -24,7 +24,7 @@ MODES = 8  # lowest ones, whose frequencies are fitted
 STEP = 6e-4  # s, critical step that masses make room for: two substeps a millisecond need 0.56 ms
 # Fraction of the mass that may be used for this, usually and at most: a finer or stiffer organ gets a shorter step. At
 # 0.9 the lowest eight modes of a kidney of 4000 points were off by 7 %, at 0.7 by 0.4 %.
-USUAL_SHARE, MOST_SHARE = 0.6, 0.75
+USUAL_FRACTION, MOST_FRACTION = 0.6, 0.75
 SPREAD = 1e-3  # weight of the mean square of the masses' logarithms, over those of the tissue around
 EVALUATIONS = 15
 _POINTS = 40_000  # at which the organ's volume is sampled
@@ -63,8 +63,8 @@ def least_mass(elastic: Elastic, tangent: csc_array, total: float, step: float =
     rows = np.zeros(3 * elastic.n_nodes)
     rows[elastic.free] = np.asarray(abs(tangent).sum(axis=1)).ravel()
     needed = 0.25 * step**2 * rows.reshape(-1, 3).max(axis=1)
-    share = max(float(needed.sum()) / total, 1e-300)
-    return needed * min(1.0, min(USUAL_SHARE * max(1.0, share), MOST_SHARE) / share)
+    fraction = max(float(needed.sum()) / total, 1e-300)
+    return needed * min(1.0, min(USUAL_FRACTION * max(1.0, fraction), MOST_FRACTION) / fraction)
 
 
 def fit_mass(organ: Organ, elastic: Elastic, stiffness: Floats, frequencies: Floats) -> Floats:
@@ -101,13 +101,13 @@ def fit_mass(organ: Organ, elastic: Elastic, stiffness: Floats, frequencies: Flo
     around, moving = tissue_mass(organ), elastic.moving
     total = float(around[moving].sum())
     least = least_mass(elastic, tangent, total)[moving]
-    share = np.maximum(around[moving] - least, 0.05 * around[moving])
+    spare = np.maximum(around[moving] - least, 0.05 * around[moving])
     wanted = (2.0 * np.pi * np.asarray(frequencies)) ** 2
     start = np.random.default_rng(0).standard_normal(len(elastic.free))
 
     def spread(logarithm: Floats) -> tuple[Floats, Floats]:
         """Return the masses of the moving nodes, and the distribution of the part above the least."""
-        part = share * np.exp(logarithm)
+        part = spare * np.exp(logarithm)
         part /= part.sum()
         return least + (total - least.sum()) * part, part
 
@@ -123,10 +123,10 @@ def fit_mass(organ: Organ, elastic: Elastic, stiffness: Floats, frequencies: Flo
 
     best = minimize(
         objective,
-        np.zeros(len(share)),
+        np.zeros(len(spare)),
         jac=True,
         method="L-BFGS-B",
-        bounds=[(-3.0, 3.0)] * len(share),
+        bounds=[(-3.0, 3.0)] * len(spare),
         options={"maxfun": EVALUATIONS, "maxiter": EVALUATIONS, "ftol": 1e-9, "gtol": 0.0},
     )
     mass = around.copy()

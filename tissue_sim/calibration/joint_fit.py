@@ -192,8 +192,8 @@ def fit_together(
     at = together.join(stiffness, mass)
     limits = [bounds] * len(stiffness) + [MASS_BOUNDS] * (len(at) - len(stiffness))
     at = np.clip(at, *np.transpose(limits))
-    for low, high, share in STAGES:
-        at = descended(partial(objective, low=low, high=high), at, limits, max(1, round(share * evaluations)))
+    for low, high, fraction in STAGES:
+        at = descended(partial(objective, low=low, high=high), at, limits, max(1, round(fraction * evaluations)))
     return together.split(at)
 
 

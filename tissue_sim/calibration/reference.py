@@ -164,7 +164,7 @@ def made_good(answers: Floats, samples: Floats, finer_samples: Floats) -> Floats
     shapes, strength, mix = np.linalg.svd(samples.reshape(len(samples), -1).T, full_matrices=False)
     some = strength > WEAK * strength[0]
     flat = answers.reshape(len(answers), -1)
-    shares = ((flat @ shapes[:, some]) / strength[some]) @ mix[some]
+    fractions = ((flat @ shapes[:, some]) / strength[some]) @ mix[some]
     difference = (finer_samples - samples).reshape(len(samples), -1)
-    good: Floats = (flat + shares @ difference).reshape(answers.shape)
+    good: Floats = (flat + fractions @ difference).reshape(answers.shape)
     return good

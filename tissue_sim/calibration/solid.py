@@ -76,7 +76,7 @@ class Preconditioner(Protocol):
 
 
 class Renewable(Preconditioner, Protocol):
-    """Preconditioner that can be computed anew about another state."""
+    """Preconditioner that can be computed again about another state."""
 
     def renew(self, moved: Floats) -> None:
         """Compute it about a state (n, 3) m."""
@@ -189,9 +189,9 @@ class Solid:
         masses : Floats, shape (n,), kg
             The masses.
         """
-        share = (masses / np.maximum(np.bincount(self.elements.ravel(), minlength=len(masses)), 1))[self.elements]
+        mass = (masses / np.maximum(np.bincount(self.elements.ravel(), minlength=len(masses)), 1))[self.elements]
         corner = np.arange(NODES)
-        self._element_masses[:, corner, corner] += share
+        self._element_masses[:, corner, corner] += mass
         self.__dict__.pop("mass", None)  # the matrix is assembled from them
 
     @cached_property
@@ -352,19 +352,19 @@ class Solid:
     def _settling(self, load: Floats) -> Settling:
         """Settle under one load; yield residuals (n, 3) N and receive their displacements by the solid at rest."""
         displacement = np.zeros_like(self.nodes)
-        done, share, load_steps, steps, iterations = 0.0, 1.0, 0, 0, 0
+        done, fraction, load_steps, steps, iterations = 0.0, 1.0, 0, 0, 0
         factor: Cholesky | None = None
         while done < 1.0 and load_steps < MOST_LOAD_STEPS and steps < MOST_STEPS_IN_ALL:
             load_steps += 1
-            wanted = min(1.0, done + share)
+            wanted = min(1.0, done + fraction)
             start = displacement, wanted * load, factor
             found, used, inner, converged, factor = yield from self._newton(*start)
             steps, iterations = steps + used, iterations + inner
             if converged:
                 displacement, done = found, wanted
-                share *= 2.0 if used <= QUICK else 1.0
+                fraction *= 2.0 if used <= QUICK else 1.0
             else:
-                share *= 0.5
+                fraction *= 0.5
                 factor = self._factor_or(displacement, None)
         return Equilibrium(displacement, load_steps, steps, iterations, self.energy(displacement)[2], done >= 1.0)
 

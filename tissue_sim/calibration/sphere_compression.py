@@ -24,7 +24,7 @@ ROUGH, TOLERANCE = 1e-3, 1e-6  # of the energy: while it is determined which nod
 HALVINGS = 4  # of a step at whose end no equilibrium is found
 
 
-class Squeezed(NamedTuple):
+class CompressionStep(NamedTuple):
     """Equilibrium of a solid between spheres."""
 
     displacement: Floats  # (n, 3) m of all nodes
@@ -82,7 +82,7 @@ def own_nodes(body: Body, near: Longs) -> Longs:
     return np.unique(body.filling.facets[np.isin(body.filling.triangle, near)]).astype(np.int64)
 
 
-def squeezed(solid: Solid, nodes: Longs, paths: Floats, radius: float) -> list[Squeezed]:
+def compressed(solid: Solid, nodes: Longs, paths: Floats, radius: float) -> list[CompressionStep]:
     """Return the equilibria of a solid whose nodes stick to spheres that move along paths.
 
     A node that enters a sphere is tied to the nearest place on it, and released once it would be pulled. The result has
@@ -105,8 +105,8 @@ def squeezed(solid: Solid, nodes: Longs, paths: Floats, radius: float) -> list[S
     list[Squeezed]
         The equilibria.
     """
-    run = _Squeeze(solid, nodes, radius)
-    found: list[Squeezed] = []
+    run = _Compression(solid, nodes, radius)
+    found: list[CompressionStep] = []
     before = paths[0]
     for centres in paths:
         found.append(run.go(before, centres))
@@ -168,7 +168,7 @@ def _axes(nodes: Longs) -> Longs:
     return np.asarray((3 * nodes[:, None] + np.arange(3)).ravel())
 
 
-class _Squeeze:
+class _Compression:
     """Solid that moves with spheres of one radius, m, which touch it at nodes (k,)."""
 
     def __init__(self, solid: Solid, nodes: Longs, radius: float) -> None:
@@ -179,19 +179,19 @@ class _Squeeze:
         solid.ties = np.zeros(len(solid.nodes))
         self._tied = Tied(solid)
 
-    def go(self, start: Floats, end: Floats) -> Squeezed:
+    def go(self, start: Floats, end: Floats) -> CompressionStep:
         """Return the equilibrium after the spheres have moved from centres (s, 3) m to others."""
-        at, share = 0.0, 1.0
+        at, fraction = 0.0, 1.0
         while True:
             kept = self._owner.copy(), self._place.copy(), self._moved
-            wanted = min(1.0, at + share)
+            wanted = min(1.0, at + fraction)
             settled = self._settle(start + wanted * (end - start))
             if settled:
-                at, share = wanted, 2.0 * share
-            elif share < 0.5**HALVINGS or np.array_equal(start, end):
+                at, fraction = wanted, 2.0 * fraction
+            elif fraction < 0.5**HALVINGS or np.array_equal(start, end):
                 break
             else:
-                share *= 0.5
+                fraction *= 0.5
                 self._owner, self._place, self._moved = kept
             if at >= 1.0:
                 break
@@ -244,8 +244,8 @@ class _Squeeze:
         self._place[entered] = self._radius * way / np.linalg.norm(way, axis=1)[:, None]
         return bool(pulled.any() or entered.any())
 
-    def _found(self, centres: Floats, settled: bool) -> Squeezed:
+    def _found(self, centres: Floats, settled: bool) -> CompressionStep:
         push = self._pushes(centres)
         forces = np.array([push[self._owner == sphere].sum(axis=0) for sphere in range(len(centres))])
         touching = self._nodes[self._owner >= 0]
-        return Squeezed(self._moved, forces, touching, self._solid.energy(self._moved)[2], settled)
+        return CompressionStep(self._moved, forces, touching, self._solid.energy(self._moved)[2], settled)

@@ -18,6 +18,7 @@ from tissue_sim.contact.scene_file import FORMAT, SceneFile
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.organ import Organ
+from tissue_sim.outputs import make_folder
 from tissue_sim.progress import steps
 
 NAME = "abdomen"
@@ -88,10 +89,7 @@ def _run(args: argparse.Namespace) -> int:
         raise UserError(f"--jobs {args.jobs} is less than 1")
     masks = _masks(Path(args.masks) if args.masks else None)
     folder = Path(args.out) / NAME
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make folder {folder}: {error.strerror}; name another with --out") from None
+    make_folder(folder)
     source = "masks of a CT" if args.masks else "synthetic abdomen"
     with tempfile.TemporaryDirectory(prefix="tissue_sim-") as spare:
         built = folder if args.as_built else Path(spare)

@@ -28,10 +28,11 @@ from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, usual_edge
+from tissue_sim.outputs import check_folder
 from tissue_sim.progress import task
 
 # Relative durations of the stages of a usual build; only the pace of the progress bar depends on them.
-_SHARE = {"read": 8, "segment": 40, "wall": 6, "balloon": 38, "skeleton": 6, "springs": 2, "report": 25}
+_FRACTION = {"read": 8, "segment": 40, "wall": 6, "balloon": 38, "skeleton": 6, "springs": 2, "report": 25}
 _UNITS = ("mm", "cm", "m", "um", "in")
 
 
@@ -145,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
     Raises
     ------
     UserError
-        As the stages do, and for wrong use.
+        As the stages do, and for invalid use.
     """
     try:
         return _run(args)
@@ -157,8 +158,7 @@ def _run(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     source = _source(args)
     out = Path(args.out)
-    if not out.parent.is_dir():
-        raise UserError(f"folder {out.parent} for the organ file does not exist; make it first")
+    check_folder(out, "the organ file")
     report = report_path(args, out)
     _check_counts(args)
     name = args.name or stem_of(Path(source))
@@ -324,8 +324,7 @@ def report_path(args: argparse.Namespace, out: Path) -> Path | None:
     path = Path(args.report) if args.report else out.with_suffix(".html")
     if path.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"--report {path} must end in .html; without a file name, put --report last")
-    if not path.parent.is_dir():
-        raise UserError(f"folder {path.parent} for the report does not exist; make it first")
+    check_folder(path, "the report")
     for library in ("matplotlib", "jinja2"):
         if importlib.util.find_spec(library) is None:
             raise UserError(f"--report needs {library}; {EXTRA}")
@@ -359,13 +358,13 @@ def _given(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
 @contextmanager
 def _under_way(stages: list[str]) -> Iterator[Progress]:
     """Yield the receiver of what the stages report: lines on the standard output, and progress as parts of one task."""
-    start = dict(zip(stages, itertools.accumulate((_SHARE[stage] for stage in stages), initial=0.0), strict=False))
-    with task(stages[0], sum(_SHARE[stage] for stage in stages), "%") as whole:
+    start = dict(zip(stages, itertools.accumulate((_FRACTION[stage] for stage in stages), initial=0.0), strict=False))
+    with task(stages[0], sum(_FRACTION[stage] for stage in stages), "%") as whole:
 
         def watch(stage: str, done: float) -> None:
             if stage in start:
                 whole.name = stage
-                whole.reach(max(whole.done, start[stage] + done * _SHARE[stage]))  # never backwards
+                whole.reach(max(whole.done, start[stage] + done * _FRACTION[stage]))  # never backwards
 
         yield Progress(partial(print, flush=True), watch)
 

@@ -30,6 +30,7 @@ from tissue_sim.commands.law_options import add_law, law_of, with_law
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.refined import refined
+from tissue_sim.outputs import check_organ_file, make_folder
 from tissue_sim.version import __version__
 
 MEAN, WORST, SHARP = 5.5, 12.0, 15.0  # %, bounds of --check: smooth loads' mean and worst, sharp ones' mean
@@ -70,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=tuple(INTERIOR_FRACTION),
         default=_DEFAULT.aim,
         help="purpose of the cells: more interior atoms take more time in every tick, and have a smaller error"
-        f" ({', '.join(f'{aim}: {100 * share:g}' for aim, share in INTERIOR_FRACTION.items())} for 100 surface"
+        f" ({', '.join(f'{aim}: {100 * fraction:g}' for aim, fraction in INTERIOR_FRACTION.items())} for 100 surface"
         f" points; default: {_DEFAULT.aim})",
     )
     add_law(parser)
@@ -110,10 +111,7 @@ def run(args: argparse.Namespace) -> int:
     several = len(args.organ) > 1 or out.is_dir()
     if several or any(option is not None for option in (args.jobs, args.scheduler, args.json)):
         return _run_many(args, settings)
-    if out.suffix != ".npz":
-        raise UserError(f"--out {out} must end in .npz")
-    if not out.parent.is_dir():
-        raise UserError(f"folder {out.parent} for the organ file does not exist; make it first")
+    check_organ_file(out)
     if args.report and importlib.util.find_spec("matplotlib") is None:
         raise UserError("--report needs matplotlib: pip install 'tissue_sim[calibration]'")
     organ = Organ.load(args.organ[0])
@@ -158,10 +156,7 @@ def _run_many(args: argparse.Namespace, settings: Settings) -> int:
     folder = Path(args.out)
     if folder.suffix == ".npz":
         raise UserError(f"--out {folder} must be a folder for several organs, or with --jobs, --scheduler or --json")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make folder {folder}: {error.strerror}; name another with --out") from None
+    make_folder(folder)
     organs = [Path(name) for name in args.organ]
     outputs = outputs_of(organs, folder)
     try:

@@ -133,12 +133,12 @@ def calibrate_many(
     found: dict[str, dict[str, Any] | str] = {}
     with progress.task("organs", len(organs)) as under_way:
 
-        def tell(name: str, cells: Sequence[str]) -> None:
+        def report(name: str, cells: Sequence[str]) -> None:
             row = (cell.rjust(w) if k else cell.ljust(w) for k, (cell, w) in enumerate(_row(name, cells)))
             print("  ".join(row), flush=True)
             under_way.advance(name != _HEAD[0])
 
-        tell(_HEAD[0], _HEAD[1:])
+        report(_HEAD[0], _HEAD[1:])
         todo: list[tuple[Path, Path]] = []
         for source, out in zip(organs, outputs, strict=True):
             before = made_before(source, out, settings)
@@ -146,7 +146,7 @@ def calibrate_many(
                 todo.append((source, out))
                 continue
             found[source.stem] = before
-            tell(source.stem, cells_of(before, "kept"))
+            report(source.stem, cells_of(before, "kept"))
 
         def tasks() -> Iterator[Task | str]:
             for source, out in todo:
@@ -156,11 +156,11 @@ def calibrate_many(
             source, out = todo[number]
             if isinstance(done, UserError):
                 found[source.stem] = str(done)
-                tell(source.stem, [str(done)])
+                report(source.stem, [str(done)])
                 continue
             write_whole(done.organ, out)
             found[source.stem] = {**done.figures, "minutes": round(done.minutes, 2)}
-            tell(source.stem, cells_of(done.figures, f"{done.minutes:.1f}"))
+            report(source.stem, cells_of(done.figures, f"{done.minutes:.1f}"))
     return found
 
 

@@ -65,7 +65,7 @@ SOURCES = (
 
 
 def main() -> int:
-    """Build what there is, calibrate it, print the table, and return 0, or 2 for wrong use.
+    """Build what there is, calibrate it, print the table, and return 0, or 2 for invalid use.
 
     An organ that is refused is no failure: its row says what to change.
     """

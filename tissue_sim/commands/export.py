@@ -9,6 +9,7 @@ from pathlib import Path
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.reporting.exchange import CELLS, LINES, SURFACES, UNITS, Writer, bones
+from tissue_sim.outputs import check_folder
 
 EVERY = 20  # ticks from one frame of a bag to the next
 
@@ -68,8 +69,7 @@ def _writer(path: str, formats: Mapping[str, Writer], what: str) -> Writer:
     suffix = Path(path).suffix.lower()
     if suffix not in formats:
         raise UserError(f"{path}: unknown format of the {what}; use the extension {', '.join(formats)}")
-    if not Path(path).parent.is_dir():
-        raise UserError(f"folder {Path(path).parent} for {path} does not exist; make it first")
+    check_folder(Path(path), path)
     return formats[suffix]
 
 

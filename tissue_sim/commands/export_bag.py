@@ -6,6 +6,7 @@ from pathlib import Path
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.reporting.exchange import UNITS
+from tissue_sim.outputs import check_folder
 from tissue_sim.ros.bags.frames import frames_of, write_glb, write_vtu
 from tissue_sim.ros.bags.reading import read_bag
 
@@ -34,8 +35,7 @@ def export_bag(bag: Path, out: Path, every: int, unit: str) -> None:
     write = FORMATS.get(out.suffix.lower())
     if write is None:
         raise UserError(f"{out}: no format for the frames of a bag; let its name end in {' or '.join(FORMATS)}")
-    if not out.parent.is_dir():
-        raise UserError(f"folder {out.parent} for {out} does not exist; make it first")
+    check_folder(out, out)
     if out.suffix.lower() == ".glb" and unit != "m":
         raise UserError(f"{out}: GLB is in metres; leave out --unit {unit}")
     if every < 1:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
 import sys
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from tissue_sim.identification.slab import PREFIX, cached_slab, slab_size
 from tissue_sim.identification.stream import Stream, found_in
 from tissue_sim.identification.table import STREAM, is_stream, presses_of, read_columns
 from tissue_sim.organ.organ import Organ
+from tissue_sim.outputs import check_organ_file, write_json
 from tissue_sim.version import __version__
 
 LARGEST = 0.5  # m, radius of a tool
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     checkpoint.remove()
     print("\n".join([*lines_of(found), f"written: {out}"]))
     if args.json:
-        _write_json(Path(args.json), provenance_of(found))
+        write_json(Path(args.json), provenance_of(found))
     return 0
 
 
@@ -116,10 +116,7 @@ def organ_of(word: str) -> Organ:
 
 def _check(args: argparse.Namespace) -> None:
     out = Path(args.out)
-    if out.suffix != ".npz":
-        raise UserError(f"--out {out} must end in .npz")
-    if not out.parent.is_dir():
-        raise UserError(f"folder {out.parent} for the organ file does not exist; make it first")
+    check_organ_file(out)
     if args.report and not (importlib.util.find_spec("matplotlib") and importlib.util.find_spec("jinja2")):
         raise UserError("--report needs matplotlib and jinja2: pip install 'tissue_sim[image]'")
     if args.radius is not None and not 0.0 < args.radius <= LARGEST:
@@ -174,10 +171,3 @@ def _from_bag(args: argparse.Namespace, organ: Organ) -> Measurement:
         stream = in_organ_axes(stream, args.organ_pose)
     sign = -1.0 if args.negate else 1.0
     return found_in(Stream(str(path), stream.time, stream.positions, sign * stream.forces), organ, radius)
-
-
-def _write_json(path: Path, told: dict[str, object]) -> None:
-    try:
-        path.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from None

@@ -1,4 +1,4 @@
-"""Command `tissue_sim info`: the content of an organ file or a scene, for people or as JSON."""
+"""Command `tissue_sim info`: the content of an organ file or a scene, as text or as JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Command `tissue_sim phantom`: a synthetic CT to try things on, with a kidney that is known."""
+"""Command `tissue_sim phantom`: a synthetic CT for trials, with a kidney that is known."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tissue_sim.errors import UserError
+from tissue_sim.outputs import check_folder
 
 if TYPE_CHECKING:
     from tissue_sim.organ.imaging.image import Volume
@@ -67,8 +68,7 @@ def run(args: argparse.Namespace) -> int:
 def _check(path: str) -> None:
     if not path.lower().endswith(_ENDINGS):
         raise UserError(f"{path}: unknown image format; use the extension {', '.join(_ENDINGS)}")
-    if not Path(path).parent.is_dir():
-        raise UserError(f"folder {Path(path).parent} for {path} does not exist; make it first")
+    check_folder(Path(path), path)
 
 
 def _write(path: str, volume: Volume, kind: str) -> None:

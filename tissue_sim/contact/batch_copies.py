@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.contact.compiled_steps import NOBODY, Course, advance_copies, room_for, tables_of, take_poses
+from tissue_sim.contact.compiled_steps import NO_COPY, Course, advance_copies, room_for, tables_of, take_poses
 from tissue_sim.contact.scene import Scene
 from tissue_sim.handles import handle, row
 
@@ -61,7 +61,7 @@ class CompiledCopies:
         room = self._rooms.get()
         self._course.left[copies] = ticks
         try:
-            while (waiting := advance_copies(self._worlds, self._shared, self._tables, room, copies)) != NOBODY:
+            while (waiting := advance_copies(self._worlds, self._shared, self._tables, room, copies)) != NO_COPY:
                 self._find(waiting)
         finally:
             self._rooms.put(room)

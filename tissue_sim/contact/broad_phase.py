@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.shapes import signed_distance
+from tissue_sim.model.data.shapes import Shapes
 
 
 @kernel
-def surface_box(position: Any, n_surface: int, low: Any, high: Any) -> None:
+def surface_box(position: Floats, n_surface: int, low: Floats, high: Floats) -> None:
     """Compute the axis-aligned box of the surface nodes into `low` and `high`.
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
     n_surface : int
         Number of surface nodes.
-    low : Any, shape (3,), m
+    low : Floats, shape (3,), m
         Lower corner of the box.
-    high : Any, shape (3,), m
+    high : Floats, shape (3,), m
         Upper corner of the box.
     """
     for c in range(3):
@@ -35,22 +37,22 @@ def surface_box(position: Any, n_surface: int, low: Any, high: Any) -> None:
 
 
 @kernel
-def body_box(corners: Any, padding: float, rotation: Any, origin: Any, low: Any, high: Any) -> None:
+def body_box(corners: Floats, padding: float, rotation: Floats, origin: Floats, low: Floats, high: Floats) -> None:
     """Compute the axis-aligned box of a body into `low` and `high`.
 
     Parameters
     ----------
-    corners : Any, shape (k, 3), m
+    corners : Floats, shape (k, 3), m
         Points whose hull, grown by `padding`, holds the body.
     padding : float, m
         Distance by which the hull is grown.
-    rotation : Any, shape (9,)
+    rotation : Floats, shape (9,)
         Rotation matrix, row by row.
-    origin : Any, shape (3,), m
+    origin : Floats, shape (3,), m
         Origin of the body.
-    low : Any, shape (3,), m
+    low : Floats, shape (3,), m
         Lower corner of the box.
-    high : Any, shape (3,), m
+    high : Floats, shape (3,), m
         Upper corner of the box.
     """
     for c in range(3):
@@ -64,18 +66,18 @@ def body_box(corners: Any, padding: float, rotation: Any, origin: Any, low: Any,
 
 
 @kernel
-def boxes_meet(low: Any, high: Any, other_low: Any, other_high: Any) -> bool:
+def boxes_meet(low: Floats, high: Floats, other_low: Floats, other_high: Floats) -> bool:
     """Return whether two boxes have a point in common.
 
     Parameters
     ----------
-    low : Any, shape (3,), m
+    low : Floats, shape (3,), m
         Lower corner of the box.
-    high : Any, shape (3,), m
+    high : Floats, shape (3,), m
         Upper corner of the box.
-    other_low : Any, shape (3,), m
+    other_low : Floats, shape (3,), m
         Lower corner of the other box.
-    other_high : Any, shape (3,), m
+    other_high : Floats, shape (3,), m
         Upper corner of the other box.
 
     Returns
@@ -90,18 +92,18 @@ def boxes_meet(low: Any, high: Any, other_low: Any, other_high: Any) -> bool:
 
 
 @kernel
-def boxes_apart(low: Any, high: Any, other_low: Any, other_high: Any) -> float:
+def boxes_apart(low: Floats, high: Floats, other_low: Floats, other_high: Floats) -> float:
     """Return the largest distance between two boxes along an axis.
 
     Parameters
     ----------
-    low : Any, shape (3,), m
+    low : Floats, shape (3,), m
         Lower corner of the box.
-    high : Any, shape (3,), m
+    high : Floats, shape (3,), m
         Upper corner of the box.
-    other_low : Any, shape (3,), m
+    other_low : Floats, shape (3,), m
         Lower corner of the other box.
-    other_high : Any, shape (3,), m
+    other_high : Floats, shape (3,), m
         Upper corner of the other box.
 
     Returns
@@ -118,12 +120,14 @@ def boxes_apart(low: Any, high: Any, other_low: Any, other_high: Any) -> float:
 class Near(NamedTuple):
     """Room for triangles that lie near something."""
 
-    node: Any  # (t, 3) their nodes
-    number: Any  # (t,) which of all they are
+    node: Longs  # (t, 3) their nodes
+    number: Longs  # (t,) which of all they are
 
 
 @kernel
-def triangles_in_box(position: Any, rest: Any, triangles: Any, low: Any, high: Any, near: Near) -> tuple[int, float]:
+def triangles_in_box(
+    position: Floats, rest: Floats, triangles: Longs, low: Floats, high: Floats, near: Near
+) -> tuple[int, float]:
     """Write the triangles (t, 3) whose box meets the box low, high (3,) to near.
 
     Returns how many, and how far, m along an axis, the farthest of their nodes lies from rest (n, 3).
@@ -146,165 +150,13 @@ def triangles_in_box(position: Any, rest: Any, triangles: Any, low: Any, high: A
     return count, moved
 
 
-class Lattices(NamedTuple):
-    """Contact points on a triangle whose edges are divided into a number of parts, besides its corners."""
-
-    weight: Any  # (k, 3) barycentric
-    edge: Any  # (k,) corner opposite to the edge that a point is on, -1 for none
-    start: Any  # (m + 2,) first point for each number of parts, up to m
-
-
-class Fineness(NamedTuple):
-    """Spacing of a body's contact points."""
-
-    parts: Any  # (t,) in how many parts the edges of each triangle are divided
-    give: Any  # (t, 2) how many times as far as its nodes' compliance has it its points give way; how far at most, m
-    corner_give: Any  # (n, 2) the same of the corners
-
-
-class Search(NamedTuple):
-    """Query for contact points of a body at a pose, within a reach, m."""
-
-    position: Any  # (n, 3) m of the nodes
-    shapes: Any
-    body: int
-    lattices: Lattices
-    fineness: Fineness
-    origin: Any
-    rotation: Any
-    reach: float
-    normal: Any  # (n, 3) room
-
-
-class Found(NamedTuple):
-    """Buffers for contact points."""
-
-    body: Any  # (c,)
-    triangle: Any  # (c,) that it lies in, -1 for one of its corners
-    node: Any  # (c, 3)
-    weight: Any  # (c, 3) barycentric
-    normal: Any  # (c, 3) outward unit normals of the tissue
-    give: Any  # (c, 2) see Fineness
-
-
 @kernel
-def points_near(near: Any, number: Any, search: Any, seen: Any, found: Any, count: int) -> int:
-    """Find the points of triangles that lie within reach of a body: corners, and those of their lattices.
-
-    Parameters
-    ----------
-    near : Any, shape (t, 3)
-        Triangles.
-    number : Any, shape (t,)
-        Their indices.
-    search : Any
-        The query, with the positions of the nodes, (n, 3) m.
-    seen : Any, shape (n,)
-        Buffer, zero outside this function.
-    found : Any
-        Receives the points after the first `count`, as far as there is room.
-    count : int
-        Number of points found before.
-
-    Returns
-    -------
-    int
-        Number of points found so far.
-    """
-    lattices, fineness = search.lattices, search.fineness
-    for t in range(len(near)):
-        for c in range(3):
-            for axis in range(3):
-                search.normal[near[t, c], axis] = 0.0
-    add_normals(search.position, near, search.normal)
-    for t in range(len(near)):
-        nodes = near[t, 0], near[t, 1], near[t, 2], number[t]
-        for c in range(3):
-            node = nodes[c]
-            if seen[node] == 0:
-                seen[node] = 1
-                give = fineness.corner_give[node]
-                count = _add_point((node, node, node, -1), (1.0, 0.0, 0.0), give, search, found, count)
-        parts, give = fineness.parts[number[t]], fineness.give[number[t]]
-        for point in range(lattices.start[parts], lattices.start[parts + 1]):
-            edge, weight = lattices.edge[point], lattices.weight[point]
-            # A point on an edge belongs to two triangles; it is taken from the one that runs along it.
-            if edge < 0 or nodes[(edge + 1) % 3] < nodes[(edge + 2) % 3]:
-                count = _add_point(nodes, (weight[0], weight[1], weight[2]), give, search, found, count)
-    for t in range(len(near)):
-        for c in range(3):
-            seen[near[t, c]] = 0
-    return count
-
-
-@kernel
-def _add_point(nodes: Any, weight: Any, give: Any, search: Any, found: Any, count: int) -> int:
-    """Add a point where it is near the body; return how many there are then. The triangle follows its nodes."""
-    x = y = z = nx = ny = nz = 0.0
-    for c in range(3):
-        at, normal = search.position[nodes[c]], search.normal[nodes[c]]
-        x, y, z = x + weight[c] * at[0], y + weight[c] * at[1], z + weight[c] * at[2]
-        nx, ny, nz = nx + weight[c] * normal[0], ny + weight[c] * normal[1], nz + weight[c] * normal[2]
-    r = search.rotation
-    x, y, z = x - search.origin[0], y - search.origin[1], z - search.origin[2]
-    lx, ly, lz = r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z
-    if signed_distance(search.shapes, search.body, lx, ly, lz)[0] > search.reach:
-        return count
-    if count < len(found.node):
-        found.body[count], found.give[count, 0], found.give[count, 1] = search.body, give[0], give[1]
-        found.triangle[count] = nodes[3]
-        for c in range(3):
-            found.node[count, c] = nodes[c]
-            found.weight[count, c] = weight[c]
-        _unit(nx, ny, nz, found.normal[count])
-    return count + 1
-
-
-@kernel
-def _unit(x: float, y: float, z: float, target: Any) -> None:
-    size = max(math.sqrt(x * x + y * y + z * z), 1e-30)
-    target[0], target[1], target[2] = x / size, y / size, z / size
-
-
-@kernel
-def set_compliance(found: Any, corners: Any, weight: Any, give: Any, compliance: Any, between: Any) -> None:
-    """Compute the compliance of a contact set's points from that of their triangles' corners.
-
-    Parameters
-    ----------
-    found : Any
-        The contact set, with bodies and weights of its points; updated.
-    corners : Any, shape (c, 3)
-        Points that are the triangles' corners.
-    weight : Any, shape (c, 3)
-        Barycentric weights of these.
-    give : Any, shape (c, 2)
-        See Fineness, of each point.
-    compliance : Any, shape (B, p, 2), m/N
-        Compliance of the tissue around each corner, along a body's normal and across it.
-    between : Any, shape (B,)
-        By what fraction a point in the middle of three nodes yields more, times 3/2.
-    """
-    for point in range(found.header.points):
-        body, square = found.body[point], 0.0
-        for c in range(found.weight.shape[1]):
-            square += found.weight[point, c] * found.weight[point, c]
-        more = (1.0 + between[body] * (1.0 - square)) * give[point, 0]
-        for axis in range(2):
-            total = 0.0
-            for c in range(3):
-                total += more * weight[point, c] * compliance[body, corners[point, c], axis]
-            found.compliance[point, axis] = total
-        found.most_give[point] = give[point, 1]
-
-
-@kernel
-def nearest_node(position: Any, n_surface: int, x: float, y: float, z: float) -> tuple[int, float]:
+def nearest_node(position: Floats, n_surface: int, x: float, y: float, z: float) -> tuple[int, float]:
     """Return the surface node nearest to a point.
 
     Parameters
     ----------
-    position : Any, shape (n, 3), m
+    position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
     n_surface : int
         Number of surface nodes.
@@ -329,44 +181,19 @@ def nearest_node(position: Any, n_surface: int, x: float, y: float, z: float) ->
     return chosen, best
 
 
-@kernel
-def add_normals(position: Any, triangles: Any, normal: Any) -> None:
-    """Add each triangle's area-weighted outward normal to its nodes.
-
-    Parameters
-    ----------
-    position : Any, shape (n, 3), m
-        Positions of the nodes, surface first.
-    triangles : Any, shape (t, 3)
-        Corner indices, counter-clockwise seen from outside.
-    normal : Any, shape (n, 3), m^2
-        Sums at the nodes, updated.
-    """
-    for t in range(len(triangles)):
-        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        ax, ay, az = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
-        bx, by, bz = position[k, 0] - position[i, 0], position[k, 1] - position[i, 1], position[k, 2] - position[i, 2]
-        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        for c in range(3):
-            node = triangles[t, c]
-            normal[node, 0] += nx
-            normal[node, 1] += ny
-            normal[node, 2] += nz
-
-
 class Placed(NamedTuple):
     """A body where it is: at origin (3,), rotation (9,), in the box low, high (3,), m."""
 
-    shapes: Any
+    shapes: Shapes
     body: int
-    origin: Any
-    rotation: Any
-    low: Any
-    high: Any
+    origin: Floats
+    rotation: Floats
+    low: Floats
+    high: Floats
 
 
 @kernel
-def holds_node(position: Any, n_surface: int, placed: Placed) -> bool:
+def holds_node(position: Floats, n_surface: int, placed: Placed) -> bool:
     """Return True when a surface node lies inside a body."""
     shapes, body, origin, r, low, high = placed
     for node in range(n_surface):
@@ -381,20 +208,20 @@ def holds_node(position: Any, n_surface: int, placed: Placed) -> bool:
 
 
 @kernel
-def approach(first: Any, first_before: Any, second: Any, second_before: Any) -> float:
+def approach(first: Floats, first_before: Floats, second: Floats, second_before: Floats) -> float:
     """Return a bound on how much nearer any point of one surface may have come to any point of another.
 
     Motion that both have in common, as with breathing, doesn't count.
 
     Parameters
     ----------
-    first : Any, shape (n, 3), m
+    first : Floats, shape (n, 3), m
         One surface.
-    first_before : Any, shape (n, 3), m
+    first_before : Floats, shape (n, 3), m
         The same, earlier.
-    second : Any, shape (m, 3), m
+    second : Floats, shape (m, 3), m
         The other surface.
-    second_before : Any, shape (m, 3), m
+    second_before : Floats, shape (m, 3), m
         The same, earlier.
 
     Returns
@@ -410,7 +237,7 @@ def approach(first: Any, first_before: Any, second: Any, second_before: Any) -> 
 
 
 @kernel
-def _farthest(now: Any, before: Any, shift: Any) -> float:
+def _farthest(now: Floats, before: Floats, shift: Floats) -> float:
     """Return the largest distance of points (n, 3) m from where a shift (3,) m would have moved them."""
     most = 0.0
     for node in range(len(now)):

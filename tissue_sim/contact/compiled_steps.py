@@ -3,84 +3,79 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.contact.broad_phase import (
-    Fineness,
-    Found,
-    Near,
-    Search,
-    body_box,
-    boxes_apart,
-    boxes_meet,
-    points_near,
-    set_compliance,
-    surface_box,
-    triangles_in_box,
-)
-from tissue_sim.contact.finder import MOST_MARGIN, TISSUE_WAY, ContactFinder
+from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.contact.broad_phase import Near, body_box, boxes_apart, boxes_meet, surface_box, triangles_in_box
+from tissue_sim.contact.contact_points import Fineness, Found, Lattices, Search, points_near, set_compliance
+from tissue_sim.contact.finder import TISSUE_WAY, ContactFinder
+from tissue_sim.contact.reach_margins import MOST_MARGIN
 from tissue_sim.contact.tools import MARGIN
 from tissue_sim.handles import handle
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.shapes import rotation_matrix
 from tissue_sim.model.contact.tool_motion import distance_along_path
-from tissue_sim.model.data.contact_set import MOST_POINTS, POINT_NODES, Engaged, contact_set
+from tissue_sim.model.data.contact_set import MOST_POINTS, POINT_NODES, ContactSet, Engaged, contact_set
+from tissue_sim.model.data.shapes import Shapes
+from tissue_sim.model.data.state import State
+from tissue_sim.model.data.world import World
 from tissue_sim.model.stepping.inputs import take_contacts, take_pose
 from tissue_sim.model.stepping.tick import tick
 
-NOBODY = -1  # in place of a copy that waits for Python
+NO_COPY = -1  # in place of a copy that waits for Python
 
 
 class Tables(NamedTuple):
     """What a contact search needs of an organ and B bodies; all copies share it."""
 
-    triangles: Any  # (t, 3)
+    triangles: Ints | Longs  # (t, 3)
     n_surface: int
-    rest: Any  # (n, 3) m
-    lattices: Any
-    parts: Any  # (B, t), with
-    give: Any  # (B, t, 2) and
-    corner_give: Any  # (B, n, 2) see Fineness
-    corners: Any  # (k, 3) m, see ToolSet, of all bodies one after the other
-    corner_start: Any  # (B + 1,)
-    padding: Any  # (B,) m
-    middle: Any  # (m, 3) m, see ToolSet
-    middle_start: Any  # (B + 1,)
-    is_fine: Any  # (B,) 1 for bodies that need the nearest point of each triangle
-    compliance: Any  # (B, n, 2) m/N
-    between: Any  # (B,)
+    rest: Floats  # (n, 3) m
+    lattices: Lattices
+    parts: Longs  # (B, t), with
+    give: Floats  # (B, t, 2) and
+    corner_give: Floats  # (B, n, 2) see Fineness
+    corners: Floats  # (k, 3) m, see ToolSet, of all bodies one after the other
+    corner_start: Longs  # (B + 1,)
+    padding: Floats  # (B,) m
+    middle: Floats  # (m, 3) m, see ToolSet
+    middle_start: Longs  # (B + 1,)
+    is_fine: Longs  # (B,) 1 for bodies that need the nearest point of each triangle
+    compliance: Floats  # (B, n, 2) m/N
+    between: Floats  # (B,)
 
 
 class Room(NamedTuple):
     """Working memory of a contact search; each thread has its own."""
 
-    near: Any
-    low: Any  # (3,) m, box of the surface
-    high: Any
-    box_low: Any  # (3,) m, box of a body
-    box_high: Any
-    matrix: Any  # (9,)
-    normal: Any  # (n, 3)
-    seen: Any  # (n,)
-    points: Any
-    found: Any  # the contact set
+    near: Near
+    low: Floats  # (3,) m, box of the surface
+    high: Floats
+    box_low: Floats  # (3,) m, box of a body
+    box_high: Floats
+    matrix: Floats  # (9,)
+    normal: Floats  # (n, 3)
+    seen: Longs  # (n,)
+    points: Found
+    found: ContactSet  # the contact set
 
 
 class Course(NamedTuple):
     """How far each of n copies has come, and what is left to do."""
 
     ticks_a_set: int
-    left: Any  # (n,) ticks to do
-    ticks: Any  # (n,) ticks since its reset
-    sequence: Any  # (n,) number of its newest pose or contact set
-    is_found: Any  # (n,) 1 where the contact set of the coming tick was found by Python
-    goal: Any  # (n, B, 7) poses that the bodies were moving to when contacts were last searched
-    has_goal: Any  # (n,) 1 where they were searched since its reset
+    left: Longs  # (n,) ticks to do
+    ticks: Longs  # (n,) ticks since its reset
+    sequence: Longs  # (n,) number of its newest pose or contact set
+    is_found: Longs  # (n,) 1 where the contact set of the coming tick was found by Python
+    goal: Floats  # (n, B, 7) poses that the bodies were moving to when contacts were last searched
+    has_goal: Longs  # (n,) 1 where they were searched since its reset
 
 
-def tables_of(finder: ContactFinder) -> Any:
+def tables_of(finder: ContactFinder) -> Tables:
     """Return a handle of what a finder knows about its organ and tools.
 
     Parameters
@@ -112,11 +107,11 @@ def tables_of(finder: ContactFinder) -> Any:
     )
 
 
-def _starts(parts: list[Any]) -> Any:
+def _starts(parts: Sequence[Floats]) -> Longs:
     return np.cumsum([0, *map(len, parts)]).astype(np.int64)
 
 
-def room_for(finder: ContactFinder) -> Any:
+def room_for(finder: ContactFinder) -> Room:
     """Return a handle of working memory for one thread.
 
     Parameters
@@ -126,7 +121,7 @@ def room_for(finder: ContactFinder) -> Any:
     """
     bodies, n, triangles = len(finder.tools.grown), finder.n_points, len(finder.triangles)
 
-    def longs(*shape: int) -> Any:
+    def longs(*shape: int) -> Longs:
         return np.zeros(shape, dtype=np.int64)
 
     # Where more points are found than a contact set has room for, Python selects from them.
@@ -150,18 +145,18 @@ def room_for(finder: ContactFinder) -> Any:
 
 
 @kernel
-def take_poses(worlds: Any, copies: Any, poses: Any, course: Any) -> None:
+def take_poses(worlds: Sequence[World], copies: Longs, poses: Floats, course: Course) -> None:
     """Give the bodies of some copies new poses.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Row of the copies' worlds; updated.
-    copies : Any, shape (k,)
+    copies : Longs, shape (k,)
         Which copies.
-    poses : Any, shape (k, B, 7), m and unit quaternions xyzw
+    poses : Floats, shape (k, B, 7), m and unit quaternions xyzw
         The poses.
-    course : Any
+    course : Course
         Course of the copies; updated.
     """
     for index in range(len(copies)):
@@ -174,26 +169,26 @@ def take_poses(worlds: Any, copies: Any, poses: Any, course: Any) -> None:
 
 
 @kernel
-def advance_copies(worlds: Any, course: Any, tables: Any, room: Any, copies: Any) -> int:
+def advance_copies(worlds: Sequence[World], course: Course, tables: Tables, room: Room, copies: Longs) -> int:
     """Advance copies one after the other by the ticks that are left of each.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Row of the copies' worlds; updated.
-    course : Any
+    course : Course
         Course of the copies; updated.
-    tables : Any
+    tables : Tables
         Tables of the organ and the bodies.
-    room : Any
+    room : Room
         Working memory of this thread.
-    copies : Any, shape (k,)
+    copies : Longs, shape (k,)
         Which copies.
 
     Returns
     -------
     int
-        The copy whose contacts Python has to find before it goes on; NOBODY when all is done.
+        The copy whose contacts Python has to find before it goes on; NO_COPY when all is done.
     """
     for index in range(len(copies)):
         copy = copies[index]
@@ -208,11 +203,11 @@ def advance_copies(worlds: Any, course: Any, tables: Any, room: Any, copies: Any
             course.ticks[copy] += 1
             course.left[copy] -= 1
             tick(world)
-    return NOBODY
+    return NO_COPY
 
 
 @kernel
-def _search(world: Any, course: Any, copy: int, tables: Any, room: Any) -> bool:
+def _search(world: World, course: Course, copy: int, tables: Tables, room: Room) -> bool:
     """Write the contact set of a copy to room.found; return False where a body needs what only the finder can do.
 
     That is the way out for a body that has slipped in, the nearest points of triangles too coarse for a body, the
@@ -270,7 +265,7 @@ def _search(world: Any, course: Any, copy: int, tables: Any, room: Any) -> bool:
 
 
 @kernel
-def _margin(state: Any, shapes: Any, course: Any, copy: int, body: int) -> float:
+def _margin(state: State, shapes: Shapes, course: Course, copy: int, body: int) -> float:
     """Return what `finder.reach_margins` does for a body, m."""
     goal = state.body_goal[body]
     covered = distance_along_path(state.body_pose[body], goal, shapes.extent[body])
@@ -280,7 +275,7 @@ def _margin(state: Any, shapes: Any, course: Any, copy: int, body: int) -> float
 
 
 @kernel
-def _fill(found: Any, points: Any, count: int, tables: Any) -> None:
+def _fill(found: ContactSet, points: Found, count: int, tables: Tables) -> None:
     """Write the first points that were found to a contact set."""
     found.header.points, found.header.dropped = count, 0
     for point in range(count):
@@ -294,7 +289,7 @@ def _fill(found: Any, points: Any, count: int, tables: Any) -> None:
 
 
 @kernel
-def _is_swallowed(position: Any, pose: Any, body: int, tables: Any, room: Any) -> bool:
+def _is_swallowed(position: Floats, pose: Floats, body: int, tables: Tables, room: Room) -> bool:
     """Return whether one of a body's centre points lies inside the surface; the body's matrix is in room.
 
     The triangles that the ray along z from the point crosses are counted, downwards against upwards.
@@ -315,7 +310,7 @@ def _is_swallowed(position: Any, pose: Any, body: int, tables: Any, room: Any) -
 
 
 @kernel
-def _crossings(position: Any, triangles: Any, x: float, y: float, z: float) -> int:
+def _crossings(position: Floats, triangles: Longs, x: float, y: float, z: float) -> int:
     """Return how many triangles a ray along z leaves through, less those that it enters through: 1 from inside.
 
     Where the ray meets an edge, it counts for one of its two triangles: `_side` is the same number for both, with the
@@ -343,7 +338,7 @@ def _crossings(position: Any, triangles: Any, x: float, y: float, z: float) -> i
 
 
 @kernel
-def _side(position: Any, i: int, j: int, x: float, y: float) -> float:
+def _side(position: Floats, i: int, j: int, x: float, y: float) -> float:
     """Return on which side of the edge from node i to node j a point lies, seen along z; not 0 in one direction."""
     low, high = min(i, j), max(i, j)
     a, b = position[low], position[high]
@@ -354,14 +349,14 @@ def _side(position: Any, i: int, j: int, x: float, y: float) -> float:
 
 
 @kernel
-def read_surfaces(worlds: Any, found: Any) -> None:
+def read_surfaces(worlds: Sequence[World], found: Floats) -> None:
     """Read where the surfaces of all copies are, carried by the breath.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Row of the copies' worlds.
-    found : Any, shape (n, n_surface, 3), m
+    found : Floats, shape (n, n_surface, 3), m
         The positions; updated.
     """
     for copy in range(len(worlds)):
@@ -372,16 +367,16 @@ def read_surfaces(worlds: Any, found: Any) -> None:
 
 
 @kernel
-def read_tools(worlds: Any, poses: Any, wrenches: Any) -> None:
+def read_tools(worlds: Sequence[World], poses: Floats, wrenches: Floats) -> None:
     """Read where the bodies of all copies are, and what they feel.
 
     Parameters
     ----------
-    worlds : Any
+    worlds : Sequence[World]
         Row of the copies' worlds.
-    poses : Any, shape (n, B, 7), m and quaternion xyzw
+    poses : Floats, shape (n, B, 7), m and quaternion xyzw
         Their poses, carried by the breath; updated.
-    wrenches : Any, shape (n, B, 6), N and N m
+    wrenches : Floats, shape (n, B, 6), N and N m
         Their wrenches; updated.
     """
     for copy in range(len(worlds)):

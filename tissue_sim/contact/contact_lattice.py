@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.contact.broad_phase import Fineness, Lattices
+from tissue_sim.contact.contact_points import Fineness, Lattices
 from tissue_sim.contact.touched_surface import TouchedSurface
 
 COARSEST = 0.75  # of a tool's smallest radius: distance of contact points beyond which the nearest is added

@@ -8,7 +8,8 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.blade_cuts import BladeCuts
-from tissue_sim.contact.finder import ContactFinder, Sought, reach_margins
+from tissue_sim.contact.finder import ContactFinder, Sought
+from tissue_sim.contact.reach_margins import reach_margins
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.model.data.contact_set import ContactSet, Engaged
 from tissue_sim.model.simulation import Simulation
@@ -91,8 +92,8 @@ class ContactOrgan:
         goal, places = state.body_goal.copy(), state.body_pose.copy()
         # A set before every tick holds everything on a tool's path; otherwise also what it may reach until the next
         # one.
-        share, last = (0.0, goal) if self._ticks_a_set == 1 or self.set_goal is None else (2.0, self.set_goal)
-        margins = reach_margins(places, goal, last, share, self.finder.tools.shapes.extent)
+        fraction, last = (0.0, goal) if self._ticks_a_set == 1 or self.set_goal is None else (2.0, self.set_goal)
+        margins = reach_margins(places, goal, last, fraction, self.finder.tools.shapes.extent)
         self.set_goal = goal
         releases = state.bodies.releases.copy()
         found = self.finder.find(self.simulation.positions, Sought(places, margins, fresh, pushing, releases))

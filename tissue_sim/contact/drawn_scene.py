@@ -63,7 +63,7 @@ def body_shapes(tools: ToolSet) -> list[tuple[Floats, Longs]]:
 
 
 def body_poses(simulation: Simulation) -> list[Floats | None]:
-    """Return the pose (7,) of each body, m and quaternion xyzw; None for one that nobody has moved.
+    """Return the pose (7,) of each body, m and quaternion xyzw; None for one that has not been moved.
 
     Parameters
     ----------

@@ -11,18 +11,13 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.broad_phase import (
-    Fineness,
-    Found,
     Near,
     Placed,
-    Search,
     body_box,
     boxes_apart,
     boxes_meet,
     holds_node,
     nearest_node,
-    points_near,
-    set_compliance,
     surface_box,
     triangles_in_box,
 )
@@ -34,12 +29,12 @@ from tissue_sim.contact.contact_lattice import (
     fineness_of,
     lattices,
 )
+from tissue_sim.contact.contact_points import Fineness, Found, Search, points_near, set_compliance
 from tissue_sim.contact.local_compliance import OF_BALLS, OF_OTHERS, extra_compliance_between_nodes, most_give
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.contact.triangles import nearest_among, nearest_weights
 from tissue_sim.model.contact.shapes import rotation_matrix
-from tissue_sim.model.contact.tool_motion import distance_along_path
 from tissue_sim.model.cutting.cut import CutOrgan
 from tissue_sim.model.data.contact_set import MOST_POINTS, POINT_NODES, ContactSet, Engaged, contact_set
 from tissue_sim.model.data.shapes import CONVEX, GRID, SPHERE
@@ -47,7 +42,6 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
 
-MOST_MARGIN = 0.01  # m: a tool that is farther from its goal moves there in steps, with a contact set for each
 TISSUE_WAY = 0.001  # m that tissue may come nearer to a tool before the next set, for which the reach leaves room
 AJAR = 1e-4  # m, width of a cut from which a tool that has slipped in is put into it
 TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
@@ -141,8 +135,8 @@ class ContactFinder:
             room = np.zeros(len(each)) if is_fine else most_give(give, organ, size, each / parts)
             # A point has one part in the square of its parts of a node's area.
             whole = parts[0] ** 2
-            share = np.square(parts.astype(np.float64)) / whole
-            self.finenesses.append(fineness_of(surface, parts, np.stack([share, room], axis=1)))
+            fraction = np.square(parts.astype(np.float64)) / whole
+            self.finenesses.append(fineness_of(surface, parts, np.stack([fraction, room], axis=1)))
             compliance.append(whole * surface.compliance(size))
         self.compliance = np.reshape(compliance, (len(compliance), self.n_points, 2))
         self.between = np.array(
@@ -332,8 +326,8 @@ class ContactFinder:
     def _add_nearest(self, body: int, position: Floats, some: int, origin: Floats, count: int) -> int:
         """Add the point nearest to a body, by FCL, of each triangle that is too coarse for its lattice.
 
-        The points of a lattice stay where they are on the tissue, while the nearest one moves, and its steps may be
-        felt. But a needle would slip between those of the lattice.
+        The points of a lattice stay where they are on the tissue, while the nearest one moves, and the force may
+        step with it. But a needle would slip between those of the lattice.
         """
         result, near = fcl.CollisionResult(), self._found[:some]
         fcl.collide(fcl.CollisionObject(_fcl_model(position, near)), self._placed(body, origin), _ALL, result)
@@ -372,54 +366,6 @@ class ContactFinder:
         weight, distance = nearest_weights(corners, np.repeat(point[None], len(around), axis=0))
         chosen = int(np.argmin(distance))
         return int(around[chosen]), weight[chosen], float(distance[chosen])
-
-
-def reach_margins(places: Floats, goals: Floats, last: Floats, share: float, extents: Floats) -> Floats:
-    """Return the margins beyond MARGIN for bodies that move towards goals.
-
-    A margin covers the distance to the goal, and a possible motion until the next set, `share` times the motion since
-    the last one, beyond half of MARGIN; in whole mm, so that a journal can hold it.
-
-    Parameters
-    ----------
-    places : Floats, shape (T, 7)
-        Present poses.
-    goals : Floats, shape (T, 7)
-        Goals.
-    last : Floats, shape (T, 7)
-        Goals at the last set.
-    share : float
-        Factor of the motion since the last set.
-    extents : Floats, shape (T,), m
-        `Shapes.extent`.
-
-    Returns
-    -------
-    Floats, shape (T,), m
-        Margins.
-    """
-    covered = ways(places, goals, extents) + share * ways(last, goals, extents)
-    return 1e-3 * np.ceil(1e3 * np.clip(covered - 0.5 * MARGIN, 0.0, MOST_MARGIN))
-
-
-def ways(poses: Floats, others: Floats, extents: Floats) -> Floats:
-    """Return bounds on how far points of bodies lie apart in two poses each.
-
-    Parameters
-    ----------
-    poses : Floats, shape (T, 7)
-        Poses.
-    others : Floats, shape (T, 7)
-        Other poses.
-    extents : Floats, shape (T,), m
-        `Shapes.extent`.
-
-    Returns
-    -------
-    Floats, shape (T,), m
-        Bounds.
-    """
-    return np.array([distance_along_path(*one) for one in zip(poses, others, extents, strict=True)])
 
 
 def _longer(way: Floats, beyond: float) -> Floats:

@@ -13,7 +13,7 @@ from tissue_sim.contact.gripper import Jaws
 
 DEPTH = 0.022  # m from the tip of the pole to the tips of the jaws
 WITHIN = 0.4  # fraction of a gripper's length between the jaws that tissue may fill: the hinge stays outside
-SQUEEZED = 0.5  # fraction of the width that the closed jaws leave
+COMPRESSED = 0.5  # fraction of the width that the closed jaws leave
 CLEARANCE = 0.010  # m that the open jaws have beyond the width
 
 
@@ -47,7 +47,15 @@ class Grasp(NamedTuple):
     closed: float
 
 
-def at_lower_pole(vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, scale: float = 1.0) -> Grasp:
+def lower_pole(vertices: Floats) -> Floats:
+    """Return the axes (3, 3) of points (n, 3): the longest one, downwards, +z being up; the second; and the third."""
+    long, across, thick = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2]
+    return np.stack([long if long[2] <= 0.0 else -long, across, thick])
+
+
+def at_lower_pole(
+    vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, scale: float = 1.0, out: Floats | None = None
+) -> Grasp:
     """Return a grasp of a closed surface at the lower end of its longest axis, +z being up.
 
     The jaws close along its second axis.
@@ -62,6 +70,8 @@ def at_lower_pole(vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, 
         The gripper.
     scale : float, optional
         Factor of the depth, for organs smaller than a kidney.
+    out : Floats | None, optional, shape (3,)
+        Unit direction from which the gripper comes, in place of that axis; the others are turned with it.
 
     Returns
     -------
@@ -73,8 +83,10 @@ def at_lower_pole(vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, 
     ValueError
         Where the jaws can't take hold, with the reason.
     """
-    long, across, thick = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2]
-    out = long if long[2] <= 0.0 else -long
+    axes = lower_pole(vertices)
+    if out is not None:
+        axes = axes @ _shortest_turn(axes[0], out).T
+    out, across, thick = axes
     tip = vertices[np.argmax(vertices @ out)]
     depth = min(scale * DEPTH, WITHIN * jaws.length)
     outline = _cut(vertices[triangles], (tip - depth * out), out)
@@ -87,10 +99,18 @@ def at_lower_pole(vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, 
     width = float(np.ptp(ends))
     turn = Rotation.from_matrix(np.stack([across, np.cross(-out, across), -out], axis=1)).as_quat()
     try:
-        opened, closed = jaws.angle(width + CLEARANCE), jaws.angle(SQUEEZED * width)
+        opened, closed = jaws.angle(width + CLEARANCE), jaws.angle(COMPRESSED * width)
     except ValueError as error:
         raise ValueError(f"its lower pole is {1e3 * width:.3g} mm wide, and {error}") from None
     return Grasp(place, np.asarray(turn), out, depth, width, opened, closed)
+
+
+def _shortest_turn(start: Floats, end: Floats) -> Floats:
+    """Return the matrix (3, 3) that turns one unit direction to another, which isn't the opposite one."""
+    axis = np.cross(start, end)
+    sine = float(np.linalg.norm(axis))
+    angle = np.arctan2(sine, start @ end)
+    return np.asarray(Rotation.from_rotvec(angle / max(sine, 1e-12) * axis).as_matrix())
 
 
 def _cut(pieces: Floats, point: Floats, normal: Floats) -> Floats:
@@ -103,6 +123,6 @@ def _cut(pieces: Floats, point: Floats, normal: Floats) -> Floats:
     crosses = above[:, first] != above[:, second]  # none or two edges of a triangle
     piece, edge = np.nonzero(crosses)
     start, end = height[piece, first[edge]], height[piece, second[edge]]
-    share = (start / (start - end))[:, None]
-    points = (1.0 - share) * pieces[piece, first[edge]] + share * pieces[piece, second[edge]]
+    fraction = (start / (start - end))[:, None]
+    points = (1.0 - fraction) * pieces[piece, first[edge]] + fraction * pieces[piece, second[edge]]
     return np.asarray(points.reshape(-1, n - 1, 3))

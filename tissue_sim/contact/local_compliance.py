@@ -59,8 +59,8 @@ OF_OTHERS = ComplianceLimits(spacing=0.75, most=0.5, covered=1.0, between=0.0)
 def most_give(give: ComplianceLimits, organ: Organ, smallest: float, spacing: Floats) -> Floats:
     """Return how far tissue may give way (t,), m; what sank in farther would slip between points spacing (t,) m apart.
 
-    smallest: radius of the finest thing about the tool, m. Waves that nodes don't carry are of a layer under the
-    surface, LAYER of an edge deep; it isn't squeezed by more than that.
+    smallest: radius of the finest feature of the tool, m. Waves that nodes don't carry are of a layer under the
+    surface, LAYER of an edge deep; it isn't compressed by more than that.
     """
     slips = smallest - give.covered * STRETCHED * spacing
     return np.clip(slips, 0.0, min(give.most * smallest, LAYER * mean_edge(organ)))

@@ -19,7 +19,7 @@ from tissue_sim.contact.scene_copy import copied_scene, memory_of
 from tissue_sim.errors import UserError
 from tissue_sim.handles import row
 
-TAKEN = 0.5  # part of a thread's share of what is left that it takes at once
+TAKEN = 0.5  # part of a thread's equal share of what is left that it takes at once
 
 
 class SceneBatch:
@@ -252,7 +252,7 @@ class SceneBatch:
     def restore(self, states: ArrayLike, copies: ArrayLike | None = None) -> None:
         """Continue from states that `save` has returned.
 
-        Where organs may touch themselves, a wall that was passed is found anew.
+        Where organs may touch themselves, a wall that was passed is found again.
 
         Parameters
         ----------
@@ -297,15 +297,15 @@ class SceneBatch:
         read_tools(self._worlds[0], poses, wrenches)
         return poses, wrenches
 
-    def _of_tools(self, poses: Floats, felt: Floats) -> Floats:
+    def _of_tools(self, poses: Floats, wrenches: Floats) -> Floats:
         """Return the wrenches (n, T, 6) of tools about their origins from those of their bodies (n, B, 6)."""
-        if felt.shape[1] == len(self.tools.tools):
-            return felt
+        if wrenches.shape[1] == len(self.tools.tools):
+            return wrenches
         total = np.empty((len(self), len(self.tools.tools), 6))
         for tool, own in enumerate(self.tools.bodies):
             arms = poses[:, own, :3] - self._given[:, tool, None, :3]
-            total[:, tool] = felt[:, own].sum(axis=1)
-            total[:, tool, 3:] += np.cross(arms, felt[:, own, :3]).sum(axis=1)
+            total[:, tool] = wrenches[:, own].sum(axis=1)
+            total[:, tool, 3:] += np.cross(arms, wrenches[:, own, :3]).sum(axis=1)
         return total
 
     def _chosen(self, copies: ArrayLike | None) -> Longs:

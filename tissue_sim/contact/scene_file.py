@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -132,7 +131,7 @@ class SceneFile:
         Raises
         ------
         UserError
-            When things don't fit together.
+            When the parts don't fit together.
         """
         return join(simulations, self.attachments, self.breathing, self.breathes, self.friction)
 
@@ -149,7 +148,7 @@ class SceneFile:
         Raises
         ------
         UserError
-            When things don't fit together.
+            When the parts don't fit together.
         """
         made = Scene(
             self.organs,
@@ -196,7 +195,7 @@ class _Wrong(Exception):
     """Error about an entry, with which the message begins."""
 
 
-def _organ(path: Path, entry: Any, where: str) -> tuple[str, Organ, float, float]:
+def _organ(path: Path, entry: object, where: str) -> tuple[str, Organ, float, float]:
     said = _object(entry, where, _OF_ORGAN)
     name = said.get("name")
     if not (isinstance(name, str) and name.isidentifier() and name.isascii()):
@@ -217,7 +216,7 @@ def _organ(path: Path, entry: Any, where: str) -> tuple[str, Organ, float, float
     return name, there, stiffness, _number(said.get("breathes", 0.0), f"{where}.breathes", -1.0, 1.0)
 
 
-def _attachment(entry: Any, names: Sequence[str], where: str) -> Attachment:
+def _attachment(entry: object, names: Sequence[str], where: str) -> Attachment:
     said = _object(entry, where, _OF_ATTACHMENT)
     if ("between" in said) == ("of" in said):
         raise _Wrong(f"{where} needs either 'between' with two organs, or 'of' with one and a 'point'")
@@ -243,7 +242,7 @@ def _attachment(entry: Any, names: Sequence[str], where: str) -> Attachment:
     )
 
 
-def _breathing(entry: Any) -> Breathing:
+def _breathing(entry: object) -> Breathing:
     said = _object(entry, "breathing", _OF_BREATHING)
     rate = _number(said["rate"], "breathing.rate", 1.0, 120.0) if "rate" in said else 0.0
     return Breathing(rate, _numbers(said.get("way"), "breathing.way", 3, 0.2))
@@ -252,7 +251,7 @@ def _breathing(entry: Any) -> Breathing:
 # kinds of values ---------------------------------------------------------------------------------
 
 
-def _object(value: Any, where: str, keys: Sequence[str]) -> Mapping[str, Any]:
+def _object(value: object, where: str, keys: Sequence[str]) -> Mapping[str, Any]:
     if not isinstance(value, dict):
         raise _Wrong(f"{where} is {shown(repr(value))}; expected: {', '.join(keys)}")
     for key in value:
@@ -263,25 +262,25 @@ def _object(value: Any, where: str, keys: Sequence[str]) -> Mapping[str, Any]:
     return value
 
 
-def _list(value: Any, where: str) -> list[Any]:
+def _list(value: object, where: str) -> list[Any]:
     if not isinstance(value, list):
         raise _Wrong(f"{where} is {shown(repr(value))}; expected: a list")
     return value
 
 
-def _number(value: Any, where: str, low: float, high: float) -> float:
-    if type(value) not in (int, float) or not math.isfinite(value) or not low <= value <= high:
+def _number(value: object, where: str, low: float, high: float) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:  # nor NaN
         raise _Wrong(f"{where} is {shown(repr(value))}; expected: a number in {low:g}..{high:g}")
     return float(value)
 
 
-def _numbers(value: Any, where: str, count: int, most: float) -> list[float]:
+def _numbers(value: object, where: str, count: int, most: float) -> list[float]:
     if not isinstance(value, list) or len(value) != count:
         raise _Wrong(f"{where} is {shown(repr(value))}; expected: {count} numbers")
     return [_number(one, f"{where}[{place}]", -most, most) for place, one in enumerate(value)]
 
 
-def _nodes(value: Any, where: str, ends: int) -> list[Any]:
+def _nodes(value: object, where: str, ends: int) -> list[Any]:
     wanted = "a list of nodes" if ends == 1 else "a list of pairs of nodes"
     rows = _list(value, where)
     flat = rows if ends == 1 else [node for row in rows for node in (row if isinstance(row, list) else [None])]

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.contact.broad_phase import add_normals, approach
+from tissue_sim.contact.broad_phase import approach
+from tissue_sim.contact.contact_points import add_normals
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.contact.triangles import nearest_of_face
 from tissue_sim.jit import kernel

@@ -164,7 +164,7 @@ class ToolSet:
             body.size[0] or float(np.linalg.norm(body.corners - middle[0], axis=1).max())
             for body, middle in zip(bodies, self.middle, strict=True)
         ]
-        self.smallest = [body.smallest for body in bodies]  # m, radius of the finest thing about the body
+        self.smallest = [body.smallest for body in bodies]  # m, radius of the finest feature of the body
         self.meshes = [body.mesh for body in bodies]  # None for spheres and capsules
         self.shapes = make_shapes(
             [body.kind for body in bodies],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -46,11 +44,11 @@ class TouchedSurface:
         # (t,) whether a triangle is one of the uncut surface; what a cut has made has edges and an area of its own.
         self.is_old: Mask = self.is_outer & (self.triangles < organ.n_surface).all(axis=1)
         self._nodes, self._weights = cut.nodes, cut.weights
-        self._cell, self._share = np.zeros((0, POINT_NODES), dtype=np.int64), np.zeros((0, 3, POINT_NODES))
+        self._cell, self._fraction = np.zeros((0, POINT_NODES), dtype=np.int64), np.zeros((0, 3, POINT_NODES))
         # (t,) triangles with more than one cell under them, where flat cells were left out: only corners are touched.
         self.is_loose: Mask = np.zeros(len(self.triangles), dtype=bool)
         if self.is_cut:
-            self._cell, self._share, self.is_loose = _cells_under(self.triangles, cut)
+            self._cell, self._fraction, self.is_loose = _cells_under(self.triangles, cut)
         self._points = np.zeros((self.n_points, 3))
         self.rest: Floats = self.at(organ.rest_positions).copy()  # (p, 3) m, or of all nodes where these are the points
 
@@ -124,7 +122,7 @@ class TouchedSurface:
         nodes[plain], weights[plain] = point[plain, None], (1.0, 0.0, 0.0, 0.0)
         inner = ~single & ~self.is_old[triangle]
         nodes[inner] = self._cell[triangle[inner]]
-        weights[inner] = np.einsum("kc,kcn->kn", weight[inner], self._share[triangle[inner]])
+        weights[inner] = np.einsum("kc,kcn->kn", weight[inner], self._fraction[triangle[inner]])
         return nodes, weights
 
     def compliance(self, smallest: float) -> Floats:
@@ -176,9 +174,9 @@ class TouchedSurface:
     def _from_nodes(self, values: Floats) -> Floats:
         """Return values (n_surface, m) of the uncut surface's nodes at the new points, by their distances."""
         apart, node = cKDTree(self.organ.surface_positions).query(self.rest[self.n_surface :], k=NEIGHBOURS)
-        share = 1.0 / np.maximum(apart, 1e-6)
-        share /= share.sum(axis=1, keepdims=True)
-        found: Floats = np.einsum("pk,pkm->pm", share, values[node])
+        fraction = 1.0 / np.maximum(apart, 1e-6)
+        fraction /= fraction.sum(axis=1, keepdims=True)
+        found: Floats = np.einsum("pk,pkm->pm", fraction, values[node])
         return found
 
 
@@ -209,7 +207,7 @@ def _cells_under(triangles: Ints, cut: CutSurface) -> tuple[Longs, Floats, Mask]
 
 
 @kernel
-def _place(position: Any, nodes: Any, weights: Any, own: int, points: Any) -> None:
+def _place(position: Floats, nodes: Longs, weights: Floats, own: int, points: Floats) -> None:
     """Write where points (p, 3) m are, of which the first `own` are nodes."""
     for point in range(own):
         for axis in range(3):

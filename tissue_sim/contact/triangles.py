@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,7 +56,7 @@ def nearest_weights(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
 
 
 @kernel
-def _find_nearest(corners: Any, points: Any, weights: Any, distances: Any) -> None:
+def _find_nearest(corners: Floats, points: Floats, weights: Floats, distances: Floats) -> None:
     """Compute what `nearest_weights` returns."""
     for t in range(len(corners)):
         nearest_of_face(corners[t], points[t], weights[t])
@@ -94,13 +94,13 @@ def nearest_among(corners: Floats, points: Floats) -> tuple[Longs, Floats, Float
 class _Nearest(NamedTuple):
     """Room for the places that are nearest to points."""
 
-    number: Any  # (k,) of the triangles that they are on
-    weights: Any  # (k, 3) barycentric
-    distances: Any  # (k,) m
+    number: Longs  # (k,) of the triangles that they are on
+    weights: Floats  # (k, 3) barycentric
+    distances: Floats  # (k,) m
 
 
 @kernel
-def _find_nearest_among(corners: Any, points: Any, about: Any, weight: Any, found: Any) -> None:
+def _find_nearest_among(corners: Floats, points: Floats, about: Floats, weight: Floats, found: _Nearest) -> None:
     """Compute what `nearest_among` returns; about (t, 7): buffer for centres, radii and unit normals."""
     for t in range(len(corners)):
         _survey(corners[t], about[t])
@@ -127,7 +127,7 @@ def _find_nearest_among(corners: Any, points: Any, about: Any, weight: Any, foun
 
 
 @kernel
-def _survey(corner: Any, about: Any) -> None:
+def _survey(corner: Floats, about: Floats) -> None:
     """Write a triangle's centre (3,), the farthest corner's distance from it, and its unit normal (3,)."""
     square = 0.0
     for c in range(3):
@@ -149,16 +149,16 @@ def _survey(corner: Any, about: Any) -> None:
 
 
 @kernel
-def nearest_of_face(corner: Any, point: Any, weight: Any) -> None:
+def nearest_of_face(corner: Floats, point: Floats, weight: Floats) -> None:
     """Compute the barycentric weights of the place under the point, or of the nearest place of the edges.
 
     Parameters
     ----------
-    corner : Any, shape (3, 3), m
+    corner : Floats, shape (3, 3), m
         Corners of the triangle.
-    point : Any, shape (3,), m
+    point : Floats, shape (3,), m
         The point.
-    weight : Any, shape (3,)
+    weight : Floats, shape (3,)
         Receives the weights.
     """
     ax, ay, az = corner[1, 0] - corner[0, 0], corner[1, 1] - corner[0, 1], corner[1, 2] - corner[0, 2]
@@ -176,21 +176,21 @@ def nearest_of_face(corner: Any, point: Any, weight: Any) -> None:
             return
     least = math.inf
     for c in range(3):
-        share, apart = _nearest_of_edge(corner[c], corner[(c + 1) % 3], point)
+        fraction, apart = _nearest_of_edge(corner[c], corner[(c + 1) % 3], point)
         if apart < least:
             least = apart
-            weight[c], weight[(c + 1) % 3], weight[(c + 2) % 3] = 1.0 - share, share, 0.0
+            weight[c], weight[(c + 1) % 3], weight[(c + 2) % 3] = 1.0 - fraction, fraction, 0.0
 
 
 @kernel
-def _nearest_of_edge(start: Any, end: Any, point: Any) -> tuple[float, float]:
+def _nearest_of_edge(start: Floats, end: Floats, point: Floats) -> tuple[float, float]:
     """Return the fraction from start to end (3,) m where an edge is nearest to a point, and the distance, m^2."""
     along = length = 0.0
     for c in range(3):
         along += (end[c] - start[c]) * (point[c] - start[c])
         length += (end[c] - start[c]) ** 2
-    share = 0.0 if length == 0.0 else min(max(along / length, 0.0), 1.0)
+    fraction = 0.0 if length == 0.0 else min(max(along / length, 0.0), 1.0)
     apart = 0.0
     for c in range(3):
-        apart += (start[c] + share * (end[c] - start[c]) - point[c]) ** 2
-    return share, apart
+        apart += (start[c] + fraction * (end[c] - start[c]) - point[c]) ** 2
+    return fraction, apart

@@ -129,11 +129,6 @@ class Instrument:
         self._jaw = next((joint for joint in joints.values() if joint.name == jaw), None)
         self._places = functools.lru_cache(maxsize=4)(self._placed)
 
-    @property
-    def has_jaw(self) -> bool:
-        """Whether a joint moves its jaws."""
-        return self._jaw is not None
-
     def places(self, angle: float) -> list[Place]:
         """Return where its parts are on the tool.
 

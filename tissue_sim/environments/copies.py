@@ -10,18 +10,16 @@ from tissue_sim.array_types import Floats, Longs, Mask, Singles
 from tissue_sim.contact.quaternions import multiply
 from tissue_sim.contact.scene_batch import SceneBatch
 from tissue_sim.environments.steering import (
+    TURN,
     Sensed,
     clipped,
     declared,
-    facing,
     moved_jaws,
     moved_tip,
     observation_of,
 )
-from tissue_sim.environments.tasks import HELD, OPEN, RATE, STEP, Judged, Now, task_of
+from tissue_sim.environments.tasks import HELD, RATE, STEP, Judged, Now, task_of
 from tissue_sim.organ.organ import Organ
-
-TURN = 0.35  # rad by which the organ is turned at most, about z
 
 
 class Stepped(NamedTuple):
@@ -83,12 +81,11 @@ class TaskCopies:
             drawn = self.task.draw(random, self.organ)
             self._place[copy], self._outward[copy], self._start[copy] = drawn.place, drawn.outward, drawn.start
             self._tip[copy], self._wanted[copy], self._half[copy] = drawn.start, drawn.wanted, drawn.half
-            self._angle[copy] = OPEN if self.task.has_jaws else 0.0
+            self._angle[copy], self._turned[copy] = drawn.angle, drawn.turned
             self._shift[copy] = self.task.shift * random.uniform(-1.0, 1.0, 3)
             self._heading[copy] = random.uniform(-TURN, TURN)
             apart = np.linalg.norm(self.organ.surface_positions - drawn.place, axis=1)
             self._node[copy] = np.argmin(apart)
-            self._turned[copy] = facing(-drawn.outward) if self.task.has_jaws else [0.0, 0.0, 0.0, 1.0]
             self.batch.set_stiffness(drawn.stiffness, [copy])
         self._held[copies] = 0
         self._send(copies)
@@ -161,7 +158,7 @@ class TaskCopies:
         forces = self.batch.wrenches[:, 0, :3]
         surface = self.batch.surface_positions()[np.arange(len(forces)), self._node]
         pushed = np.einsum("nx,nx->n", forces, self._outward)
-        lifted = np.einsum("nx,nx->n", surface - self._place, self._outward)
+        lifted = np.einsum("nx,nx->n", surface - self.organ.surface_positions[self._node], self._outward)
         tips = self.batch.poses[:, 0, :3]
         sizes = np.linalg.norm(forces, axis=1)
         return Now(self._place, self._outward, self._wanted, tips, pushed, sizes, lifted, declared)

@@ -3,7 +3,7 @@
 A guard slides on the tissue, and a blade of a chosen length protrudes below it. Where the guard touches, its place in
 the organ's rest coordinates joins the way of the blade. When the agent says that it has finished, the organ is cut
 along that way, as `Scene.cut` does it, and the report of that cut is judged. The blade meets no resistance, unlike
-a tool of shape blade: only the guard is felt.
+a tool of shape blade: only the guard exerts a force.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ class CutCopies(TaskCopies):
         """Return what a step is worth, and at the end the cut."""
         self._blade = np.clip(self._blade + STEP * BLADE_SPEED * given[:, 3], 0.0, LONGEST_BLADE)
         tips = self.batch.poses[:, 0, :3]
-        felt = np.linalg.norm(self.batch.wrenches[:, 0, :3], axis=1)
-        self._peak = np.maximum(self._peak, felt)
-        self._note(tips, felt)
+        force = np.linalg.norm(self.batch.wrenches[:, 0, :3], axis=1)
+        self._peak = np.maximum(self._peak, force)
+        self._note(tips, force)
         line = self._lines()
         away = np.linalg.norm(line - tips[:, None], axis=2)
         away = np.where(self._is_cut, np.inf, away).min(axis=1)
@@ -70,10 +70,10 @@ class CutCopies(TaskCopies):
             reward[copy] += worth
         return Judged(reward, is_good, finished)
 
-    def _note(self, tips: Floats, felt: Floats) -> None:
+    def _note(self, tips: Floats, force: Floats) -> None:
         """Note where blades are in the tissue, in the organ's rest coordinates."""
         surfaces, rest, normals = self.batch.surface_positions(), self.organ.surface_positions, self._normals
-        for copy in np.flatnonzero((felt > TOUCH) & (self._blade > 0.0)).tolist():
+        for copy in np.flatnonzero((force > TOUCH) & (self._blade > 0.0)).tolist():
             node = int(np.argmin(np.linalg.norm(surfaces[copy] - tips[copy], axis=1)))
             # The guard dents the tissue between the nodes, too: its place on the surface at rest is what counts.
             point = tips[copy] - (surfaces[copy, node] - rest[node])
@@ -85,8 +85,8 @@ class CutCopies(TaskCopies):
 
     def _lines(self) -> Floats:
         """Return points (n, SAMPLES, 3) m of the lines."""
-        share = np.linspace(-1.0, 1.0, SAMPLES)[None, :, None]
-        return np.asarray(self._place[:, None] + share * self._half[:, None])
+        fraction = np.linspace(-1.0, 1.0, SAMPLES)[None, :, None]
+        return np.asarray(self._place[:, None] + fraction * self._half[:, None])
 
     def _across(self, copy: int, ways: Floats) -> Floats:
         """Return ways (k, 3) as they are seen along the normal at the place."""

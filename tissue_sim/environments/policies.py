@@ -13,12 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Floats, Longs, Mask
+from tissue_sim.environments.belief import TOUCH, Belief, Shape
+from tissue_sim.environments.steering import TURN
+from tissue_sim.environments.tasks import HINGE, RADIUS, Palpate
 from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_file
 
 FORMAT = 1  # of a policy's file
 CM = 0.01  # m
+SEARCHED = 180  # steps of a search
+TOUCH_TO_TELL = 0.06  # N, a little more than what counts as touching
 LEAK = 0.98  # of a sum over steps, from one to the next
 Seen = Mapping[str, Any]  # observations of n agents, by name
 
@@ -30,7 +36,7 @@ class Policy:
     weights: tuple[str, ...] = ("beside", "lack", "far")
     start: tuple[float, ...] = (0.0, 0.0, 0.0)  # weights that learning begins with
 
-    def __init__(self, count: int = 1) -> None:
+    def __init__(self, count: int = 1, organ: Organ | None = None) -> None:  # only some know the organ
         self.memory = np.zeros((count, 4))  # of each agent, zero when its episode begins
 
     def forget(self, agents: Longs) -> None:
@@ -65,7 +71,7 @@ class HoldPolicy(Policy):
     start = (0.0,) * 5
 
     def _push(self, w: Floats, lack: Floats) -> Floats:
-        """Return the speed outwards (n,), also by the sum and the change of what lacks once something is felt."""
+        """Return the speed outwards (n,), also by the sum and the change of the missing force once there is one."""
         changed = np.where(self.memory[:, 2] > 0.0, lack - self.memory[:, 1], 0.0)
         self.memory[:, 0] = LEAK * self.memory[:, 0] + lack * (lack < 1.0)
         self.memory[:, 1], self.memory[:, 2] = lack, 1.0
@@ -73,41 +79,84 @@ class HoldPolicy(Policy):
 
 
 class RetractPolicy(Policy):
-    """Retract: go to a depth at the place, close the jaws there, and lift once they are closed."""
+    """Retract: go down beside the pole with open jaws, close them on a part of its width, and lift."""
 
     task = "Retract"
-    weights = ("beside", "depth", "approach", "jaws", "open", "closed", "lift")
-    start = (-2.0, -1.0, -2.0, -1.0, 3.0, 0.0, 0.2)  # set by hand: by chance, tissue is never grasped and lifted
+    weights = ("beside", "approach", "depth", "close", "closed", "lift")
+    start = (-1.0, 0.5, 0.0, 0.5, 0.0, 0.4)  # set by hand: by chance, tissue is never grasped and lifted
 
     def act(self, weights: Floats, seen: Seen) -> Floats:
         """Return the actions (n, 4)."""
         w = np.broadcast_to(weights, (len(seen["pose"]), len(self.weights))).T
         beside, outward, along = places(seen)
-        above = along / CM - w[1]
-        is_closed = seen["angle"][:, 0] < 0.05 + 0.6 * w[5]
-        rise = np.where(is_closed, w[6], w[2] * above)
-        jaws = np.where(is_closed, -1.0, w[3] + w[4] * np.maximum(above, 0.0))
+        above = along / CM + 2.0 * (1.0 + w[2])
+        width, closes, lifts = seen["goal"][:, 6], self.memory[:, 0] > 0.0, self.memory[:, 1] > 0.0
+        # The tips are two hinge lengths times the sine of half the angle apart.
+        wide = 2.0 * np.arcsin(np.clip(0.5 * (1.0 + w[4]) * width / (2.0 * HINGE), 0.0, 1.0))
+        more = seen["angle"][:, 0] - wide
+        self.memory[:, 0] = np.maximum(self.memory[:, 0], above < 0.1)
+        self.memory[:, 1] = np.maximum(self.memory[:, 1], closes & (more < 0.01))
+        rise = np.where(lifts, w[5], np.where(closes, 0.0, -np.maximum(w[1], 0.0) * np.minimum(above, 1.0)))
+        jaws = np.where(closes, -np.maximum(w[3], 0.0) * more / 0.04, 0.0)
         velocity = w[0][:, None] * beside / CM + rise[:, None] * outward
         return np.clip(np.column_stack([velocity, jaws]), -1.0, 1.0)
 
 
 class PalpatePolicy(Policy):
-    """Palpate: go to where tumours are, give way to the tissue, and say so when enough is felt near there."""
+    """Palpate: know the organ's shape, as from a CT, but not how it lies; feel along it, and conclude where it lies.
+
+    The finger slides over the tissue on a circle about where the tumour should be, and a belief is updated by what it
+    feels. Then it goes to where the tumour should be, and says so.
+    """
 
     task = "Palpate"
-    weights = ("x", "y", "z", "speed", "yielding", "felt", "away", "bias")
-    # Set by hand: to where the tumour is in the mean, pressing in; by chance, it is never found.
-    start = (0.72, 0.22, 0.0, 1.0, 2.0, 1.0, -1.0, 1.5)
+    weights = ("speed", "force", "radius", "turns", "compliance", "patience")
+    start = (0.0,) * 6
+
+    def __init__(self, count: int = 1, organ: Organ | None = None) -> None:
+        super().__init__(count, organ)
+        known = Organ.shipped(Palpate.organ) if organ is None else organ
+        drawn = Palpate().draw(np.random.default_rng(0), known)
+        self._place, self._outward = drawn.place, drawn.outward
+        self._belief = Belief(Shape(known.surface_positions, known.surface_triangles), count, Palpate.shift, TURN)
+
+    def forget(self, agents: Longs) -> None:
+        """Begin new episodes of some agents."""
+        super().forget(agents)
+        self._belief.forget(agents)
 
     def act(self, weights: Floats, seen: Seen) -> Floats:
         """Return the actions (n, 4)."""
         w = np.broadcast_to(weights, (len(seen["pose"]), len(self.weights))).T
-        way = 10.0 * CM * w[:3].T - seen["pose"][:, :3]
-        away = np.linalg.norm(way, axis=1)
-        force = seen["wrench"][:, :3]
-        velocity = w[3][:, None] * way / CM / np.maximum(away / CM, 1.0)[:, None] + w[4][:, None] * force
-        says = w[5] * np.linalg.norm(force, axis=1) / 0.1 + w[6] * away / CM + w[7]
-        return np.clip(np.column_stack([velocity, says]), -1.0, 1.0)
+        tips, force = (np.asarray(seen[name][:, :3], dtype=np.float64) for name in ("pose", "wrench"))
+        self._belief.take(tips, force, RADIUS, 0.02 * np.maximum(1.0 + w[4], 0.0))
+        aim, outward, last = self._aim(w)
+        size = np.linalg.norm(force, axis=1)
+        normal = self._belief.outward(tips)
+        normal = np.where((size > TOUCH)[:, None], force / np.maximum(size, TOUCH)[:, None], normal)
+        way = aim + RADIUS * outward - tips
+        way -= np.einsum("nx,nx->n", way, normal)[:, None] * normal
+        left = np.linalg.norm(way, axis=1)
+        push = np.clip((size - 0.1 * w[1]) / 0.05, -1.0, 1.0) * (w[1] > 0.0)
+        velocity = w[0][:, None] * way / np.maximum(left, 0.4 * CM)[:, None] + push[:, None] * normal
+        self.memory[:, 0] += 1.0
+        is_there = last & (left < 0.15 * CM) & (size > TOUCH_TO_TELL)
+        return np.clip(np.column_stack([velocity, np.where(is_there, 1.0, -1.0)]), -1.0, 1.0)
+
+    def _aim(self, w: Floats) -> tuple[Floats, Floats, Mask]:
+        """Return where to go (n, 3) m, the normal there, and who (n,) has felt enough to go to the tumour."""
+        place, _ = self._belief.where(self._place)
+        above, _ = self._belief.where(self._place + CM * self._outward)
+        outward = (above - place) / np.linalg.norm(above - place, axis=1, keepdims=True)
+        first = np.cross(outward, np.where(np.abs(outward[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]]))
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        second = np.cross(outward, first)
+        steps = SEARCHED * np.clip(1.0 + w[5], 0.0, 1.4)
+        part = np.minimum(self.memory[:, 0] / np.maximum(steps, 1.0), 1.0)
+        angle = 2.0 * np.pi * (1.0 + w[3]) * part
+        last = part >= 1.0
+        radius = np.where(last, 0.0, 5.0 * CM * np.maximum(w[2], 0.0))[:, None]
+        return place + radius * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second), outward, last
 
 
 class CutPolicy(Policy):
@@ -128,10 +177,10 @@ class CutPolicy(Policy):
         way = aim - seen["pose"][:, :3]
         way = way - np.einsum("nx,nx->n", way, outward)[:, None] * outward
         is_there = np.linalg.norm(way, axis=1) < 0.15 * CM
-        felt = np.linalg.norm(seen["wrench"][:, :3], axis=1)
+        force = np.linalg.norm(seen["wrench"][:, :3], axis=1)
         short = goal[:, 6] * (1.0 + w[3] / 10.0) - seen["blade"][:, 0]
-        is_in = (np.abs(short) < 0.05 * CM) & (felt > 0.05)
-        push = -w[1] * np.clip(0.1 * (1.0 + w[2]) - felt, -0.3, 0.3)
+        is_in = (np.abs(short) < 0.05 * CM) & (force > 0.05)
+        push = -w[1] * np.clip(0.1 * (1.0 + w[2]) - force, -0.3, 0.3)
         speed = np.where(slides & (w[5] > 0.0), 1.0 / (1.0 + np.maximum(w[5], 0.0)), 1.0)
         size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True) / CM, 1.0)
         velocity = (w[0] * speed)[:, None] * way / CM / size + push[:, None] * outward
@@ -154,7 +203,7 @@ def places(seen: Seen) -> tuple[Floats, Floats, Floats]:
 
 
 def lacking(seen: Seen) -> Floats:
-    """Return the part (n,) of the wanted force that isn't felt."""
+    """Return the part (n,) of the wanted force that is missing."""
     goal = np.asarray(seen["goal"], dtype=np.float64)
     return np.asarray(1.0 - np.einsum("nx,nx->n", seen["wrench"][:, :3], goal[:, 3:6]) / goal[:, 6])
 
@@ -201,9 +250,9 @@ class Learned:
         """
         names = type(self._policy).weights
         named = dict(zip(names, self.weights.tolist(), strict=True))
-        told = {"format": FORMAT, "task": self.task, "weights": named, "about": self.about}
+        record = {"format": FORMAT, "task": self.task, "weights": named, "about": self.about}
         try:
-            Path(path).write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+            Path(path).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
         except OSError as error:
             raise UserError(f"cannot write {path}: {error.strerror}") from None
 
@@ -225,15 +274,19 @@ class Learned:
         if path is None:
             raise UserError(f"there is no policy '{name}'; name a file that 'tissue_sim learn' has written")
         try:
-            told = json.loads(path.read_text(encoding="utf-8"))
+            record = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise UserError(f"cannot read policy {name}: {error}") from None
-        if not isinstance(told, dict) or told.get("format") != FORMAT or not isinstance(told.get("weights"), dict):
-            raise UserError(f"{name} is not a policy of format {FORMAT}; learn it anew with 'tissue_sim learn'")
-        wanted = policy_class(str(told.get("task"))).weights
-        if tuple(told["weights"]) != wanted:
-            raise UserError(f"policy {name} has weights {', '.join(told['weights'])}; expected: {', '.join(wanted)}")
-        weights = np.array([told["weights"][one] for one in wanted], dtype=np.float64)
+        if (
+            not isinstance(record, dict)
+            or record.get("format") != FORMAT
+            or not isinstance(record.get("weights"), dict)
+        ):
+            raise UserError(f"{name} is not a policy of format {FORMAT}; learn it again with 'tissue_sim learn'")
+        wanted = policy_class(str(record.get("task"))).weights
+        if tuple(record["weights"]) != wanted:
+            raise UserError(f"policy {name} has weights {', '.join(record['weights'])}; expected: {', '.join(wanted)}")
+        weights = np.array([record["weights"][one] for one in wanted], dtype=np.float64)
         if not np.isfinite(weights).all():
             raise UserError(f"policy {name} has weights that are not finite")
-        return cls(told["task"], weights, told.get("about"))
+        return cls(record["task"], weights, record.get("about"))

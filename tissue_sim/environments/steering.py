@@ -11,6 +11,7 @@ from tissue_sim.environments.tasks import STEP, Task
 
 SPEED = 0.05  # m/s of an action of 1, along each axis
 OPENING, WIDEST = 2.0, 1.2  # rad/s of the jaws at an action of 1; rad
+TURN = 0.35  # rad by which an organ is turned at most, about z
 FARTHEST = 0.06  # m that a tool may go from where it began
 SAYS = 0.5  # of the last action of a task without jaws, above which it says: here it is
 
@@ -76,18 +77,3 @@ def observation_of(task: Task, sensed: Sensed) -> dict[str, Singles]:
     if task.shows_goal:
         seen["goal"] = np.hstack([sensed.place, sensed.outward, sensed.wanted[:, None]])
     return {name: values.astype(np.float32) for name, values in seen.items()}
-
-
-def facing(direction: Floats) -> Floats:
-    """Return the quaternion xyzw (4,) that turns z to a direction (3,), so that a shaft lies behind it.
-
-    Parameters
-    ----------
-    direction : Floats, shape (3,)
-        A direction of length 1.
-    """
-    x, y, z = direction
-    if z < -0.999999:
-        return np.array([1.0, 0.0, 0.0, 0.0])
-    turned = np.array([-y, x, 0.0, 1.0 + z])
-    return np.asarray(turned / np.linalg.norm(turned))

@@ -6,21 +6,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.array_types import Floats, Longs, Mask
+from tissue_sim.array_types import Floats, Ints, Longs, Mask
 from tissue_sim.contact.attachments import Breathing
+from tissue_sim.contact.grasp import Grasp, at_lower_pole, lower_pole
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
 from tissue_sim.organ.inclusions import inclusions_of
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_file
 
 RATE, STEP = 1000.0, 0.02  # Hz of ticks; s of an environment step
 RADIUS = 0.008  # m of the finger
-OPEN = 0.6  # rad between the jaws at the beginning
 NEAR, HELD = 0.003, 10  # m beside the place; steps in a row after which it is reached
 PRECISION = 0.05  # of the force
 FOUND, TOUCH = 0.008, 0.05  # m from the tumour's nearest surface point; N that counts as touching
 LIFT = 0.004  # m by which tissue is to be lifted
+HINGE, TOOTHED = 0.06, 1.0  # m from the tips of the jaws; friction of toothed ones, as in config/gripper.yaml
+TILT = 0.3  # rad by which a gripper comes from another side than that of the pole, at most
+USUAL = 0.11  # m, length of the kidney, for which the depth of a grasp is
 DECLARED, WRONG = 10.0, 3.0  # reward for the right place, and penalty for a wrong one
 SEARCH = 0.01  # penalty of a step of a search at most: all 300 cost no more than giving up at once by a wrong answer
 
@@ -30,10 +34,12 @@ class Draw(NamedTuple):
 
     place: Floats  # (3,) on the surface
     outward: Floats  # (3,)
-    wanted: float  # N of force, or of a cut m of depth
+    wanted: float  # N of force, of a cut m of depth, of a grasp m of width
     start: Floats  # (3,) of the tool
     stiffness: float  # factor
     half: Floats = np.zeros(3)  # (3,) from there to an end of the line of a cut
+    turned: Floats = np.array([0.0, 0.0, 0.0, 1.0])  # (4,) of the tool, xyzw
+    angle: float = 0.0  # rad between its jaws
 
 
 class Now(NamedTuple):
@@ -44,7 +50,7 @@ class Now(NamedTuple):
     wanted: Floats  # (n,) N, the force to be reached
     tip: Floats  # (n, 3) m, where the tool is
     pushed: Floats  # (n,) N that pushes the hand out
-    felt: Floats  # (n,) N, size of the force
+    force: Floats  # (n,) N, size of the force
     lifted: Floats  # (n,) m by which the tissue at the place has moved outwards
     declared: Mask  # (n,) whether the last action says: here it is
 
@@ -60,7 +66,7 @@ class Judged(NamedTuple):
 class Task:
     """Press: reach a force at a place. Others change what differs."""
 
-    organ, actions = "kidney", 3  # the shipped organ; velocity, and what else a step is told
+    organ, actions = "kidney", 3  # the shipped organ; velocity, and what else a step takes
     has_jaws, declares = False, False  # whether the last action moves jaws, or says: here it is
     ends = True  # whether an episode ends where the goal is met for HELD steps
     shift = 0.005  # m by which the organ is moved at most, along each axis
@@ -148,26 +154,70 @@ class Palpate(Task):
     def judge(self, now: Now) -> Judged:
         """Return reward and success: the nearer the better, and the right or wrong place at the end."""
         beside = np.linalg.norm(now.tip - now.place - RADIUS * now.outward, axis=1)
-        is_here = (beside < FOUND) & (now.felt > TOUCH)
+        is_here = (beside < FOUND) & (now.force > TOUCH)
         final = np.where(now.declared, np.where(is_here, DECLARED, -WRONG), 0.0)
         return Judged(-SEARCH * np.minimum(beside / 0.05, 1.0) + final, is_here & now.declared, now.declared)
 
 
 class Retract(Task):
-    """Grasp the tissue at a place and lift it, to expose what lies beside it."""
+    """Grasp the lower pole and lift it, to expose what lies beside it."""
 
     actions, has_jaws = 4, True
 
+    def scene(self, organ: Organ) -> Scene:
+        """Return a scene with the friction of toothed jaws."""
+        scene = super().scene(organ)
+        scene.simulation.settings.friction = TOOTHED
+        return scene
+
     def tool(self) -> Tool:
-        """Return a gripper with round jaws."""
-        return Tool("jaws", "gripper", radius=0.003, length=0.02)
+        """Return a gripper with flat jaws."""
+        jaws = shipped_file("config/jaws/flat.obj")
+        if jaws is None:
+            raise UserError("the jaws of Retract, config/jaws/flat.obj, are missing; install tissue_sim again")
+        return Tool("jaws", "gripper", length=HINGE, mesh=str(jaws))
+
+    def grasp(self, surface: Floats, triangles: Ints, out: Floats) -> Grasp:
+        """Return how an organ is grasped at its lower pole.
+
+        Parameters
+        ----------
+        surface : Floats, shape (n, 3), m
+            Its surface at rest.
+        triangles : Ints, shape (t, 3)
+            Corner indices.
+        out : Floats, shape (3,)
+            Unit direction that the gripper comes from.
+
+        Raises
+        ------
+        UserError
+            Where the jaws can't take hold of it.
+        """
+        scale = min(1.0, float(np.ptp(surface @ out)) / USUAL)
+        try:
+            return at_lower_pole(surface, triangles, self.tool().jaws, scale, out)
+        except ValueError as error:
+            raise UserError(f"the organ can't be grasped: {error}") from None
+
+    def draw(self, random: np.random.Generator, organ: Organ) -> Draw:
+        """Return an episode: the place is the end of the pole, as the gripper comes to it."""
+        pole, second, third = lower_pole(organ.surface_positions)
+        aside = TILT * np.sqrt(random.uniform()) * np.exp(1j * random.uniform(0.0, 2.0 * np.pi))
+        out = pole + np.tan(aside.real) * second + np.tan(aside.imag) * third
+        grasp = self.grasp(organ.surface_positions, organ.surface_triangles, out / np.linalg.norm(out))
+        place = grasp.place + grasp.depth * grasp.out
+        beside = 0.004 * random.uniform(-1.0, 1.0, 3)
+        start = place + random.uniform(0.004, 0.008) * grasp.out + beside - (beside @ grasp.out) * grasp.out
+        factor = np.exp(random.uniform(-0.4, 0.4))
+        return Draw(place, grasp.out, grasp.width, start, factor, turned=grasp.turn, angle=grasp.opened)
 
     def judge(self, now: Now) -> Judged:
-        """Return reward and success: the place's distance from LIFT, and the tool's from the place."""
+        """Return reward and success: what is missing of the lift, and the tool's distance beside the place."""
         # A grasp has to press in first, which is no worse than nothing.
         short = np.clip((LIFT - now.lifted) / LIFT, 0.0, 1.0)
-        away = np.minimum(np.linalg.norm(now.tip - now.place, axis=1) / 0.02, 1.0)
-        return Judged(-short - 0.2 * away, short == 0.0, np.zeros(len(short), dtype=np.bool_))
+        beside = np.minimum(distance_beside(now) / 0.02, 1.0)
+        return Judged(-short - 0.2 * beside, short == 0.0, np.zeros(len(short), dtype=np.bool_))
 
 
 class Cut(Task):
@@ -177,7 +227,7 @@ class Cut(Task):
     ends = False
 
     def tool(self) -> Tool:
-        """Return the guard, which slides on the tissue and is felt; the blade itself meets no resistance."""
+        """Return the guard, which slides on the tissue and meets its force; the blade itself meets no resistance."""
         return Tool("guard", radius=0.002)
 
     def draw(self, random: np.random.Generator, organ: Organ) -> Draw:

@@ -34,8 +34,8 @@ class Plan(NamedTuple):
 PLANS = {
     "Press": Plan(),
     "Hold": Plan(),
-    "Retract": Plan(each=4, steps=160, sigma=0.3),
-    "Palpate": Plan(generations=10, each=6, steps=150, sigma=0.2),
+    "Retract": Plan(each=4, steps=200, sigma=0.3),
+    "Palpate": Plan(generations=16, each=4, steps=300),
     "Cut": Plan(steps=120),
 }
 
@@ -45,7 +45,7 @@ class Played(NamedTuple):
 
     returns: Floats  # (n,) sum of rewards
     is_met: Mask  # (n,) whether it ended with success
-    share: Floats  # (n,) of its steps in which the goal was met
+    fraction: Floats  # (n,) of its steps in which the goal was met
     steps: int  # of all agents together
 
 
@@ -123,7 +123,7 @@ def learn(task: str, plan: Plan, seed: int = 1, organ: Organ | None = None, thre
     # Seed 0 would be drawn from the clock.
     options = {"popsize": plan.candidates, "seed": seed + 1, "verbose": -9}
     strategy = cma.CMAEvolutionStrategy(list(made.start), plan.sigma, options)
-    policy, curve, steps, began = made(count), list[Generation](), 0, time.process_time()
+    policy, curve, steps, began = made(count, organ), list[Generation](), 0, time.process_time()
     for generation in progress.steps(range(plan.generations), f"learning {task}"):
         weights = np.array(strategy.ask())
         first = (seed * 1000 + generation) * plan.each  # the same episodes for all candidates
@@ -144,7 +144,7 @@ def learn(task: str, plan: Plan, seed: int = 1, organ: Organ | None = None, thre
 
 
 def held_out(task: str, weights: Floats, plan: Plan, organ: Organ | None = None, threads: int = 0) -> dict[str, float]:
-    """Return what a policy reaches in new episodes: mean return, share met, and steps that are needed.
+    """Return what a policy reaches in new episodes: mean return, fraction met, and steps that are needed.
 
     Parameters
     ----------
@@ -163,8 +163,8 @@ def held_out(task: str, weights: Floats, plan: Plan, organ: Organ | None = None,
         f"{PREFIX}{task}-v0", num_envs=plan.episodes, organ=organ, threads=threads, max_episode_steps=NAMES[task]
     )
     seeds = [HELD_OUT + number for number in range(plan.episodes)]
-    one = played(env, policy_class(task)(plan.episodes), weights, seeds, NAMES[task])
+    one = played(env, policy_class(task)(plan.episodes, organ), weights, seeds, NAMES[task])
     env.close()
     # A task that doesn't end where its goal is met is to be met all the time.
-    met = one.is_met if task_of(task).ends or task_of(task).declares else one.share
+    met = one.is_met if task_of(task).ends or task_of(task).declares else one.fraction
     return {"return": float(one.returns.mean()), "met": float(np.mean(met)), "episodes": plan.episodes}

@@ -69,7 +69,7 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv):
         return self._observer.observe(), {}
 
     def step(self, actions: Floats) -> tuple[dict[str, Singles | Pixels], Floats, Mask, Mask, dict[str, Any]]:
-        """Do a step of 20 ms; a copy whose episode ended in the last one begins anew instead, without reward."""
+        """Do a step of 20 ms; a copy whose episode ended in the last one begins again instead, without reward."""
         begins = self._is_over.copy()
         stepped = self.copies.step(actions)
         self._elapsed += 1

@@ -53,7 +53,7 @@ class Damping(NamedTuple):
 
 
 def losses_of(sinusoids: Sequence[Sinusoid], has_times: bool) -> tuple[Loss | None, str]:
-    """Return the loss factor of sinusoids, or None; and why it can't be told."""
+    """Return the loss factor of sinusoids, or None; and why there is none."""
     before = "damping: not identifiable from this recording: "
     if not has_times:
         return None, before + "its samples have no times"
@@ -134,8 +134,8 @@ def _matched(own: Callable[[float], float], first: float, wanted: float) -> floa
             return np.nan
         near, far = far, (far[0] * step, own(far[0] * step))
     for _ in range(ROUNDS):
-        share = (wanted - near[1]) / (far[1] - near[1])
-        scale = near[0] * (far[0] / near[0]) ** share
+        fraction = (wanted - near[1]) / (far[1] - near[1])
+        scale = near[0] * (far[0] / near[0]) ** fraction
         between = scale, own(scale)
         if abs(between[1] - wanted) < CLOSE * wanted:
             break

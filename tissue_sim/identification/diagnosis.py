@@ -9,7 +9,7 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.identification.force_curves import ForceCurves
 from tissue_sim.identification.measured import LEAST_FORCE, Samples
-from tissue_sim.identification.mixed_effects import NOISE, SHARE, Fit, Priors, fitted
+from tissue_sim.identification.mixed_effects import FRACTION, NOISE, Fit, Priors, fitted
 
 BINS = 6
 STIFFER = 0.3  # of the exponent above the model's, from which support or law are wrong
@@ -105,7 +105,7 @@ def exponent_of(samples: Samples) -> float:
     float
         The exponent.
     """
-    weight = samples.counts / (NOISE + SHARE * np.abs(samples.forces)) ** 2
+    weight = samples.counts / (NOISE + FRACTION * np.abs(samples.forces)) ** 2
     whole = (weight * samples.forces**2).sum(axis=1)
     best, found = np.full(len(whole), np.inf), np.ones(len(whole))
     for shift in OFFSETS:

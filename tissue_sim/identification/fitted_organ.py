@@ -15,7 +15,7 @@ from tissue_sim.organ.organ import Organ
 KEY = "identified"  # in the provenance
 
 
-def with_stiffness(organ: Organ, factor: float, told: Mapping[str, Any], of_cells: Floats | None = None) -> Organ:
+def with_stiffness(organ: Organ, factor: float, record: Mapping[str, Any], of_cells: Floats | None = None) -> Organ:
     """Return an organ whose tissue is stiffer by a factor, and keeps its damping ratio.
 
     Parameters
@@ -24,7 +24,7 @@ def with_stiffness(organ: Organ, factor: float, told: Mapping[str, Any], of_cell
         The organ.
     factor : float
         Factor on all moduli and springs.
-    told : Mapping[str, Any]
+    record : Mapping[str, Any]
         What it was identified from, for the provenance.
     of_cells : Floats | None, optional
         Further factors on the cells' moduli, (c,).
@@ -51,5 +51,5 @@ def with_stiffness(organ: Organ, factor: float, told: Mapping[str, Any], of_cell
         angular_stiffness=factor * organ.angular_stiffness,
         return_stiffness=factor * organ.return_stiffness,
         damping=np.sqrt(factor) * organ.damping,
-        provenance={**organ.provenance, KEY: dict(told)},
+        provenance={**organ.provenance, KEY: dict(record)},
     )

@@ -39,12 +39,12 @@ class ForceCurves(NamedTuple):
         Before a table begins the force is 0.
         """
         which = self.which[:, None]
-        share = (depths - self.start[which]) / self.step[which]
-        left = np.clip(share.astype(np.int64), 0, self.force.shape[1] - 2)
+        fraction = (depths - self.start[which]) / self.step[which]
+        left = np.clip(fraction.astype(np.int64), 0, self.force.shape[1] - 2)
         low = self.force[which, left]
         slope = self.force[which, left + 1] - low
-        inside = share > 0.0
-        force = np.where(inside, low + (share - left) * slope, 0.0)
+        inside = fraction > 0.0
+        force = np.where(inside, low + (fraction - left) * slope, 0.0)
         return force, np.where(inside, slope / self.step[which], 0.0)
 
     def some(self, chosen: Longs | Mask) -> ForceCurves:
@@ -112,12 +112,12 @@ def bonded_layer(
     nu, pi = poisson_ratio, np.pi
     first = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1.0 - nu)
     second = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1.0 - nu)
-    share = np.sqrt(radius * depth) / thickness
+    fraction = np.sqrt(radius * depth) / thickness
     factor = (
         1.0
-        - 2.0 * first / pi * share
-        + 4.0 * first**2 / pi**2 * share**2
-        - 8.0 / pi**3 * (first**3 + 4.0 * pi**2 / 15.0 * second) * share**3
-        + 16.0 * first / pi**4 * (first**3 + 3.0 * pi**2 / 5.0 * second) * share**4
+        - 2.0 * first / pi * fraction
+        + 4.0 * first**2 / pi**2 * fraction**2
+        - 8.0 / pi**3 * (first**3 + 4.0 * pi**2 / 15.0 * second) * fraction**3
+        + 16.0 * first / pi**4 * (first**3 + 3.0 * pi**2 / 5.0 * second) * fraction**4
     )
     return depth, force * factor

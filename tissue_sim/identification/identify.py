@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from tissue_sim.identification.measured import Measurement, Samples, samples_of
 from tissue_sim.identification.mixed_effects import Fit, Priors, fitted
 from tissue_sim.identification.press_curves import FAST, Arrays, Remember, check_tool, curves_of, forget
 from tissue_sim.identification.rate_effects import RateEffects, rate_effects_of
+from tissue_sim.identification.relaxing_organ import Presses, relaxing
 from tissue_sim.identification.stiff_places import StiffPlaces, stiff_places
 from tissue_sim.identification.stiff_places import line_of as line_of_stiff_places
 from tissue_sim.identification.stiffness_map import decaying
@@ -96,6 +98,7 @@ def identify(
         Without presses, for a tool too small for the organ, and for presses that miss it.
     """
     settings = settings or Settings()
+    source, organ = organ, replace(organ, relaxation_fraction=0.0, relaxation_time=0.0)
     check_tool(organ, measurement.radius)
     samples = samples_of(measurement.presses)
     curves = curves_of(organ, measurement, settings.friction, 1.0, remember)
@@ -121,7 +124,7 @@ def identify(
         of_cells = _map_of_cells(organ, measurement, (curves, samples, fit), settings.friction, remember)
     found = Identified(
         organ,
-        organ,
+        source,
         measurement,
         samples,
         curves,
@@ -135,7 +138,11 @@ def identify(
         stiff_places(fit),
         _remarks(wanted, of_cells is not None),
     )
-    return found._replace(organ=with_stiffness(organ, fit.factor, provenance_of(found), of_cells))
+    stiff = with_stiffness(organ, fit.factor, provenance_of(found), of_cells)
+    offsets = fit.common[1] + fit.own[:, 1]
+    presses = Presses(measurement, curves, offsets, fit.factor, settings.friction)
+    fitting, remark = relaxing(stiff, found.rate_effects.relaxation, presses, remember)
+    return found._replace(organ=fitting, remarks=[*found.remarks, *([remark] if remark else [])])
 
 
 def _map_of_cells(
@@ -158,8 +165,8 @@ def _map_of_cells(
         def kept(name: str, make: Callable[[], Arrays], tissue: str = trial.digest()) -> Arrays:
             return remember(f"{tissue[:16]} {name}", make)
 
-        felt = curves_of(trial, measurement, friction, 1.0, kept).at(deep)[0][:, 0]
-        given = given + wanted - np.log(np.maximum(felt, 1e-9) / np.maximum(plain, 1e-9))
+        of_map = curves_of(trial, measurement, friction, 1.0, kept).at(deep)[0][:, 0]
+        given = given + wanted - np.log(np.maximum(of_map, 1e-9) / np.maximum(plain, 1e-9))
     return np.asarray(np.exp(decaying(points, given, middle, measurement.radius)))
 
 
@@ -176,7 +183,7 @@ def _remarks(map_pays: bool, is_mapped: bool) -> list[str]:
 def provenance_of(found: Identified) -> dict[str, Any]:
     """Return what an organ's file tells about its identification, as JSON can hold it."""
     low, high = found.modulus_interval
-    told: dict[str, Any] = {
+    record: dict[str, Any] = {
         "from": found.measurement.source,
         "presses": len(found.measurement.presses),
         "tool_radius_mm": 1e3 * found.measurement.radius,
@@ -188,15 +195,15 @@ def provenance_of(found: Identified) -> dict[str, Any]:
         "with_map": found.of_cells is not None,
         "holds_to_depth_mm": 1e3 * found.diagnosis.holds_to,
         "digest_before": found.source.digest(),
-        **found.rate_effects.told(),
+        **found.rate_effects.as_json(),
     }
     if len(found.stiff_places.presses):
-        told["stiff_places"] = [found.measurement.presses[row].name for row in found.stiff_places.presses]
+        record["stiff_places"] = [found.measurement.presses[row].name for row in found.stiff_places.presses]
     if found.held_out is not None:
-        told["held_out_error_percent"] = 100.0 * found.held_out.one
+        record["held_out_error_percent"] = 100.0 * found.held_out.one
         if np.isfinite(found.held_out.mapped):
-            told["held_out_error_with_map_percent"] = 100.0 * found.held_out.mapped
-    return told
+            record["held_out_error_with_map_percent"] = 100.0 * found.held_out.mapped
+    return record
 
 
 def lines_of(found: Identified) -> list[str]:

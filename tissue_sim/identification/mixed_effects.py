@@ -21,7 +21,7 @@ from tissue_sim.identification.measured import Samples
 FREEDOM = 3.0  # of Student's t
 VAGUE = 3.0  # spread of the log factor about the first guess
 COMMON_OFFSET = 1e-3  # m, spread of what all contacts may be off by together
-NOISE, SHARE = 0.002, 0.02  # N and of the force: shape of the noise, whose size is fitted
+NOISE, FRACTION = 0.002, 0.02  # N and of the force: shape of the noise, whose size is fitted
 SPREAD, PRIOR = 0.1, 2.0  # of log moduli between places before anything is known, and its weight in presses
 LEAST_SPREAD = 0.005
 ROUNDS, AGAIN = 60, 25  # of the fit, and of one that starts from a fit
@@ -168,7 +168,7 @@ def _linear(curves: ForceCurves, samples: Samples, common: Floats, own: Floats, 
     force, slope = curves.at(samples.depths + common[1] + own[:, 1:])
     factor = np.exp(common[0] + own[:, :1])
     model, slope = factor * force, factor * slope
-    scale = NOISE + SHARE * model
+    scale = NOISE + FRACTION * model
     weight = samples.counts / (noise * scale) ** 2
     residual = samples.forces - model - common[2]
     moved = np.stack([model, slope, np.ones_like(model)], axis=2)

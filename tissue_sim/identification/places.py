@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Mask
 from tissue_sim.calibration.cases import surface_of
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
@@ -29,6 +29,14 @@ class PressPoint(NamedTuple):
     way: Floats
 
 
+def clear_of_clamp(organ: Organ, points: Floats, edges: float) -> Mask:
+    """Return which points (k, 3) m are farther from the clamp than a number of mean edges."""
+    if not len(organ.fixed):
+        return np.ones(len(points), dtype=np.bool_)
+    clamp = organ.surface_positions[organ.fixed]
+    return np.asarray(cKDTree(clamp).query(points)[0] > edges * mean_edge(organ))
+
+
 def flat_locations(organ: Organ, count: int) -> list[list[PressPoint]]:
     """Return spots at a node, on an edge and in a triangle of so many triangles where the organ is flat.
 
@@ -40,10 +48,7 @@ def flat_locations(organ: Organ, count: int) -> list[list[PressPoint]]:
     middle = corner.mean(axis=1)
     way = surface.normal[organ.surface_triangles].mean(axis=1)
     way /= -np.linalg.norm(way, axis=1)[:, None]
-    clear = np.full(len(middle), np.inf)
-    if len(organ.fixed):
-        clear = cKDTree(surface.positions[organ.fixed]).query(middle)[0]
-    chosen = np.flatnonzero(clear > CLEAR * edge)
+    chosen = np.flatnonzero(clear_of_clamp(organ, middle, CLEAR))
     if not len(chosen):
         raise UserError(
             f"organ '{organ.name}' has no point {1e3 * CLEAR * edge:.0f} mm from its clamp; use more points"
@@ -71,6 +76,12 @@ def thickness(organ: Organ, spot: PressPoint) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead = np.einsum("tx,tx->t", across, corner[:, 0]) / facing
         sideways = np.cross(corner[:, 0], spot.way)
-        shares = np.einsum("tx,tx->t", second, sideways) / facing, -np.einsum("tx,tx->t", first, sideways) / facing
-    met = (facing > 0.0) & (ahead > 0.0) & (shares[0] >= 0.0) & (shares[1] >= 0.0) & (shares[0] + shares[1] <= 1.0)
+        fractions = np.einsum("tx,tx->t", second, sideways) / facing, -np.einsum("tx,tx->t", first, sideways) / facing
+    met = (
+        (facing > 0.0)
+        & (ahead > 0.0)
+        & (fractions[0] >= 0.0)
+        & (fractions[1] >= 0.0)
+        & (fractions[0] + fractions[1] <= 1.0)
+    )
     return float(ahead[met].min(initial=np.inf))

@@ -113,8 +113,8 @@ def curves_of(
 
     def kept(path: Path, depths: Floats, speed: float) -> Floats:
         def make() -> Arrays:
-            felt = moving_forces(scene, path, depths, speed) if speed else forces(scene, path, depths)
-            return {"force": felt / factor}
+            force = moving_forces(scene, path, depths, speed) if speed else forces(scene, path, depths)
+            return {"force": force / factor}
 
         known = [*path, depths, [measurement.radius, friction, speed, factor]]  # type: ignore[misc]
         text = repr([np.asarray(one).tolist() for one in known])
@@ -125,8 +125,8 @@ def curves_of(
         depths = np.linspace(0.0, deepest, knots)
         spots = flat_locations(organ, 1)[0]
         paths = [Press(spot.point - measurement.radius * spot.way, spot.way) for spot in spots]
-        felt = [kept(path, depths, 0.0) for path in progress.steps(paths, "presses of the model")]
-        return tabulated([depths], [np.mean(felt, axis=0)], np.zeros(len(presses), dtype=np.int64))
+        force = [kept(path, depths, 0.0) for path in progress.steps(paths, "presses of the model")]
+        return tabulated([depths], [np.mean(force, axis=0)], np.zeros(len(presses), dtype=np.int64))
     check_registration(organ, measurement)
     every, found = [], []
     for press in progress.steps(presses, "presses of the model"):

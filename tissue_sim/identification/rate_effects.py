@@ -26,15 +26,15 @@ class RateEffects(NamedTuple):
     damping: Damping | None
     lines: list[str]
 
-    def told(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return the figures, as JSON can hold them."""
         found: dict[str, Any] = {}
         if self.friction is not None:
             found["friction"] = self.friction.coefficient
         if self.relaxation is not None:
             found |= {
-                "relaxation_share_percent": 100.0 * self.relaxation.share,
-                "relaxation_share_deviation_percent": 100.0 * self.relaxation.share_deviation,
+                "relaxation_share_percent": 100.0 * self.relaxation.fraction,
+                "relaxation_share_deviation_percent": 100.0 * self.relaxation.fraction_deviation,
                 "relaxation_time_s": self.relaxation.time,
                 "relaxation_time_deviation_s": self.relaxation.time_deviation,
             }

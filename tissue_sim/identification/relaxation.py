@@ -1,4 +1,4 @@
-"""Relaxation of the force in holds: the share that decays, and one time constant.
+"""Relaxation of the force in holds: the fraction that decays, and one time constant.
 
 The force follows the elastic one with a fading memory: F(t) = s (C(t) - g int (1 - exp(-(t - u) / tau)) dC(u)), Fung's
 quasi-linear viscoelasticity with one Prony term. C is the model's elastic force along the recorded depths, so that what
@@ -19,17 +19,17 @@ from tissue_sim.identification.measured import Hold
 LONG_ENOUGH = 10.0  # s, of a hold
 WAY_IN, HELD = 60, 150  # samples of a hold to which a recording is averaged
 STARTS = 5  # time constants from which the fit begins
-SURE = 2.0  # standard deviations, by which a share is above none
+SURE = 2.0  # standard deviations, by which a fraction is above none
 VAGUE = 0.3  # of the time constant, standard deviation from which it isn't known
 UNFIT = 0.01  # of the force, which a single term leaves unexplained at most
 
 
 class Relaxation(NamedTuple):
-    """Share of the force that decays and the time constant, s, each with its standard deviation; left: unexplained."""
+    """Fraction of the force that decays and the time constant, s, with standard deviations; left: unexplained."""
 
-    share: float
+    fraction: float
     time: float
-    share_deviation: float
+    fraction_deviation: float
     time_deviation: float
     holds: int
     left: float
@@ -37,7 +37,7 @@ class Relaxation(NamedTuple):
     def loss_factor(self, frequency: float) -> float:
         """Return the loss factor that it causes at a frequency, Hz."""
         turn = 2.0 * np.pi * frequency * self.time
-        return self.share * turn / ((1.0 - self.share) + turn**2)
+        return self.fraction * turn / ((1.0 - self.fraction) + turn**2)
 
 
 class _Thinned(NamedTuple):
@@ -69,21 +69,27 @@ def relaxation_of(holds: Sequence[Hold], elastic: Sequence[Floats], has_times: b
     if not some:
         return None, f"{before}the longest hold lasts {longest:.1f} s, and {LONG_ENOUGH:g} s are needed"
     found = _fitted(some)
-    if found.share < SURE * found.share_deviation or found.share <= 0.0:
-        most = 100.0 * (max(found.share, 0.0) + SURE * found.share_deviation)
-        return None, f"{before}no share of the force decays above its noise (at most {most:.1f} %)"
+    if found.fraction < SURE * found.fraction_deviation or found.fraction <= 0.0:
+        most = 100.0 * (max(found.fraction, 0.0) + SURE * found.fraction_deviation)
+        return None, f"{before}no fraction of the force decays above its noise (at most {most:.1f} %)"
     if found.time > longest or found.time_deviation > VAGUE * found.time:
         return None, (
             f"{before}its time constant, {found.time:.1f} s with a standard deviation of {found.time_deviation:.1f} s,"
             f" isn't settled by holds of {longest:.1f} s: hold longer, or come in faster"
         )
-    told = (
-        f"relaxation: {100 * found.share:.1f} % of the force decay with a time constant of {found.time:.2f} s (standard"
-        f" deviations {100 * found.share_deviation:.1f} % and {found.time_deviation:.2f} s; holds: {found.holds})"
+    line = (
+        f"relaxation: {100 * found.fraction:.1f} % of the force decay with a time constant of {found.time:.2f} s"
+        f" (standard deviations {100 * found.fraction_deviation:.1f} % and {found.time_deviation:.2f} s;"
+        f" holds: {found.holds})"
     )
     if found.left > UNFIT:
-        told += f"; one time constant leaves {100 * found.left:.0f} % of the force unexplained"
-    return found, told
+        line += f"; one time constant leaves {100 * found.left:.0f} % of the force unexplained"
+    return found, line
+
+
+def term_of(hold: Hold, elastic: Floats) -> Relaxation:
+    """Return how the force relaxes in one hold, whatever its noise; elastic: as of `relaxation_of`."""
+    return _fitted([_thinned(hold, elastic)])
 
 
 def _thinned(hold: Hold, elastic: Floats) -> _Thinned:
@@ -106,7 +112,7 @@ def _thinned(hold: Hold, elastic: Floats) -> _Thinned:
     return _Thinned(mean(hold.time), mean(hold.forces), mean(elastic), count[known])
 
 
-def relaxed(time: Floats, elastic: Floats, share: float, constant: float) -> Floats:
+def relaxed(time: Floats, elastic: Floats, fraction: float, constant: float) -> Floats:
     """Return the force (k,) N of tissue that relaxes, from the elastic one (k,) N.
 
     Parameters
@@ -115,8 +121,8 @@ def relaxed(time: Floats, elastic: Floats, share: float, constant: float) -> Flo
         Times.
     elastic : Floats, shape (k,), N
         Elastic force, linear between the times.
-    share : float
-        Share that decays.
+    fraction : float
+        Fraction that decays.
     constant : float, s
         Time constant.
     """
@@ -127,14 +133,14 @@ def relaxed(time: Floats, elastic: Floats, share: float, constant: float) -> Flo
     lasting[0] = elastic[0]
     for row in range(len(step)):
         lasting[row + 1] = fade[row] * lasting[row] + gain[row]
-    return np.asarray((1.0 - share) * elastic + share * lasting)
+    return np.asarray((1.0 - fraction) * elastic + fraction * lasting)
 
 
-def _residuals(some: Sequence[_Thinned], share: float, constant: float) -> list[Floats]:
+def _residuals(some: Sequence[_Thinned], fraction: float, constant: float) -> list[Floats]:
     """Return residuals of each hold relative to its largest force, with the factor that fits best."""
     found = []
     for one in some:
-        model = relaxed(one.time, one.elastic, share, constant)
+        model = relaxed(one.time, one.elastic, fraction, constant)
         factor = (one.averaged * model) @ one.force / max(float((one.averaged * model) @ model), 1e-300)
         scale = max(float(one.force.max()), 1e-12)
         found.append(np.sqrt(one.averaged) * (one.force - factor * model) / scale)
@@ -142,7 +148,7 @@ def _residuals(some: Sequence[_Thinned], share: float, constant: float) -> list[
 
 
 def _fitted(some: Sequence[_Thinned]) -> Relaxation:
-    """Return the share and the time constant that holds have in common."""
+    """Return the fraction and the time constant that holds have in common."""
     longest = max(float(one.time[-1]) for one in some)
     starts = np.log(np.geomspace(longest / 50.0, longest, STARTS))
     limits = ([-0.5, np.log(longest / 2000.0)], [0.99, np.log(20.0 * longest)])
@@ -152,17 +158,17 @@ def _fitted(some: Sequence[_Thinned]) -> Relaxation:
 
     tried = [least_squares(off, [0.2, start], bounds=limits) for start in starts]
     best = min(tried, key=lambda one: float(one.cost))
-    share, constant = float(best.x[0]), float(np.exp(best.x[1]))
-    residuals = _residuals(some, share, constant)
+    fraction, constant = float(best.x[0]), float(np.exp(best.x[1]))
+    residuals = _residuals(some, fraction, constant)
     again = max(_correlation(one) for one in residuals)
     square = 2.0 * float(best.cost) / max(len(best.fun) - 2 - len(some), 1) * (1.0 + again) / (1.0 - again)
     deviation = np.sqrt(square * np.diag(np.linalg.pinv(best.jac.T @ best.jac)))
     if len(some) > 2:  # holds that differ tell more than their noise
-        alone = np.array([[found.share, np.log(found.time)] for found in (_fitted([one]) for one in some)])
+        alone = np.array([[found.fraction, np.log(found.time)] for found in (_fitted([one]) for one in some)])
         deviation = np.maximum(deviation, alone.std(axis=0, ddof=1) / np.sqrt(len(some)))
     total = sum(float(one.averaged.sum()) for one in some)
     left = float(np.sqrt(sum(float(one @ one) for one in residuals) / total))
-    return Relaxation(share, constant, float(deviation[0]), constant * float(deviation[1]), len(some), left)
+    return Relaxation(fraction, constant, float(deviation[0]), constant * float(deviation[1]), len(some), left)
 
 
 def _correlation(residuals: Floats) -> float:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import base64
-import io
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
+from tissue_sim.figures import empty_figure, hide_box, png
 from tissue_sim.identification.identify import Identified, lines_of, provenance_of
 from tissue_sim.identification.measured import LEAST_FORCE
 from tissue_sim.identification.stiffness_map import interpolated
 from tissue_sim.organ.reporting.page import flat
 from tissue_sim.organ.reporting.render import Solid, draw, view_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 SHOWN = 12  # presses whose curves are drawn, from the softest to the stiffest
 MEASURED, MODEL, QUIET = "#2166ac", "#d55e00", "#999999"
@@ -64,27 +68,14 @@ def report_page(found: Identified) -> str:
         residuals=_residuals(found),
         places=places,
         places_caption=caption,
-        told=flat(provenance_of(found)),
+        provenance=flat(provenance_of(found)),
     )
 
 
-def _figure(width: float, height: float) -> Any:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def _png(figure: Any) -> bytes:
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=110)
-    return stream.getvalue()
-
-
-def _bare(axis: Any, across: str, up: str) -> None:
+def _bare(axis: Axes, across: str, up: str) -> None:
     axis.set_xlabel(across)
     axis.set_ylabel(up)
-    for side in ("top", "right"):
-        axis.spines[side].set_visible(False)
+    hide_box(axis)
 
 
 def _curves(found: Identified) -> bytes:
@@ -93,7 +84,7 @@ def _curves(found: Identified) -> bytes:
     chosen = order[np.unique(np.linspace(0, len(order) - 1, SHOWN).astype(np.int64))]
     across = min(4, len(chosen))
     down = -(-len(chosen) // across)
-    figure = _figure(2.7 * across, 2.2 * down)
+    figure = empty_figure(2.7 * across, 2.2 * down)
     samples = found.samples
     predicted = found.fit.predicted(found.curves, samples, found.fit.own)
     for number, row in enumerate(chosen):
@@ -104,7 +95,7 @@ def _curves(found: Identified) -> bytes:
         axis.plot(deep, predicted[row][known], color=MODEL)
         axis.set_title(found.measurement.presses[row].name, fontsize=9, loc="left")
         _bare(axis, "depth (mm)", "force (N)")
-    return _png(figure)
+    return png(figure, 110)
 
 
 def _held_out(found: Identified) -> bytes | None:
@@ -113,13 +104,13 @@ def _held_out(found: Identified) -> bytes | None:
         return None
     judged = found.samples.judged & np.isfinite(found.held_out.predicted)
     measured, predicted = found.samples.forces[judged], found.held_out.predicted[judged]
-    figure = _figure(5.0, 4.2)
+    figure = empty_figure(5.0, 4.2)
     axis = figure.add_subplot()
     axis.plot(measured, predicted, ".", color=MEASURED, markersize=3)
     most = float(max(measured.max(initial=0.0), predicted.max(initial=0.0)))
     axis.plot([0.0, most], [0.0, most], color=QUIET, linewidth=0.8)
     _bare(axis, "measured force (N)", "predicted force (N)")
-    return _png(figure)
+    return png(figure, 110)
 
 
 def _residuals(found: Identified) -> bytes:
@@ -128,14 +119,14 @@ def _residuals(found: Identified) -> bytes:
     predicted = found.fit.predicted(found.curves, samples, found.fit.own)
     off = 100.0 * (samples.forces - predicted) / np.maximum(np.abs(predicted), LEAST_FORCE)
     known = samples.counts > 0.0
-    figure = _figure(7.0, 3.4)
+    figure = empty_figure(7.0, 3.4)
     axis = figure.add_subplot()
     axis.plot(1e3 * samples.depths[known], off[known], ".", color=QUIET, markersize=2)
     axis.plot(1e3 * seen.depths, 100.0 * seen.residuals, "o-", color=MODEL)
     axis.axhline(0.0, color="#000000", linewidth=0.6)
     axis.set_ylim(-60.0, 60.0)
     _bare(axis, "depth (mm)", "measured less fitted (%)")
-    return _png(figure)
+    return png(figure, 110)
 
 
 def _places(found: Identified) -> tuple[bytes, str]:
@@ -147,19 +138,19 @@ def _places(found: Identified) -> tuple[bytes, str]:
             "Young's modulus (kPa) of each press, on the surface around it; grey where nothing was pressed."
             + (" The organ file holds this map." if found.of_cells is not None else " The organ file has one modulus.")
         )
-    figure = _figure(6.0, 4.2)
+    figure = empty_figure(6.0, 4.2)
     axis = figure.add_subplot()
     if np.isfinite(points).all():
         centred = points - points.mean(axis=0)
-        flat_ = 1e3 * centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
-        shown = axis.scatter(*flat_.T, c=modulus, cmap=COLOURS, s=14, vmin=_low(modulus), vmax=_high(modulus))
+        across, up = 1e3 * np.linalg.svd(centred, full_matrices=False)[2][:2] @ centred.T
+        shown = axis.scatter(across, up, c=modulus, cmap=COLOURS, s=14, vmin=_low(modulus), vmax=_high(modulus))
         figure.colorbar(shown, label="Young's modulus (kPa)")
         axis.set_aspect("equal")
         _bare(axis, "mm", "mm")
-        return _png(figure), "Young's modulus of each press, at its place in the recording's axes."
+        return png(figure, 110), "Young's modulus of each press, at its place in the recording's axes."
     axis.hist(modulus, bins=min(20, len(modulus)), color=MEASURED)
     _bare(axis, "Young's modulus (kPa)", "presses")
-    return _png(figure), "Young's modulus of each press."
+    return png(figure, 110), "Young's modulus of each press."
 
 
 def _low(values: Floats) -> float:
@@ -190,12 +181,12 @@ def _on_organ(found: Identified, points: Floats, modulus: Floats) -> bytes:
     skins = [
         Solid(rest, triangles[band == one], _colour(int(one), colormaps[COLOURS]), lines=0.6) for one in np.unique(band)
     ]
-    figure = _figure(6.0, 4.8)
+    figure = empty_figure(6.0, 4.8)
     axis = figure.add_subplot()
     axis.imshow(draw(view, skins))
     axis.set_axis_off()
     figure.colorbar(ScalarMappable(norm, COLOURS), ax=axis, shrink=0.8, label="Young's modulus (kPa)")
-    return _png(figure)
+    return png(figure, 110)
 
 
 def _colour(band: int, colours: Any) -> tuple[float, float, float]:

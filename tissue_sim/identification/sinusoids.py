@@ -14,7 +14,7 @@ CYCLES = 3  # at the least
 LEAST = 5e-5  # m, amplitude
 CROSSED = 0.3  # of the amplitude, beyond which a crossing of the middle counts: noise crosses it many times
 EVEN = 0.1  # of the mean period, deviation of a single one at most
-PURE = 0.95  # share of the depth's variance that one sinusoid must explain
+PURE = 0.95  # fraction of the depth's variance that one sinusoid must explain
 NEAR = 0.1  # of the frequency, within which it is refined
 
 
@@ -88,7 +88,7 @@ def _waves(frequency: float, time: Floats) -> Floats:
 
 
 def _left_over(frequency: float, time: Floats, values: Floats) -> float:
-    """Return the share of the variance of values that a sinusoid and drift don't explain."""
+    """Return the fraction of the variance of values that a sinusoid and drift don't explain."""
     waves = _waves(frequency, time)[:, :5]
     left = values - waves @ np.linalg.lstsq(waves, values, rcond=None)[0]
     return float(np.var(left) / np.var(values))
@@ -112,12 +112,12 @@ def loss_of(swing: Sinusoid) -> Loss:
         ).x
     )
     waves = _waves(frequency, time)
-    moved, felt = (np.linalg.lstsq(waves, values, rcond=None)[0] for values in (depths, forces))
-    stiffness = complex(felt[0], -felt[1]) / complex(moved[0], -moved[1])
-    left = forces - waves @ felt
+    moved, of_force = (np.linalg.lstsq(waves, values, rcond=None)[0] for values in (depths, forces))
+    stiffness = complex(of_force[0], -of_force[1]) / complex(moved[0], -moved[1])
+    left = forces - waves @ of_force
     again = float(np.clip(np.corrcoef(left[1:], left[:-1])[0, 1], 0.0, 0.99)) if np.std(left) > 0.0 else 0.0
     alone = len(time) * (1.0 - again) / (1.0 + again)  # samples whose errors are independent
-    noise = float(np.std(left)) * np.sqrt(2.0 / alone) / float(np.hypot(felt[0], felt[1]))
+    noise = float(np.std(left)) * np.sqrt(2.0 / alone) / float(np.hypot(of_force[0], of_force[1]))
     apart = 2.0 * np.pi * frequency * float(np.median(np.diff(time))) / np.sqrt(12.0)
     return Loss(stiffness.imag / stiffness.real, float(np.hypot(noise, apart)), frequency, stiffness.real)
 

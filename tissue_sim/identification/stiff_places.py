@@ -11,7 +11,7 @@ from tissue_sim.identification.mixed_effects import Fit
 
 ENOUGH = 8  # presses, to know how much places vary
 OUTSIDE = 4.0  # robust standard deviations above the median
-LEAST, LEAST_SPREAD = 0.05, 0.01  # of the modulus: of what is told, and of how much places vary
+LEAST, LEAST_SPREAD = 0.05, 0.01  # of the modulus: of what is reported, and of how much places vary
 NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 

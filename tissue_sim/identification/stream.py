@@ -208,5 +208,5 @@ def _stroke(name: str, contact: _Contact) -> list[MeasuredStroke]:
     force = stream.forces[fast]
     pushing = np.einsum("kx,kx->k", force, normal[fast])
     against = -np.einsum("kx,kx->k", force, step[fast] / length[fast, None])
-    felt = pushing > 0.0
-    return [MeasuredStroke(name, pushing[felt], against[felt], float(travelled[-1]))] if felt.any() else []
+    touching = pushing > 0.0
+    return [MeasuredStroke(name, pushing[touching], against[touching], float(travelled[-1]))] if touching.any() else []

@@ -1,6 +1,6 @@
 """Measured presses from a CSV file.
 
-Three layouts are told apart by the names of their columns, in SI units; lines that begin with # are left out:
+Three layouts are distinguished by the names of their columns, in SI units; lines that begin with # are left out:
 
 - one sample a row: `press,depth,force`, and where the place is known `x,y,z` (m, where the tool's surface first
   touched) and `nx,ny,nz` (the outward normal there);
@@ -74,9 +74,9 @@ def presses_of(columns: Columns, radius: float, name: str) -> list[MeasuredPress
         For columns that are no presses.
     """
     deep = sorted((key for key in columns if re.fullmatch(r"d\d+", key)), key=lambda key: int(key[1:]))
-    felt = [f"fn{key[1:]}" for key in deep]
-    if deep and set(felt) <= set(columns):
-        depths, forces = (np.stack([columns[key] for key in keys], axis=1) for keys in (deep, felt))
+    force_keys = [f"fn{key[1:]}" for key in deep]
+    if deep and set(force_keys) <= set(columns):
+        depths, forces = (np.stack([columns[key] for key in keys], axis=1) for keys in (deep, force_keys))
         even = np.abs(depths - np.median(depths, axis=0)).max(axis=1) < UNEVEN
         rows = np.flatnonzero(even & (forces[:, -1] > LEAST))
         return [_press(f"press {row + 1}", columns, row, (depths[row], forces[row]), radius) for row in rows.tolist()]

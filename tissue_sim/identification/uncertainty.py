@@ -9,10 +9,10 @@ from scipy.spatial import cKDTree
 from scipy.stats import norm, t
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.calibration.cases import surface_of
 from tissue_sim.identification.force_curves import ForceCurves
 from tissue_sim.identification.measured import Samples
-from tissue_sim.identification.mixed_effects import NOISE, SHARE, Fit, Priors, fitted
+from tissue_sim.identification.mixed_effects import FRACTION, NOISE, Fit, Priors, fitted
+from tissue_sim.identification.places import clear_of_clamp
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.tool_resolution import mean_edge
 
@@ -28,7 +28,7 @@ DEPTHS = (0.25, 0.5, 0.75, 1.0)  # radii, of presses that are considered
 ENOUGH = 1.1  # times the least variance, at which a press is deep enough
 SAMPLES = 20  # of a press that is considered
 CLEAR = 3.0  # mean edges from the clamp
-TOLD = 3  # places that are proposed
+PROPOSED = 3  # places that are proposed
 
 
 class Interval(NamedTuple):
@@ -90,9 +90,9 @@ def interval_of(fit: Fit, drawn: Floats, places: int, own_error: float) -> Inter
     by_presses = float(np.std(np.log(drawn))) * np.sqrt(places / max(places - 1, 1))
     if places < FEW:
         by_presses = max(by_presses, float(np.sqrt(fit.covariance[0, 0])))
-    share = 0.5 + 0.5 * LEVEL
-    few = float(t.ppf(share, max(places - 1, 1)) / norm.ppf(share))
-    half = float(norm.ppf(share)) * np.hypot(few * by_presses, own_error)
+    fraction = 0.5 + 0.5 * LEVEL
+    few = float(t.ppf(fraction, max(places - 1, 1)) / norm.ppf(fraction))
+    half = float(norm.ppf(fraction)) * np.hypot(few * by_presses, own_error)
     return Interval(fit.factor * np.exp(-half), fit.factor * np.exp(half), by_presses, own_error)
 
 
@@ -120,7 +120,7 @@ def next_press(
         The least depth that tells about as much as any, and the places farthest from those that were pressed.
     """
     fit, interval, points = found
-    variances = [_variance(curves, fit, priors, share * radius) for share in DEPTHS]
+    variances = [_variance(curves, fit, priors, fraction * radius) for fraction in DEPTHS]
     chosen = next(index for index, one in enumerate(variances) if one <= ENOUGH * min(variances))
     after = 1.0 / (1.0 / interval.from_presses**2 + 1.0 / variances[chosen])
     width = float(norm.ppf(0.5 + 0.5 * LEVEL)) * float(np.sqrt(after + interval.from_model**2))
@@ -136,20 +136,17 @@ def _variance(curves: ForceCurves, fit: Fit, priors: Priors, depth: float) -> fl
     force, slope = one.at(depths + fit.common[1])
     model, slope = fit.factor * force[0], fit.factor * slope[0]
     moved = np.stack([model, slope, np.ones_like(model)], axis=1)
-    weight = 1.0 / (fit.noise * (NOISE + SHARE * model)) ** 2
+    weight = 1.0 / (fit.noise * (NOISE + FRACTION * model)) ** 2
     information = (moved.T * weight) @ moved + np.diag([0.0, priors.offset**-2, priors.bias**-2])
     return float(np.linalg.inv(information)[0, 0]) + fit.spread**2
 
 
 def _farthest(organ: Organ, points: Floats) -> Floats:
     """Return the surface nodes (k, 3) m that are farthest from pressed points and clear of the clamp."""
-    surface = surface_of(organ)
-    free = np.ones(len(surface.positions), dtype=bool)
-    if len(organ.fixed):
-        free = cKDTree(surface.positions[organ.fixed]).query(surface.positions)[0] > CLEAR * mean_edge(organ)
-    candidates, taken = surface.positions[free], points
+    positions, taken = organ.surface_positions, points
+    candidates = positions[clear_of_clamp(organ, positions, CLEAR)]
     chosen = []
-    for _ in range(min(TOLD, len(candidates))):
+    for _ in range(min(PROPOSED, len(candidates))):
         chosen.append(candidates[int(cKDTree(taken).query(candidates)[0].argmax())])
         taken = np.vstack([taken, chosen[-1]])
     return np.array(chosen).reshape(-1, 3)

@@ -134,7 +134,7 @@ def _built(source: Any, given: dict[str, Any]) -> Organ:
     kind = _kind_of(source, given["seed"] is not None or given.get("seed_voxel") is not None)
     own = {name: value for name, value in given.items() if name in _OF_SOURCE and value is not None}
     if foreign := sorted(own.keys() - _OF_KIND[kind]):
-        raise UserError(f"{foreign[0]} does not belong to {_A[kind]}, which {_told(source)} is taken for")
+        raise UserError(f"{foreign[0]} does not belong to {_A[kind]}, which {_described(source)} is taken for")
     of_organ = {name: value for name, value in given.items() if name not in _OF_SOURCE}
     progress = of_organ.pop("progress", None) or Progress(_warn)
     path = Path(source) if isinstance(source, str | os.PathLike) else None
@@ -203,13 +203,13 @@ def _kind_of(source: Any, is_seeded: bool) -> str:
         is_surface = hasattr(source, "faces") or (isinstance(source, tuple | list) and len(source) == 2)
         if not is_surface and np.ndim(source) != 3:
             raise UserError(
-                f"nothing can be built from {_told(source)}; give a file, a mesh, positions and triangles, or voxels"
-                " (nx, ny, nz)"
+                f"nothing can be built from {_described(source)}; give a file, a mesh, positions and triangles,"
+                " or voxels (nx, ny, nz)"
             )
     return "surface" if is_surface else "image" if is_seeded else "mask"
 
 
-def _told(source: Any) -> str:
+def _described(source: Any) -> str:
     if isinstance(source, str | os.PathLike):
         return str(source)
     shape = np.shape(source) if isinstance(source, np.ndarray) else ()
@@ -305,7 +305,7 @@ def digest_of(source: Path) -> str:
 
 
 def _warn(line: str) -> None:
-    """Warn of what the stages found wrong or repaired, in the caller's file; the rest is heard with `progress` alone.
+    """Warn of what the stages found wrong or repaired, in the caller's file; the rest is reported to `progress` only.
 
     STL has no shared points, so that it says nothing about a file that some coincide.
     """

@@ -65,7 +65,7 @@ def _quiet(_line: str) -> None:
     return None
 
 
-def _unwatched(_stage: str, _done: float) -> None:
+def _unobserved(_stage: str, _done: float) -> None:
     return None
 
 
@@ -84,7 +84,7 @@ class Progress:
     """
 
     tell: Tell = _quiet
-    watch: Watch = _unwatched
+    watch: Watch = _unobserved
     record: BuildRecord = field(default_factory=BuildRecord)
 
     def say(self, line: str) -> None:

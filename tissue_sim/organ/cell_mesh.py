@@ -16,7 +16,7 @@ from tissue_sim.organ.winding import inside
 # Relative to a regular tetrahedron of the same root mean square edge length. Flatter cells are left out: they carry
 # nothing, and would set the critical step.
 LEAST_QUALITY = 0.1
-LEAST_SHARE = 0.9  # of the volume
+LEAST_FRACTION = 0.9  # of the volume
 # Degrees between two faces of a cell on the surface, beyond which it is left out: a dent would turn such a cell inside
 # out. Narrower angles are the edges of a body, as of a cube, which would hang by a thread without their cells.
 WIDEST = 120.0
@@ -92,20 +92,20 @@ def tissue_cells(points: Floats, surface: Floats, triangles: Ints, name: str) ->
         raise UserError(
             f"organ '{name}': no cell joins {np.sum(count == 0)} nodes; build it with another number of --atoms"
         )
-    share = float(np.abs(volume[sound]).sum()) / signed_volume(surface, triangles)
-    if share < LEAST_SHARE:
-        raise UserError(f"cells fill {100.0 * share:.0f} % of organ '{name}'; build it with more --interior atoms")
+    fraction = float(np.abs(volume[sound]).sum()) / signed_volume(surface, triangles)
+    if fraction < LEAST_FRACTION:
+        raise UserError(f"cells fill {100.0 * fraction:.0f} % of organ '{name}'; build it with more --interior atoms")
     return cells[sound].astype(np.int32)
 
 
-def with_cells(organ: Organ, shares: tuple[float, float] = (1.0, 1.0)) -> Organ:
+def with_cells(organ: Organ, fractions: tuple[float, float] = (1.0, 1.0)) -> Organ:
     """Return the organ with cells between all its nodes; inclusions are taken into account.
 
     Parameters
     ----------
     organ : Organ
         The organ.
-    shares : tuple[float, float], optional
+    fractions : tuple[float, float], optional
         Fractions of the tissue's mu and lambda that the cells carry.
 
     Returns
@@ -119,10 +119,10 @@ def with_cells(organ: Organ, shares: tuple[float, float] = (1.0, 1.0)) -> Organ:
         Where a node belongs to no cell, the cells fill too little of the volume, or the organ was cut.
     """
     if organ.n_virtual:
-        raise UserError(f"organ '{organ.name}' was cut: its cells can't be made anew; use the organ before the cut")
+        raise UserError(f"organ '{organ.name}' was cut: its cells can't be made again; use the organ before the cut")
     cells = tissue_cells(organ.rest_positions, organ.surface_positions, organ.surface_triangles, organ.name)
     factors = cell_factors(inclusions_of(organ), organ.rest_positions, cells)
-    mu, lam = np.outer(np.multiply(shares, organ.lame_moduli), factors)
+    mu, lam = np.outer(np.multiply(fractions, organ.lame_moduli), factors)
     return replace(organ, cell_nodes=cells, cell_mu=mu, cell_lambda=lam)
 
 

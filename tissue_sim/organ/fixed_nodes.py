@@ -43,11 +43,11 @@ def select_fixed(choice: str | ArrayLike, positions: Floats) -> Ints:
         raise UserError(
             f"--fixed '{choice}' is not understood; use 'z<0.1' (axis, < or >, fraction), a .npy file or none"
         )
-    axis, side, share = "xyz".index(match[1]), match[2], float(match[3])
-    if not 0.0 <= share <= 1.0:
+    axis, side, fraction = "xyz".index(match[1]), match[2], float(match[3])
+    if not 0.0 <= fraction <= 1.0:
         raise UserError(f"--fixed '{choice}': the fraction of the extent must lie within 0..1")
     along = positions[:, axis]
-    level = along.min() + share * np.ptp(along)
+    level = along.min() + fraction * np.ptp(along)
     chosen = np.flatnonzero(along <= level if side == "<" else along >= level)
     return chosen.astype(np.int32)
 

@@ -73,6 +73,25 @@ def inclusions_of(organ: Organ) -> list[Inclusion]:
     return found
 
 
+def existing_inclusions(organ: Organ) -> list[Inclusion]:
+    """Return the inclusions of an organ that must have some.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Raises
+    ------
+    UserError
+        Where it has none.
+    """
+    found = inclusions_of(organ)
+    if not found:
+        raise UserError(f"organ '{organ.name}' has no inclusion; build it with --mask and --inclusion")
+    return found
+
+
 def with_inclusions(organ: Organ, inclusions: Sequence[Inclusion]) -> Organ:
     """Return the organ with these inclusions in place of its own; its springs and cells are unchanged.
 
@@ -175,11 +194,11 @@ def cell_factors(inclusions: Sequence[Inclusion], points: Floats, cells: Longs |
     """
     if not inclusions:
         return np.ones(len(cells))
-    factors: Floats = stiffness_at(inclusions, _SHARES @ points[cells]).mean(axis=1)
+    factors: Floats = stiffness_at(inclusions, _FRACTIONS @ points[cells]).mean(axis=1)
     return factors
 
 
-def _shares() -> Floats:
+def _fractions() -> Floats:
     """Return barycentric coordinates (k, 4) of points spread evenly through a tetrahedron."""
     steps = np.arange(_FINEST)
     a, b, c = (part.ravel() for part in np.meshgrid(steps, steps, steps, indexing="ij"))
@@ -188,4 +207,4 @@ def _shares() -> Floats:
     return np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
 
 
-_SHARES = _shares()
+_FRACTIONS = _fractions()

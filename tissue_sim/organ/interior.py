@@ -19,7 +19,7 @@ from tissue_sim.organ.surfaces.intersections import is_crossed
 from tissue_sim.organ.surfaces.sizing import relative_edges
 from tissue_sim.organ.winding import inside
 
-_SHARES = np.linspace(0.1, 0.9, 17)  # fractions of a spoke's length, from the medial atom
+_FRACTIONS = np.linspace(0.1, 0.9, 17)  # fractions of a spoke's length, from the medial atom
 _WALL = 2.0  # atoms keep half as far from the boundary as from each other
 _LAYER, _THICK, _DEEP = 0.9, 0.2, 1.6  # mean edges: how deep the layer lies, half of how thick it is, what is deeper
 
@@ -34,13 +34,13 @@ class InteriorAtoms:
         The atoms.
     spoke : Ints, shape (m, 2)
         Medial atom and boundary point that each atom's spoke joins.
-    share : Floats, shape (m,)
+    fraction : Floats, shape (m,)
         Fraction of the spoke's length, from the medial atom.
     """
 
     positions: Floats
     spoke: Ints
-    share: Floats
+    fraction: Floats
 
 
 def check_interior(count: int) -> None:
@@ -68,15 +68,15 @@ def distribute_interior_atoms(
     One after another each takes the place on a spoke that is farthest from all atoms so far and from the
     boundary, whose distance counts double (farthest point sampling, Gonzalez 1985). On a graded surface distances are
     measured in the edges nearby, so that atoms are close where surface points are. Places whose
-    spoke leaves the organ on the way don't count. layer: the share of them that is spread a mean edge under the
+    spoke leaves the organ on the way don't count. layer: the fraction of them that is spread a mean edge under the
     boundary, where cells change most; the others lie deeper then.
     Raises UserError for a negative count or more atoms than there are places.
     """
     check_interior(count)
     owner = nearest_atoms(surface, atoms, 1)[0][:, 0]
-    spoke = np.repeat(np.stack([owner, np.arange(len(surface))], axis=1), len(_SHARES), axis=0)
-    share = np.tile(_SHARES, len(surface))
-    places = atoms[spoke[:, 0]] + share[:, None] * (surface[spoke[:, 1]] - atoms[spoke[:, 0]])
+    spoke = np.repeat(np.stack([owner, np.arange(len(surface))], axis=1), len(_FRACTIONS), axis=0)
+    fraction = np.tile(_FRACTIONS, len(surface))
+    places = atoms[spoke[:, 0]] + fraction[:, None] * (surface[spoke[:, 1]] - atoms[spoke[:, 0]])
     apart = cKDTree(atoms).query(places)[0]
     depth, below = cKDTree(surface).query(places)
     size = relative_edges(surface, triangles)[below]
@@ -99,7 +99,7 @@ def distribute_interior_atoms(
                 room[near] = np.minimum(room[near], np.linalg.norm(places[near] - places[best], axis=1) / size[near])
                 room[best] = 0.0
             else:
-                last = (best // len(_SHARES) + 1) * len(_SHARES)
+                last = (best // len(_FRACTIONS) + 1) * len(_FRACTIONS)
                 room[best:last] = 0.0  # beyond it on its spoke is no better
 
     if layer > 0.0:
@@ -112,4 +112,4 @@ def distribute_interior_atoms(
     if len(chosen) < count:
         raise UserError(f"--interior {count} is too many for this organ; the largest number is {len(chosen)}")
     index = np.array(chosen, dtype=np.int64)
-    return InteriorAtoms(places[index], spoke[index].astype(np.int32), share[index])
+    return InteriorAtoms(places[index], spoke[index].astype(np.int32), fraction[index])

@@ -55,8 +55,8 @@ def _add(row: Floats, point: Floats, positions: Floats, triangles: Ints | Longs)
     sign = np.sign(np.linalg.det(ways))[:, None]
     sine = sign * np.sqrt(np.clip(1.0 - cosine**2, 0.0, None))
     # A triangle whose plane goes through the point contributes nothing.
-    told = (half < np.pi - _ON_FACE) & (np.abs(sine) > _ON_FACE).all(axis=1)
-    cosine, sine, angle, corner = cosine[told], sine[told], angle[told], triangles[told]
+    off_plane = (half < np.pi - _ON_FACE) & (np.abs(sine) > _ON_FACE).all(axis=1)
+    cosine, sine, angle, corner = cosine[off_plane], sine[off_plane], angle[off_plane], triangles[off_plane]
     following, before = np.roll(angle, -1, axis=1), np.roll(angle, -2, axis=1)
     next_cosine, last_cosine = np.roll(cosine, -1, axis=1), np.roll(cosine, -2, axis=1)
     found = (angle - next_cosine * before - last_cosine * following) / (

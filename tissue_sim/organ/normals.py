@@ -23,7 +23,7 @@ def surface_normals(positions: Floats, triangles: Ints) -> Floats:
         (n, 3), unit vectors; zero where there is no area.
     """
     a, b, c = (positions[triangles[:, corner]] for corner in range(3))
-    share = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-    sums = [np.bincount(triangles.ravel(), weights=share[:, axis], minlength=len(positions)) for axis in range(3)]
+    part = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    sums = [np.bincount(triangles.ravel(), weights=part[:, axis], minlength=len(positions)) for axis in range(3)]
     normal = np.stack(sums, axis=1)
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(np.float64).tiny)

@@ -32,7 +32,7 @@ SCHEMA_VERSION = 7
 # Fields of the header, with their types.
 _TOLD = {"name": str, "youngs_modulus": float, "poisson_ratio": float, "density": float, "provenance": dict}
 # Those of tissue that stiffens or relaxes: the value that other tissue has, which the header leaves out, and the range.
-_LAW = {
+LAW = {
     "stiffening": (0.0, 0.0, 100.0),
     "cell_stiffening": (1.0, 0.1, 10.0),
     "relaxation_fraction": (0.0, 0.0, 0.9),
@@ -246,7 +246,7 @@ class Organ:
 
     def _law(self) -> dict[str, float]:
         """Return what makes tissue stiffen or relax; nothing of neo-Hookean, elastic tissue."""
-        return {name: float(getattr(self, name)) for name, usual in _LAW.items() if getattr(self, name) != usual[0]}
+        return {name: float(getattr(self, name)) for name, usual in LAW.items() if getattr(self, name) != usual[0]}
 
     def _check_law(self) -> None:
         """Refuse a law out of range."""
@@ -382,7 +382,7 @@ class Organ:
                 " calibrate it again, with cells, which harden as tissue does"
             )
         content.setdefault("interior_spoke", np.empty((0, 2)))  # version 1 had no interior atoms
-        whole: dict[str, Any] = {**{key: header[key] for key in (*_TOLD, *_LAW) if key in header}, **content}
+        whole: dict[str, Any] = {**{key: header[key] for key in (*_TOLD, *LAW) if key in header}, **content}
         return cls(**whole)
 
     def digest(self) -> str:
@@ -417,7 +417,7 @@ def check_law(whose: str, **law: float) -> None:
         Where a number is out of range, or a relaxation lacks one.
     """
     for name, value in law.items():
-        usual, least, most = _LAW[name]
+        usual, least, most = LAW[name]
         if value != usual and not least <= value <= most:
             raise UserError(f"{whose}{name.replace('_', ' ')} {value:g} is outside {least:g}..{most:g}")
     if bool(law.get("relaxation_fraction")) != bool(law.get("relaxation_time")):
@@ -519,11 +519,11 @@ def _header(text: str) -> dict[str, Any] | None:
             return dict(header)
         for key, kind in _TOLD.items():
             header[key] = kind(header[key])
-        for key in _LAW.keys() & header.keys():
+        for key in LAW.keys() & header.keys():
             header[key] = float(header[key])
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
-    numbers = [header[key] for key in (*_TOLD, *_LAW) if isinstance(header.get(key), float)]
+    numbers = [header[key] for key in (*_TOLD, *LAW) if isinstance(header.get(key), float)]
     if len(header["name"]) > _LONGEST_NAME or not np.all(np.isfinite(numbers)):
         return None
     return dict(header)

@@ -272,14 +272,14 @@ def _compared(volume: float, positions: Floats, triangles: Ints, request: Reques
 
     built = 1e6 * signed_volume(positions, triangles)
     off = built / volume - 1.0
-    told = f"{volume:.1f} mL read, {built:.1f} mL built ({100.0 * off:+.1f} %)"
+    volumes = f"{volume:.1f} mL read, {built:.1f} mL built ({100.0 * off:+.1f} %)"
     if abs(off) > _WRONG and not request.accept:
         raise UserError(
-            f"{request.name} differs from its input: {told}; resample a thin mask more finely, close its gaps, or"
+            f"{request.name} differs from its input: {volumes}; resample a thin mask more finely, close its gaps, or"
             " accept it with --accept"
         )
     progress.say(
-        f"warning: {told}; a finer mask or more --points reduces the difference" if abs(off) > _NOTED else told
+        f"warning: {volumes}; a finer mask or more --points reduces the difference" if abs(off) > _NOTED else volumes
     )
     return _with(request, {"volume_read_ml": round(volume, 3), "volume_built_ml": round(built, 3)})
 

@@ -21,7 +21,8 @@ def refined(organ: Organ, refinement: Refinement) -> Organ:
     """Return an organ with shorter edges of the surface in some places.
 
     Its shape stays exactly, since edges are only halved, so that results of finite elements for the one hold for the
-    other. Its nodes keep their numbers within the surface; what lies inside is made anew, and must be calibrated again.
+    other. Its nodes keep their numbers within the surface; what lies inside is made again, and must be calibrated
+    again.
 
     Parameters
     ----------
@@ -47,9 +48,9 @@ def refined(organ: Organ, refinement: Refinement) -> Organ:
         raise UserError(f"--refine changes nothing: the edges of organ '{organ.name}' are as short already")
     held = np.zeros(len(before), dtype=bool)
     held[organ.fixed] = True
-    corner, share = places_on(organ, positions)
+    corner, fraction = places_on(organ, positions)
     # The middle of an edge is held where both ends are.
-    fixed = np.flatnonzero(np.where(held[corner], share, 0.0).sum(axis=1) > 1.0 - _ON).astype(np.int32)
+    fixed = np.flatnonzero(np.where(held[corner], fraction, 0.0).sum(axis=1) > 1.0 - _ON).astype(np.int32)
     provenance = {key: value for key, value in organ.provenance.items() if key != "calibration"}
     return assemble_like(
         organ,
@@ -62,7 +63,7 @@ def refined(organ: Organ, refinement: Refinement) -> Organ:
 
 
 def places_on(organ: Organ, points: Floats) -> tuple[Longs, Floats]:
-    """Return between which surface nodes points on an organ's surface lie, and their shares.
+    """Return between which surface nodes points on an organ's surface lie, and their fractions.
 
     Parameters
     ----------
@@ -90,11 +91,11 @@ def places_on(organ: Organ, points: Floats) -> tuple[Longs, Floats]:
     away = points[:, None] - a
     second = np.einsum("knx,knx->kn", np.cross(away, other), normal) / square
     third = np.einsum("knx,knx->kn", np.cross(one, away), normal) / square
-    share = np.stack([1.0 - second - third, second, third], axis=2)
+    fraction = np.stack([1.0 - second - third, second, third], axis=2)
     off = np.abs(np.einsum("knx,knx->kn", away, normal)) / square**0.75  # of the triangle's size
-    fit = share.min(axis=2) - off
+    fit = fraction.min(axis=2) - off
     best = np.argmax(fit, axis=1)
     row = np.arange(len(points))
     if np.any(fit[row, best] < -_ON):
         raise UserError(f"a point does not lie on the surface of organ '{organ.name}'")
-    return triangles[near[row, best]], np.clip(share[row, best], 0.0, 1.0)
+    return triangles[near[row, best]], np.clip(fraction[row, best], 0.0, 1.0)

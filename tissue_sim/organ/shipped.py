@@ -28,8 +28,8 @@ def shipped_file(inside: str) -> Path | None:
     # PREFIX/lib/python3.x/site-packages/tissue_sim/organ/shipped.py, as pip and colcon lay it out.
     prefixes: list[str | Path] = [*here.parents[5:6], sys.prefix]
     prefixes += os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    shares = [Path(prefix) / "share" / "tissue_sim" for prefix in prefixes if prefix]
-    return next((folder / inside for folder in (here.parents[2], *shares) if (folder / inside).is_file()), None)
+    folders = [Path(prefix) / "share" / "tissue_sim" for prefix in prefixes if prefix]
+    return next((folder / inside for folder in (here.parents[2], *folders) if (folder / inside).is_file()), None)
 
 
 def shipped_organ(name: str = "kidney") -> Path:

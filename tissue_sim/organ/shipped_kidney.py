@@ -51,7 +51,7 @@ def build_default_kidney(progress: Progress | None = None) -> Organ:
 
 
 def with_tumour(kidney: Organ) -> Organ:
-    """Return the kidney, assembled anew, with a ball of stiffer tissue under its frontmost suitable point.
+    """Return the kidney, reassembled, with a ball of stiffer tissue under its frontmost suitable point.
 
     Parameters
     ----------
@@ -70,5 +70,8 @@ def with_tumour(kidney: Organ) -> Organ:
     middle = middles[under][middles[under, 1].argmin()]
     ball = trimesh.creation.icosphere(subdivisions=2, radius=TUMOUR)
     inclusion = Inclusion(ball.vertices + middle, ball.faces.astype("int32"), STIFFER)
-    told = {**kidney.provenance, "inclusions": f"a ball of {2e3 * TUMOUR:g} mm, {1e3 * UNDER:g} mm under the front"}
-    return assemble_like(kidney, name="kidney with a tumour", inclusions=[inclusion], provenance=told)
+    provenance = {
+        **kidney.provenance,
+        "inclusions": f"a ball of {2e3 * TUMOUR:g} mm, {1e3 * UNDER:g} mm under the front",
+    }
+    return assemble_like(kidney, name="kidney with a tumour", inclusions=[inclusion], provenance=provenance)

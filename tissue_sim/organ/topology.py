@@ -23,10 +23,10 @@ from tissue_sim.organ.organ import Organ, SpringKind, check_surface, signed_volu
 NEAREST_ATOMS = 4  # section 3.3: each boundary point is joined with the four nearest medial atoms
 # Fraction of the organ's mass. The skeleton's springs are the stiffest: with less mass on its atoms the skeleton alone
 # would determine the time step.
-SURFACE_MASS_SHARE = 0.45
+SURFACE_MASS_FRACTION = 0.45
 DAMPING_RATE = 45.0  # 1/s: settles a poke of a 10 kPa kidney in 0.2 s with under 5 % overshoot
 SHELL_THICKNESS = 0.8  # of the mean edge: the tissue that edge and angular springs stand for
-RETURN_SHARE = 0.02  # return spring as a fraction of the tissue column's stiffness
+RETURN_FRACTION = 0.02  # return spring as a fraction of the tissue column's stiffness
 
 
 def assemble_organ(
@@ -116,13 +116,13 @@ def assemble_organ(
     if np.any(edge_length <= 0.0) or np.any(area <= 0.0):
         raise UserError(f"organ '{name}': the surface has triangles without area; remove them")
     thickness = SHELL_THICKNESS * float(edge_length.mean())
-    share = node_area(surface, triangles)
+    of_nodes = node_area(surface, triangles)
 
     interior = distribute_interior_atoms(surface, triangles, atoms, interior_atoms, interior_layer)
     inner = np.concatenate([atoms, interior.positions])
     # A column of tissue is neither free to bulge (E) nor confined (oedometric modulus): between them.
     confined = (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
-    columns = _columns(surface, inner, share, youngs_modulus * np.sqrt(confined))
+    columns = _columns(surface, inner, of_nodes, youngs_modulus * np.sqrt(confined))
     bones = np.flatnonzero(parent >= 0)
     bone_length = np.linalg.norm(atoms[bones] - atoms[parent[bones]], axis=1)
     if np.any(bone_length <= 0.0):
@@ -153,8 +153,8 @@ def assemble_organ(
     stiffness_sum = np.bincount(spring_nodes.ravel(), weights=np.repeat(spring_stiffness, 2), minlength=n)
     total_mass = density * total_volume
     mass = np.empty(n)
-    mass[:n_surface] = SURFACE_MASS_SHARE * total_mass * share / share.sum()
-    mass[n_surface:] = (1.0 - SURFACE_MASS_SHARE) * total_mass * _share(stiffness_sum[n_surface:])
+    mass[:n_surface] = SURFACE_MASS_FRACTION * total_mass * of_nodes / of_nodes.sum()
+    mass[n_surface:] = (1.0 - SURFACE_MASS_FRACTION) * total_mass * _normalised(stiffness_sum[n_surface:])
 
     rigidity = youngs_modulus * thickness**3 / (12.0 * (1.0 - poisson_ratio**2))
     organ = Organ(
@@ -169,7 +169,7 @@ def assemble_organ(
         fixed=np.unique(np.asarray(fixed, dtype=np.int32)),
         mass=mass,
         damping=DAMPING_RATE * mass,
-        return_stiffness=RETURN_SHARE * columns.node_stiffness(n),
+        return_stiffness=RETURN_FRACTION * columns.node_stiffness(n),
         spring_nodes=spring_nodes[order],
         spring_rest_length=np.concatenate(lengths)[order],
         spring_stiffness=spring_stiffness[order],
@@ -185,7 +185,7 @@ def assemble_organ(
 
 
 def assemble_like(organ: Organ, **changes: Any) -> Organ:
-    """Return the organ assembled anew, with new springs and some arguments of assemble_organ changed.
+    """Return the organ reassembled, with new springs and some arguments of assemble_organ changed.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def assemble_like(organ: Organ, **changes: Any) -> Organ:
         When the organ was cut, as its cuts would heal.
     """
     if organ.n_virtual:
-        raise UserError(f"organ '{organ.name}' was cut, and would heal if it were assembled anew; use the uncut organ")
+        raise UserError(f"organ '{organ.name}' was cut, and would heal if it were reassembled; use the uncut organ")
     same = {
         "name": organ.name,
         "surface_positions": organ.surface_positions,
@@ -245,8 +245,8 @@ def _columns(surface: Floats, atoms: Floats, node_area: Floats, youngs_modulus: 
     k = atom.shape[1]
     if np.any(length <= 0.0):
         raise UserError("a medial atom lies on the surface; use fewer --atoms or more --points")
-    share = 1.0 / (length * np.sum(1.0 / length, axis=1, keepdims=True))
-    stiffness = youngs_modulus * node_area[:, None] / length * share
+    fraction = 1.0 / (length * np.sum(1.0 / length, axis=1, keepdims=True))
+    stiffness = youngs_modulus * node_area[:, None] / length * fraction
     kind = np.full((len(surface), k), SpringKind.VIRTUAL, dtype=np.int32)
     kind[:, 0] = SpringKind.SPOKE
     node = np.repeat(np.arange(len(surface)), k)
@@ -266,12 +266,12 @@ def _inner_springs(inner: Floats, owner: Ints, surface: Floats, triangles: Ints,
     pairs = np.sort(solid.pairs, axis=1)
     bones = np.all(pairs < n_atoms, axis=1)  # these are the skeleton springs
     unique, inverse = np.unique(np.concatenate([spokes, pairs[~bones]]), axis=0, return_inverse=True)
-    share = np.bincount(inverse.ravel()[len(spokes) :], weights=solid.share[~bones], minlength=len(unique))
+    volume = np.bincount(inverse.ravel()[len(spokes) :], weights=solid.own_volume[~bones], minlength=len(unique))
     kind = np.full(len(unique), SpringKind.VIRTUAL)
     kind[inverse.ravel()[: len(spokes)]] = SpringKind.SPOKE
     length = np.linalg.norm(inner[unique[:, 0]] - inner[unique[:, 1]], axis=1)
-    least = 0.05 * np.median(share[share > 0.0]) if np.any(share > 0.0) else 0.0
-    stiffness = youngs_modulus * np.maximum(share, least) / length**2
+    least = 0.05 * np.median(volume[volume > 0.0]) if np.any(volume > 0.0) else 0.0
+    stiffness = youngs_modulus * np.maximum(volume, least) / length**2
     return _Springs(unique.astype(np.int32), length, stiffness, kind.astype(np.int32), solid.volume)
 
 
@@ -282,14 +282,14 @@ class TetrahedralEdges(NamedTuple):
     ----------
     pairs : NDArray[np.int64], shape (6c, 2)
         Point indices.
-    share : Floats, shape (6c,), m^3
+    own_volume : Floats, shape (6c,), m^3
         Volume of the edge's tetrahedron.
     volume : float, m^3
         Volume of all tetrahedra.
     """
 
     pairs: NDArray[np.int64]
-    share: Floats
+    own_volume: Floats
     volume: float
 
 
@@ -320,7 +320,7 @@ def tetrahedral_edges(points: Floats, surface: Floats, triangles: Ints) -> Tetra
     return TetrahedralEdges(pairs, np.tile(volume, 6), float(volume.sum()))
 
 
-def _share(values: Floats) -> Floats:
+def _normalised(values: Floats) -> Floats:
     return values / values.sum()
 
 
@@ -386,8 +386,8 @@ def node_area(positions: Floats, triangles: Ints) -> Floats:
     Floats, shape (n,), m^2
         Areas.
     """
-    share = np.repeat(triangle_area(positions, triangles) / 3.0, 3)
-    return np.bincount(triangles.ravel(), weights=share, minlength=len(positions))
+    third = np.repeat(triangle_area(positions, triangles) / 3.0, 3)
+    return np.bincount(triangles.ravel(), weights=third, minlength=len(positions))
 
 
 def surface_edges(triangles: Ints, area: Floats) -> tuple[Ints, Ints, Floats]:

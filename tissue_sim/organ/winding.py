@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,11 @@ _DOUBT = 0.2  # deviation from a whole number, from which a winding number is co
 class _Groups(NamedTuple):
     """Triangles in groups that lie together, and each group as it is seen from afar."""
 
-    corners: Any  # (t, 3, 3) of the triangles, group by group
-    starts: Any  # (g + 1,) where groups start
-    middle: Any  # (g, 3)
-    area: Any  # (g, 3) times the normal
-    afar: Any  # (g,) the square of where afar begins
+    corners: Floats  # (t, 3, 3) of the triangles, group by group
+    starts: Longs  # (g + 1,) where groups start
+    middle: Floats  # (g, 3)
+    area: Floats  # (g, 3) times the normal
+    afar: Floats  # (g,) the square of where afar begins
 
 
 def winding_number(points: Floats, positions: Floats, triangles: Ints | Longs) -> Floats:
@@ -121,7 +121,7 @@ def _seen_from_afar(corners: Floats, starts: Longs) -> tuple[Floats, Floats, Flo
 
 
 @kernel
-def _add_angles(points: Any, corners: Any, found: Any) -> None:
+def _add_angles(points: Floats, corners: Floats, found: Floats) -> None:
     for p in range(len(points)):
         total = 0.0
         for t in range(len(corners)):
@@ -130,7 +130,7 @@ def _add_angles(points: Any, corners: Any, found: Any) -> None:
 
 
 @kernel
-def _half_angle(corner: Any, x: float, y: float, z: float) -> float:
+def _half_angle(corner: Floats, x: float, y: float, z: float) -> float:
     """Return half of the solid angle of a triangle (3, 3), seen from a point."""
     ax, ay, az = corner[0, 0] - x, corner[0, 1] - y, corner[0, 2] - z
     bx, by, bz = corner[1, 0] - x, corner[1, 1] - y, corner[1, 2] - z
@@ -145,7 +145,7 @@ def _half_angle(corner: Any, x: float, y: float, z: float) -> float:
 
 
 @kernel
-def _add_groups(points: Any, groups: Any, found: Any) -> None:
+def _add_groups(points: Floats, groups: _Groups, found: Floats) -> None:
     corners, starts, middle, area, afar = groups
     for p in range(len(points)):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]

@@ -46,8 +46,8 @@ def tissue_colour(name: str) -> Colour:
 
 def shade_of(displacement: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the colours (n, 3) of a scale at displacements (n, 3) m."""
-    share = np.linalg.norm(displacement, axis=1) / FULL_DISPLACEMENT
-    place = (np.minimum(share, 1.0) * (len(scale) - 1)).astype(np.int64)
+    fraction = np.linalg.norm(displacement, axis=1) / FULL_DISPLACEMENT
+    place = (np.minimum(fraction, 1.0) * (len(scale) - 1)).astype(np.int64)
     return np.asarray(scale[place])
 
 

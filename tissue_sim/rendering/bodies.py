@@ -33,7 +33,7 @@ class Look:
     texture : float
         Period of the tissue's texture, m; 0 for none.
     inner : tuple[float, float, float] | None
-        Colour of the vertices that are told to lie in other tissue; None where there is none.
+        Colour of the vertices that are marked as other tissue; None where there is none.
     """
 
     colour: tuple[float, float, float] = (0.57, 0.20, 0.18)
@@ -69,7 +69,7 @@ class Shape(NamedTuple):
 
     vertices: Floats  # (n, 3) m at rest, to which the texture sticks
     triangles: Longs  # (t, 3) corner indices, counterclockwise seen from outside
-    share: Floats  # (n,) 1 for vertices that lie in other tissue, 0 for those that don't
+    fraction: Floats  # (n,) 1 for vertices that lie in other tissue, 0 for those that don't
 
 
 METAL = Look((0.62, 0.64, 0.67), label=101, is_metal=True, is_flat=True, texture=0.0)
@@ -129,7 +129,7 @@ class Body:
         shape: Shape,
         look: Look,
     ) -> None:
-        vertices, triangles, share = shape
+        vertices, triangles, fraction = shape
         self.look, self.is_shown, self.place = look, True, np.eye(4)
         self._normals = Normals(triangles, len(vertices))
         self._numbers = np.zeros((len(vertices), 6), dtype=np.float32)
@@ -137,12 +137,12 @@ class Body:
         self._write(vertices)
         self._moving = context.buffer(self._numbers.tobytes(), dynamic=True)
         stuck = context.buffer(self._numbers.tobytes())
-        faces, shares = context.buffer(triangles.astype(np.uint32).tobytes()), context.buffer(single_row(share))
-        self._held = [self._moving, stuck, faces, shares]
+        faces, fractions = context.buffer(triangles.astype(np.uint32).tobytes()), context.buffer(single_row(fraction))
+        self._held = [self._moving, stuck, faces, fractions]
         inputs = [
             (self._moving, "3f 3f", "position", "normal"),
             (stuck, "3f 3f", "rest", "rest_normal"),
-            (shares, "1f", "share"),
+            (fractions, "1f", "fraction"),
         ]
         # What the compiler finds that a program doesn't need, it doesn't take.
         self._arrays = {
@@ -196,7 +196,7 @@ class Body:
         self._bounds = np.array([positions.min(axis=0), positions.max(axis=0)])
 
 
-def checked(vertices: ArrayLike, triangles: ArrayLike, share: ArrayLike | None = None) -> Shape:
+def checked(vertices: ArrayLike, triangles: ArrayLike, fraction: ArrayLike | None = None) -> Shape:
     """Return a surface.
 
     Parameters
@@ -205,7 +205,7 @@ def checked(vertices: ArrayLike, triangles: ArrayLike, share: ArrayLike | None =
         Its vertices.
     triangles : ArrayLike, shape (t, 3)
         Corner indices.
-    share : ArrayLike | None, shape (n,), optional
+    fraction : ArrayLike | None, shape (n,), optional
         1 for vertices that lie in other tissue, 0 for others; by default none does.
 
     Raises
@@ -220,10 +220,10 @@ def checked(vertices: ArrayLike, triangles: ArrayLike, share: ArrayLike | None =
         raise UserError(f"triangles of shape {faces.shape}; expected: (t, 3)")
     if faces.min() < 0 or faces.max() >= len(points):
         raise UserError(f"triangles name vertex {faces.max()} of {len(points)}")
-    shares = np.zeros(len(points)) if share is None else np.asarray(share, dtype=np.float64)
-    if shares.shape != (len(points),):
-        raise UserError(f"shares of shape {shares.shape}; expected: ({len(points)},)")
-    return Shape(points, faces, shares)
+    fractions = np.zeros(len(points)) if fraction is None else np.asarray(fraction, dtype=np.float64)
+    if fractions.shape != (len(points),):
+        raise UserError(f"fractions of shape {fractions.shape}; expected: ({len(points)},)")
+    return Shape(points, faces, fractions)
 
 
 def single_row(values: Floats) -> bytes:

@@ -83,8 +83,8 @@ def light_of(colours: Any) -> Floats:
     colours : Any, shape (..., 3)
         The colours.
     """
-    share = np.asarray(colours, dtype=np.float64) / 255.0
-    return np.asarray(np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4))
+    fraction = np.asarray(colours, dtype=np.float64) / 255.0
+    return np.asarray(np.where(fraction <= 0.04045, fraction / 12.92, ((fraction + 0.055) / 1.055) ** 2.4))
 
 
 def _described(rest: Floats, n_faces: int, parts: list[int], opacity: float) -> dict[str, Any]:

@@ -98,7 +98,7 @@ class Offscreen:
         self._bodies: dict[str, Body] = {}
         self._lit: dict[tuple[str, ...], moderngl.Program] = {}  # by the words of the material
         self._programs = {
-            "told": context.program(shaders.VERTEX, shaders.TOLD),
+            "data": context.program(shaders.VERTEX, shaders.DATA),
             "shadow": context.program(shaders.SHADOW_VERTEX, shaders.SHADOW),
             "wall": context.program(shaders.WALL_VERTEX, shaders.WALL),
         }
@@ -108,7 +108,7 @@ class Offscreen:
             [context.renderbuffer(size, 4, samples=_samples(samples))],
             context.depth_renderbuffer(size, samples=_samples(samples)),
         )
-        self._told = context.framebuffer(
+        self._data = context.framebuffer(
             [context.renderbuffer(size, 1, dtype="f4"), context.renderbuffer(size, 1, dtype="u1")],
             context.depth_renderbuffer(size),
         )
@@ -141,7 +141,7 @@ class Offscreen:
         vertices: ArrayLike,
         triangles: ArrayLike,
         look: Look | None = None,
-        share: ArrayLike | None = None,
+        fraction: ArrayLike | None = None,
     ) -> None:
         """Add a body, in place of one of the same name.
 
@@ -155,7 +155,7 @@ class Offscreen:
             Corner indices, counterclockwise seen from outside.
         look : Look, optional
             How it looks.
-        share : ArrayLike, shape (n,), optional
+        fraction : ArrayLike, shape (n,), optional
             1 for vertices that lie in other tissue, which have the look's inner colour, 0 for others; by default none
             does.
 
@@ -164,11 +164,11 @@ class Offscreen:
         UserError
             Where they are no surface.
         """
-        shape = checked(vertices, triangles, share)
+        shape = checked(vertices, triangles, fraction)
         self.remove(name)
         chosen = look or Look()
         with self._context:
-            programs = {"lit": self._lit_by(chosen), "told": self._programs["told"], "shadow": self._programs["shadow"]}
+            programs = {"lit": self._lit_by(chosen), "data": self._programs["data"], "shadow": self._programs["shadow"]}
             self._bodies[name] = Body(self._context, programs, shape, chosen)
 
     def move(self, name: str, vertices: ArrayLike) -> None:
@@ -250,8 +250,8 @@ class Offscreen:
         eye = matrix_of(pose)
         with self._context:
             drawn = self._take_colour(eye) if colour else None
-            told = self._take_told(eye, depth, labels) if depth or labels else Picture()
-        return told._replace(colour=drawn)
+            data = self._take_data(eye, depth, labels) if depth or labels else Picture()
+        return data._replace(colour=drawn)
 
     def close(self) -> None:
         """Free the memory of the graphics processor."""
@@ -341,27 +341,27 @@ class Offscreen:
             body.draw("shadow")
         return to_clip
 
-    def _take_told(self, eye: Floats, depth: bool, labels: bool) -> Picture:
+    def _take_data(self, eye: Floats, depth: bool, labels: bool) -> Picture:
         """Return distances and labels, those that are wanted."""
-        view, told = inverse_of(eye), self._programs["told"]
-        self._told.use()
+        view, data = inverse_of(eye), self._programs["data"]
+        self._data.use()
         self._context.enable_only(moderngl.DEPTH_TEST)
-        self._told.clear(depth=1.0)
-        _set(told, "to_clip", single(self.lens.clip(NEAR, FAR)))
+        self._data.clear(depth=1.0)
+        _set(data, "to_clip", single(self.lens.clip(NEAR, FAR)))
         for body in self._shown():
-            _set(told, "to_view", single(view @ body.place))
-            _set(told, "label", body.look.label)
-            body.draw("told")
+            _set(data, "to_view", single(view @ body.place))
+            _set(data, "label", body.look.label)
+            body.draw("data")
         shape = self.lens.height, self.lens.width
         distances: Singles | None = None
         numbers: Pixels | None = None
         if depth:
             distances = np.empty(shape, dtype=np.float32)
-            self._told.read_into(distances, components=1, attachment=0, dtype="f4", alignment=1)
+            self._data.read_into(distances, components=1, attachment=0, dtype="f4", alignment=1)
             distances[distances == 0.0] = np.inf  # one value clears both images, and 0 is the label of nothing
         if labels:
             numbers = np.empty(shape, dtype=np.uint8)
-            self._told.read_into(numbers, components=1, attachment=1, dtype="u1", alignment=1)
+            self._data.read_into(numbers, components=1, attachment=1, dtype="u1", alignment=1)
         return Picture(None, distances, numbers)
 
 

@@ -20,7 +20,7 @@ in vec3 position;
 in vec3 normal;
 in vec3 rest;
 in vec3 rest_normal;
-in float share;
+in float fraction;
 out vec3 seen_at;
 out vec3 seen_normal;
 out vec3 stuck_at;
@@ -34,7 +34,7 @@ void main() {
     seen_normal = mat3(to_view) * normal;
     stuck_at = rest;
     stuck_normal = rest_normal;
-    within = share;
+    within = fraction;
     shadow_at = to_shadow * vec4(view.xyz + 0.0008 * normalize(seen_normal), 1.0);
     // A cone of light with soft edges. It decreases less than with the square of the distance, as the exposure of an
     // endoscope follows it.
@@ -158,7 +158,7 @@ void main() {
 """
 
 # What is seen at each pixel: its distance along the axis, and its label.
-TOLD = """
+DATA = """
 #version 330
 uniform int label;
 in vec3 seen_at;

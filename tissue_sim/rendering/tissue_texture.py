@@ -33,8 +33,8 @@ def tissue_texture() -> Pixels:
 def _noise(random: np.random.Generator, waves: float) -> Floats:
     """Return random values (SIZE, SIZE) of variance 1 with about so many waves across the texture, periodic."""
     rows, columns = np.fft.fftfreq(SIZE, 1.0 / SIZE)[:, None], np.fft.rfftfreq(SIZE, 1.0 / SIZE)
-    share = np.hypot(rows, columns) / waves
-    amplitude = share * np.exp(-(share**2))
+    fraction = np.hypot(rows, columns) / waves
+    amplitude = fraction * np.exp(-(fraction**2))
     phase = random.standard_normal((2, *amplitude.shape))
     made = irfft2(amplitude * (phase[0] + 1j * phase[1]), s=(SIZE, SIZE))
     return np.asarray(made / made.std())

@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def chosen_graph(environment: MutableMapping[str, str]) -> Iterator[None]:
-    """Keep to this machine, and to a ROS domain that nobody on it uses, unless the user chose otherwise.
+    """Keep to this machine, and to a ROS domain that is unused there, unless the user chose otherwise.
 
     Parameters
     ----------

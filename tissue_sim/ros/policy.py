@@ -94,7 +94,7 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
     from tissue_sim.ros.node.services.simulation_services import SERVICES
     from tissue_sim.ros.shared.tool_link import ToolLink
 
-    links = [link for tool in values["tools"] if (link := ToolLink.told(values, tool, node)) is not None]
+    links = [link for tool in values["tools"] if (link := ToolLink.from_parameters(values, tool, node)) is not None]
     namespace = f"/{node}".rpartition("/")[0]
     poses = [name for link in links for name in _topics(namespace, link, "measured_cp", "measured_js")]
     forces = [name for link in links for name in _topics(namespace, link, "external_cf")]

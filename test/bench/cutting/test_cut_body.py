@@ -41,7 +41,7 @@ def apart(organ, newton):
     return force
 
 
-def squeezed(organ, pressure):
+def compressed(organ, pressure):
     """A pressure on the arms from above and below."""
     force = np.zeros((organ.n_surface, 3))
     area = node_area(organ.surface_positions, organ.surface_triangles)
@@ -86,7 +86,7 @@ def test_closed_mesh_is_that_of_the_uncut_organ(organ, sheet, body):
 @pytest.mark.extended
 def test_arms_that_are_pressed_together_are_as_if_uncut(organ, sheet, body):
     """By symmetry nothing shears the plane between them, so that contact without friction is enough."""
-    force = squeezed(organ, 1.0)
+    force = compressed(organ, 1.0)
     free, moved = next(body.settle_many(force[None]))
     assert free.closed > 0.002
     found = body.touching(force, moved)

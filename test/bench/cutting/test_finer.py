@@ -35,5 +35,5 @@ def test_no_force_passes_the_cut(organs):
     beyond = (place.across < 0.0)[:, None] != (own.across < 0.0)[None]
     shut = beyond & sheet.covers(place)[:, None]
     assert shut.any()
-    assert not onto.share[shut].any()
-    assert onto.share.min() >= 0.0
+    assert not onto.fraction[shut].any()
+    assert onto.fraction.min() >= 0.0

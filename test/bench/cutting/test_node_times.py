@@ -18,10 +18,10 @@ def window(longest=2e-4, p99=1e-4, delays=(3e-4, 4e-4), late=3):
     from tissue_sim.ros.probes.cut_probe import Window
     from tissue_sim.ros.probes.poke_probe import NodeReport
 
-    def told(second, late, longest, p99):
+    def report(second, late, longest, p99):
         return NodeReport(second, 1000 * second, late, 0, 1.0, 6e-5, "none", p99, 1e-4, longest, 5e-4, 2)
 
-    reports = [told(1, 0, 1.0, 1.0), told(2, 0, longest, 9e-5), told(3, late, 1e-4, p99)]
+    reports = [report(1, 0, 1.0, 1.0), report(2, 0, longest, 9e-5), report(3, late, 1e-4, p99)]
     return Window(np.array(delays), reports, "10 mm^2 cut", 0.4)
 
 

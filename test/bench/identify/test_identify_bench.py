@@ -75,20 +75,20 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     found = coverage.recovered(6, 0.05, np.random.default_rng(0), 40)
     assert 34 <= found.held <= 40
     assert np.abs(found.off).max() < 3.0 * 100.0 * found.width
-    for share, is_met in ((0.8, [False, True]), (0.95, [True, True]), (1.0, [True, False])):
-        rows = [{"intervals_that_hold": 100 * share, "runs": 100}]
+    for fraction, is_met in ((0.8, [False, True]), (0.95, [True, True]), (1.0, [True, False])):
+        rows = [{"intervals_that_hold": 100 * fraction, "runs": 100}]
         assert [bound.as_json()["met"] for bound in _exact_bounds(rows)] == is_met
 
 
-def test_an_unknown_inclusion_is_told_and_a_known_one_is_not():
+def test_an_unknown_inclusion_is_reported_and_a_known_one_is_not():
     given = around(0.3)
     random = np.random.default_rng(0)
     unknown, known = (found_around(case, given, random, 10) for case in (UNKNOWN, KNOWN))
-    assert unknown.told == 10
-    assert known.told == known.elsewhere == unknown.elsewhere == 0
+    assert unknown.reported == 10
+    assert known.reported == known.elsewhere == unknown.elsewhere == 0
     assert np.abs(unknown.recovered.off).max() < 8.0
     rows = inclusion_rows([known, unknown])
-    assert all(bound.as_json()["met"] for bound in _inclusion_bounds(rows) if "told" in bound.name)
+    assert all(bound.as_json()["met"] for bound in _inclusion_bounds(rows) if "reported" in bound.name)
     assert "10 of 10" in text(
         {"known": [], "exact": [], "inclusions": rows, "sets": [], "repeat_percent": [], "bounds": []}
     )
@@ -96,8 +96,8 @@ def test_an_unknown_inclusion_is_told_and_a_known_one_is_not():
 
 def test_an_inclusion_that_is_hardly_stiffer_is_missed_and_the_bound_says_so():
     missed = found_around(UNKNOWN, around(0.02), np.random.default_rng(0), 6)
-    assert missed.told < 3
-    (bound,) = [one for one in _inclusion_bounds(inclusion_rows([missed])) if one.name.endswith("told over it")]
+    assert missed.reported < 3
+    (bound,) = [one for one in _inclusion_bounds(inclusion_rows([missed])) if one.name.endswith("reported over it")]
     assert not bound.as_json()["met"]
 
 
@@ -123,8 +123,8 @@ def written(folder, soft=0.3, noise=0.01, seed=0):
     for number in range(64):
         x, y = 4e-3 * (number % 8), 4e-3 * (number // 8)
         depth, force = hertz(BALL, 60e3 * np.exp(soft * (x - 0.014) / 0.014), 0.45, 4e-3)
-        felt = np.interp(DEEP + 3e-4, depth, force) * (1.0 + noise * random.normal(size=10))
-        lines.append(",".join(f"{value:.6g}" for value in [x, y, 0.0, 0.0, 0.0, 1.0, *DEEP, *felt]))
+        measured = np.interp(DEEP + 3e-4, depth, force) * (1.0 + noise * random.normal(size=10))
+        lines.append(",".join(f"{value:.6g}" for value in [x, y, 0.0, 0.0, 0.0, 1.0, *DEEP, *measured]))
     folder.mkdir(exist_ok=True)
     for name in palpation_sets.SETS:
         (folder / f"{name}.csv").write_text("\n".join(lines))
@@ -150,7 +150,7 @@ def test_a_wrong_law_and_an_uneven_phantom_cost_accuracy(tmp_path):
     assert uneven.map_pays
 
 
-def test_a_phantom_on_a_hard_support_is_told(tmp_path):
+def test_a_phantom_on_a_hard_support_is_reported(tmp_path):
     folder = written(tmp_path / "data", soft=0.0)
     path = folder / f"{SET}.csv"
     rows = [line.split(",") for line in path.read_text().splitlines()]
@@ -188,12 +188,19 @@ def test_figures_become_tables_and_bounds(tmp_path):
     sets = as_rows([found])
     known = synthetic.as_rows([recovered(name, truth(), np.random.default_rng(0), 2) for name in list(CASES)[:3]])
     bounds = [one.as_json() for one in [*_known_bounds(known), *_set_bounds(sets)]]
-    told = {"known": known, "exact": [], "inclusions": [], "sets": sets, "repeat_percent": [5.0, 6.0], "bounds": bounds}
+    found = {
+        "known": known,
+        "exact": [],
+        "inclusions": [],
+        "sets": sets,
+        "repeat_percent": [5.0, 6.0],
+        "bounds": bounds,
+    }
     assert len(bounds) == 8
     assert [bound["met"] for bound in bounds if "with one modulus" in bound["name"]] == [False]
-    assert json.loads(json.dumps(told)) == told
-    assert SET in text(told)
-    assert "2 of 2" in text(told)
+    assert json.loads(json.dumps(found)) == found
+    assert SET in text(found)
+    assert "2 of 2" in text(found)
 
 
 def test_data_that_are_missing_are_named(tmp_path, capsys):

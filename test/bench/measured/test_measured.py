@@ -37,7 +37,7 @@ def table_of_beads(path, squeeze=0.1):
     rows = [["no table yet"]]
     for i, j, k in np.ndindex(7, 7, 7):
         at = 10.0 * np.array([i, j, 6 - k])
-        states = [at * [1.0, 1.0, 1.0 - share * squeeze] for share in (0.0, 0.25, 0.6, 1.0)]
+        states = [at * [1.0, 1.0, 1.0 - fraction * squeeze] for fraction in (0.0, 0.25, 0.6, 1.0)]
         rows.append([i + 1, j + 1, k + 1, *np.concatenate(states)])
     with path.open("w", newline="") as stream:
         csv.writer(stream).writerows(rows)
@@ -55,14 +55,14 @@ def test_beads_are_read_by_their_place(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "expected"),
     [("1,1,1,a\n", "is not the table"), ("1,1,1,1,2,3,4,5,6,7,8,9,10,11,12\n", "has no beads"), (None, "cannot read")],
 )
-def test_another_table_is_refused_in_one_line(tmp_path, content, told):
+def test_another_table_is_refused_in_one_line(tmp_path, content, expected):
     file = tmp_path / "beads.csv"
     if content is not None:
         file.write_text(content)
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=expected):
         truth_cube.read(file)
 
 
@@ -185,7 +185,7 @@ def test_figures_are_what_they_say():
     assert last["elements_worst_mm"] == pytest.approx(0.25)
     run = beam.as_json(fit, bent)["runs"][0]
     assert run["rest_off_percent"] == pytest.approx({"elements": 5.0, "model": -4.0})
-    assert run["motion_off_percent"] == pytest.approx({"elements": 10.0, "model": 20.0}), "from where it is let go"
+    assert run["motion_off_percent"] == pytest.approx({"elements": 10.0, "model": 20.0}), "from where it is released"
 
 
 @pytest.mark.extended
@@ -201,7 +201,7 @@ def test_text_and_pictures_show_all(tmp_path):
     assert all(path.stat().st_size > 10_000 for path in paths)
 
 
-def test_a_missing_table_is_told_before_any_work(tmp_path, capsys):
+def test_a_missing_table_is_reported_before_any_work(tmp_path, capsys):
     assert main(["bench", "measured", "--data", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     assert "truth_cube_uniaxial.csv does not exist" in capsys.readouterr().err
 

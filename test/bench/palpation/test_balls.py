@@ -31,9 +31,9 @@ def test_bounds_take_the_worst_of_their_radii_and_leave_out_what_did_not_settle(
     assert [bound["value"] for bound in found["bounds"]] == pytest.approx([9.0, 9.0, 6.0])
     last = found["radii"][1]["triangle"]
     assert (last["compared"], last["unsettled"]) == (1, 2)
-    told = text(found | {"organ": "egg", "edge_m": 0.004, "places": 2})
-    assert "-9.0 %" in told
-    assert "did not converge 2 times" in told
+    shown = text(found | {"organ": "egg", "edge_m": 0.004, "places": 2})
+    assert "-9.0 %" in shown
+    assert "did not converge 2 times" in shown
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert [bound["met"] for bound in as_json([], [])["bounds"]] == [None] * 3
 

@@ -1,4 +1,4 @@
-"""A finger that feels for a tumour: what is felt of a soft ball with a hard one in it, and what the bounds say."""
+"""Palpation for a tumour: forces on a finger over a soft ball with a hard one in it, and the bounds on them."""
 
 import json
 
@@ -58,7 +58,7 @@ def test_the_map_is_stiffest_over_it_and_starts_anew_at_every_place(organs, monk
     assert again[0] / bench.MAP_DEPTH == pytest.approx(found.stiffness[-1], rel=1e-6)
 
 
-def felt_of(organ):
+def press_forces_of(organ):
     reference = np.array([0.1, 0.2, 0.3, 0.4])
     press = press_at(surface_of(organ), 3)
     ours = 1.03 * reference
@@ -68,22 +68,22 @@ def felt_of(organ):
 
 
 def test_bounds_take_the_worst_depth_and_what_tells_the_inclusion(organs, tmp_path):
-    felt, around = felt_of(organs[0])
-    found = as_json([felt], [around])
+    pressed, around = press_forces_of(organs[0])
+    found = as_json([pressed], [around])
     error, apart = found["bounds"]
     assert error["value"] == pytest.approx(3.0)
     assert apart["value"] == pytest.approx(25.0 / 3.0)
     assert error["met"]
     assert apart["met"]
-    told = text(organs[0], found)
-    assert "worst depth" in told
-    assert "held" in told
+    shown = text(organs[0], found)
+    assert "worst depth" in shown
+    assert "held" in shown
     assert json.loads(json.dumps(found)) == found
-    poor = as_json([felt._replace(plain=0.98 * felt.reference)], [around])
-    assert poor["bounds"][1]["met"] is False, "told apart by 2 %, off by 3"
-    lost = as_json([felt._replace(reference=np.full(4, np.nan))], [around])
+    poor = as_json([pressed._replace(plain=0.98 * pressed.reference)], [around])
+    assert poor["bounds"][1]["met"] is False, "distinguished by 2 %, off by 3"
+    lost = as_json([pressed._replace(reference=np.full(4, np.nan))], [around])
     assert [bound["met"] for bound in lost["bounds"]] == [None, None]
-    (path,) = write_plots(organs[0], [felt], [around], str(tmp_path))
+    (path,) = write_plots(organs[0], [pressed], [around], str(tmp_path))
     assert path.stat().st_size > 10_000
 
 

@@ -24,7 +24,7 @@ from helpers.fuzz.plays import Vector, nodes, powers, quaternions, vectors
 from helpers.fuzz.scenes import organ_called
 from tissue_sim.ros.probes.graph import NODE
 from tissue_sim.ros.shared import client
-from tissue_sim.ros.shared.parameters import TOOL_SPECS
+from tissue_sim.ros.shared.parameter_specs import TOOL_SPECS
 
 RESPIRATION = f"/{NODE}/respiration"
 JAWS = "jaws/gripper/measured_js"

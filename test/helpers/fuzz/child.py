@@ -25,7 +25,7 @@ from helpers.fuzz.watch import Watch
 from tissue_sim.errors import UserError, shown
 from tissue_sim.memory import limited
 from tissue_sim.parent_exit import exit_with_parent
-from tissue_sim.unexpected_errors import told
+from tissue_sim.unexpected_errors import described
 
 PREPARING = 600.0  # s that it may take until an input is ready: imports, and kernels the first time
 MEGABYTES = 400.0  # that the use of an input may take
@@ -55,7 +55,7 @@ class Input(NamedTuple):
 
 
 class Child:
-    """The process, which is begun with its first input and begun anew after a crash."""
+    """The process, which is begun with its first input and begun again after a crash."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -172,7 +172,7 @@ def _prepared(folder: Path, prepare: Callable[..., Ready], arguments: tuple) -> 
     try:
         ready = prepare(*arguments)
     except Exception as error:
-        return "failed", f"not even prepared: {told(error)}"
+        return "failed", f"not even prepared: {described(error)}"
     gc.collect()
     if prepare not in _warm:
         _warm.add(prepare)
@@ -210,7 +210,7 @@ def _verdict(ready: Ready) -> tuple[str, str]:
         except UserError as error:
             return "refused", str(error)
         except BaseException as error:
-            return "failed", shown(told(error), 300)
+            return "failed", shown(described(error), 300)
 
 
 def _wrong(verdict: str, line: str, taken: float, watch: Watch) -> str:

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.cdr import parse_stamped
-from tissue_sim.ros.shared.parameters import NODE_SPECS
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS
 from tissue_sim.ros.shared.report import STARVED
 
 TOOLS = ("left", "right", "jaws")
@@ -74,9 +74,11 @@ class Hostile:
 
     def meet(self) -> None:
         """Wait until the node hears and answers."""
-        heard, ready = self._publishers.values(), self._services.values()
+        publishers, ready = self._publishers.values(), self._services.values()
         found = client.wait_until(
-            lambda: all(one.get_subscription_count() for one in heard) and all(s.service_is_ready() for s in ready),
+            lambda: (
+                all(one.get_subscription_count() for one in publishers) and all(s.service_is_ready() for s in ready)
+            ),
             30.0,
         )
         assert found, "the node was not found over DDS"
@@ -158,8 +160,8 @@ class Hostile:
         for raw in self._wrenches[tool].take_all():
             wrench = np.array(parse_stamped(bytes(raw), 6).values)
             assert np.all(np.isfinite(wrench)), f"a wrench of '{tool}' that is not finite"
-            felt = float(np.linalg.norm(wrench[:3]))
-            assert felt <= self.clamp * (1.0 + 1e-9), f"a wrench of '{tool}' of {felt:.3g} N"
+            force = float(np.linalg.norm(wrench[:3]))
+            assert force <= self.clamp * (1.0 + 1e-9), f"a wrench of '{tool}' of {force:.3g} N"
         return wrench
 
     def _check_fading(self) -> None:

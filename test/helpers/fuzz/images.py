@@ -206,12 +206,12 @@ def _bomb(form: Form, data: bytes) -> bytes:
         struct.pack_into("<4h", header, 40, 3, 1000, 1000, BOMB // 2 // 1_000_000)
         return gz_bomb(bytes(header))
     bomb, end = gz_bomb(), b"\n\n" if form.file.endswith(".nrrd") else b"ElementDataFile = LOCAL\n"
-    told = {
+    changed = {
         b"sizes:": b"sizes: 1000 1000 1000",
         b"DimSize": b"DimSize = 1000 1000 1000",
         b"CompressedDataSize": b"CompressedDataSize = %d" % len(bomb),
     }
-    lines = [told.get(line.split(b" ")[0], line) for line in data.partition(end)[0].split(b"\n")]
+    lines = [changed.get(line.split(b" ")[0], line) for line in data.partition(end)[0].split(b"\n")]
     return b"\n".join(lines) + end + bomb
 
 

@@ -19,7 +19,7 @@ _BLOCK = 1 << 20
 
 
 def some[T](draw: Draw, things: Sequence[T]) -> T:
-    """One of several things."""
+    """One of several."""
     return draw(st.sampled_from(things))
 
 

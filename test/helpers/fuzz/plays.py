@@ -103,7 +103,7 @@ def plays(variants: dict[str, int]) -> st.SearchStrategy[Play]:
     )
     return st.builds(
         Play,
-        variant=st.sampled_from([name for name, share in variants.items() for _ in range(share)]),
+        variant=st.sampled_from([name for name, fraction in variants.items() for _ in range(fraction)]),
         hands=st.tuples(hand, hand, hand),
         load=st.just(Load()) | load,
         breath=st.tuples(st.sampled_from(BREATHS if variants is JOINED else BREATHS[:1]), powers(1.0, 3.0)),

@@ -272,10 +272,10 @@ def _return_to_defaults(scene: Scene, defaults: list[Settings]) -> None:
 
 def _look(scene: Scene, tick: int) -> None:
     """Check that everything is finite, and no output exceeds the clamp."""
-    felt, settings = scene.wrenches, scene.simulation.settings
-    finite = np.all(np.isfinite(felt)) and all(np.all(np.isfinite(one.positions)) for one in scene.simulations)
+    wrenches, settings = scene.wrenches, scene.simulation.settings
+    finite = np.all(np.isfinite(wrenches)) and all(np.all(np.isfinite(one.positions)) for one in scene.simulations)
     assert finite, f"a value that is not finite after tick {tick}"
-    most = float(np.linalg.norm(felt[:, :3], axis=1).max())
+    most = float(np.linalg.norm(wrenches[:, :3], axis=1).max())
     assert most <= ROUNDING * settings.force_clamp, f"{most:.3g} N at tick {tick}, above {settings.force_clamp:g} N"
     for one in scene.simulations:
         span = float(np.abs(one.positions - one.model.rest).max())

@@ -22,7 +22,7 @@ def program() -> str | None:
     return next((found for name in NAMES if (found := shutil.which(name))), None)
 
 
-# Drawing in software takes every core there is: the page draws in earnest only when somebody takes a picture.
+# Drawing in software takes all cores: the page draws in full only when a picture is taken.
 BLIND = """
 for (const name of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
   const draw = WebGL2RenderingContext.prototype[name];
@@ -123,8 +123,8 @@ class Browser:
         self.mouse("Moved", start, held=False)
         self.mouse("Pressed", start)
         for step in range(1, steps + 1):
-            share = step / steps
-            self.mouse("Moved", (start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])))
+            fraction = step / steps
+            self.mouse("Moved", (start[0] + fraction * (end[0] - start[0]), start[1] + fraction * (end[1] - start[1])))
             time.sleep(pause)
 
     def picture(self, file: Path | None = None) -> bytes:

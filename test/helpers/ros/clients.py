@@ -36,7 +36,7 @@ class Client(Participant):
         self.force = node.create_publisher(WrenchStamped, "left/external_cf", qos_profile_sensor_data)
 
     def meet(self) -> None:
-        """Wait until the node hears poses and is heard."""
+        """Wait until the node receives poses, and its messages arrive."""
         assert self.spin_until(lambda: self.pose.get_subscription_count() > 0 and self.diagnostics)
 
     def reset(self) -> Trigger.Response:
@@ -67,12 +67,12 @@ class Client(Participant):
 
     def ask(self, position: object, **named: object) -> None:
         """Send a pose, and hear until it is answered; where the answer was lost, for a moment."""
-        heard = len(self.wrenches)
+        before = len(self.wrenches)
         self.send_pose(position, **named)
-        self.spin_until(lambda: len(self.wrenches) > heard, MOMENT)
+        self.spin_until(lambda: len(self.wrenches) > before, MOMENT)
 
     def kick(self, hold: Callable[[], object]) -> float:
-        """Return the highest force that the left hand has felt, as a multiple of the one that it settles at.
+        """Return the highest force on the left hand, as a multiple of the one that it settles at.
 
         Steps from one wrench to the next tell nothing on a busy machine, which loses some.
 

@@ -189,9 +189,9 @@ class StandIn(Participant):
 
     def hold(self, position: np.ndarray) -> None:
         """Send a position; returns when it is answered or a moment has passed."""
-        heard = len(self.forces)
+        before = len(self.forces)
         self.send(position)
-        self.spin_until(lambda: len(self.forces) > heard, MOMENT)
+        self.spin_until(lambda: len(self.forces) > before, MOMENT)
 
     def _on_wrench(self, message: object) -> None:
         self.messages.append(message)

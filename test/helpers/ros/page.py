@@ -58,7 +58,7 @@ class Page:
         asyncio.run(self.poke.jaws._on_slider(SimpleNamespace(client_id=HAND, target=slider)))
 
     def press_and_let_go(self) -> None:
-        """Take the tool in hand, press the organ that ships until the hand feels it, let go."""
+        """Take up the tool, press the shipped organ until there is a force, release the tool."""
         assert self.wait(lambda: not self.poke._box.disabled)
         self.tick(True)
         assert self.wait(lambda: self.poke._tool.held and self.view.force is not None)
@@ -67,17 +67,17 @@ class Page:
         position, inward = beside(shipped().surface_positions, 0, self.view.reach)
         depths = itertools.cycle([*np.linspace(0.0, 0.024, 60), *[0.024] * 60, *np.linspace(0.024, 0.0, 30)])
 
-        def is_felt() -> bool:
+        def has_force() -> bool:
             """Again from outside where a busy machine held the poses up, so that the node holds the tool off."""
             self.drag(position + next(depths) * inward)
             return self.wait(lambda: self.force() > 0.1, 0.03)
 
-        assert self.wait(is_felt), "nothing is felt"
+        assert self.wait(has_force), "no force came"
         self.tick(False)
         participant = Participant("hand")
         try:
             assert participant.set_parameter("stale_time", 0.3).successful
-            assert self.wait(lambda: self.force() == 0.0), "it is not let go"
+            assert self.wait(lambda: self.force() == 0.0), "it is not released"
             assert participant.set_parameter("stale_time", 5.0).successful
         finally:
             participant.close()

@@ -122,7 +122,7 @@ def poke_path(organ: Organ, radius: float = 0.005) -> tuple[np.ndarray, np.ndarr
     return points[node] - radius * inward, inward
 
 
-def press_until_felt(client: Client, move: Callable[[np.ndarray], None], deepest: float = 0.002) -> np.ndarray:
+def press_until_contact(client: Client, move: Callable[[np.ndarray], None], deepest: float = 0.002) -> np.ndarray:
     """Press the left tool in until it feels the organ; returns where it is then, (3,) m.
 
     move sends a pose at a position and lets a moment pass. A machine that holds poses up has the tool held off; then it

@@ -2,7 +2,7 @@
 
 Each step waits for the wrench that answers the one before, or a moment, so that a slow node sees the same path.
 SIGTERM has it leave the tissue and end; until then it holds, or comes back by a stroke again and again: where that is
-out of the tissue, a tool that was lost on a slow machine is taken up anew. Arguments: --depth M, --stroke M.
+out of the tissue, a tool that was lost on a slow machine is taken up again. Arguments: --depth M, --stroke M.
 """
 
 import argparse

@@ -122,8 +122,8 @@ def main() -> None:
             sphere.scale.x = sphere.scale.y = sphere.scale.z = 0.01
             sphere.pose.position = place
             end = Point(x=place.x, y=place.y - 0.03 * force[tool], z=place.z)
-            felt = Marker.ADD if force[tool] else Marker.DELETE
-            markers += [sphere, Marker(ns=tool, id=1, type=Marker.ARROW, action=felt, points=[place, end])]
+            action = Marker.ADD if force[tool] else Marker.DELETE
+            markers += [sphere, Marker(ns=tool, id=1, type=Marker.ARROW, action=action, points=[place, end])]
         tools.publish(MarkerArray(markers=markers))
 
     def tell():

@@ -23,12 +23,12 @@ class Surgeon(Client):
     def __init__(self):
         super().__init__()
         self.meshes, self.versions, self.events, self.clouds = [], [], [], []
-        for kind, topic, heard in (
+        for kind, topic, received in (
             (Mesh, "mesh", self.meshes),
             (UInt32, "mesh_version", self.versions),
             (DiagnosticArray, "cuts", self.events),
         ):
-            self.node.create_subscription(kind, f"{self.target}/{topic}", heard.append, LATCHED)
+            self.node.create_subscription(kind, f"{self.target}/{topic}", received.append, LATCHED)
         self.node.create_subscription(
             PointCloud2, f"{self.target}/surface", self.clouds.append, qos_profile_sensor_data
         )

@@ -28,7 +28,7 @@ def link_or_skip(loss: float = 0.0, delay: float = 0.0) -> Iterator[tuple[str, s
 def two_machines(folder: Path, loss: float = 0.0, delay: float = 0.0) -> Iterator[tuple[str, str, Callable]]:
     """Both names, and start(machine, name, *words, **environment) for a Python process there with its log in a folder.
 
-    loss: share of the packets; delay: s. Skips the test where there are no namespaces.
+    loss: fraction of the packets; delay: s. Skips the test where there are no namespaces.
     """
     with ExitStack() as ending:
         here, there = ending.enter_context(link_or_skip(loss, delay))

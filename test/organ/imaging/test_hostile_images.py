@@ -12,7 +12,7 @@ import SimpleITK as sitk
 from helpers.shapes import small_volume, write_dicom
 from tissue_sim.errors import UserError
 from tissue_sim.memory import limited
-from tissue_sim.organ.imaging.dicom import _room
+from tissue_sim.organ.imaging.dicom_file import _room
 from tissue_sim.organ.imaging.image import AIR, read_image
 from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.imaging.voxel_files import MOST_VOXELS, check_room
@@ -184,10 +184,10 @@ def test_a_dicom_element_of_a_gigabyte_asks_for_no_room(tmp_path):
     last.write_bytes(long)
     code = (
         "import re, sys\n"
-        "from tissue_sim.organ.imaging import dicom\n"
+        "from tissue_sim.organ.imaging import dicom_file\n"
         "peak = lambda: int(re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1]) / 1024\n"
         "before = peak()\n"
-        f"assert dicom._read_header({str(last)!r}) is None\n"
+        f"assert dicom_file.read_header({str(last)!r}) is None\n"
         "sys.exit(int(peak() - before))\n"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode < 200  # MB

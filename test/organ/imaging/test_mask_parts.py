@@ -1,4 +1,4 @@
-"""Separate parts of a mask: told with their volumes, and taken one, or all."""
+"""Separate parts of a mask: reported with their volumes, and taken one, or all."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_parts_are_refused_with_their_volumes_or_one_is_taken():
         one_part(balls((25, 20)), 2)
 
 
-def test_scraps_are_left_out_and_told():
+def test_scraps_are_left_out_and_reported():
     found = one_part(balls((25, 20), (60, 5)))
     np.testing.assert_array_equal(found.array, balls((25, 20)).array)
     assert found.notes[0].startswith("omitted 1 separate part of 0.5")

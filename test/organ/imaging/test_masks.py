@@ -78,7 +78,7 @@ def test_names_of_a_single_layer(tmp_path):
         read_mask(path)
 
 
-def test_names_that_come_twice_are_told_apart(tmp_path):
+def test_names_that_come_twice_are_distinguished(tmp_path):
     path = layered(tmp_path / "a.seg.nrrd", boxes(), ("mass", 1, 0), ("mass", 1, 1))
     with pytest.raises(UserError, match=r"several labels mass \(0:1 mass, 1:1 mass\); name 0:1 or 1:1"):
         read_mask(path, "mass")

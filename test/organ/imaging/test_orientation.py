@@ -15,7 +15,8 @@ from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.imaging.phantom import kidney_distance, make_phantom
 from tissue_sim.organ.pipeline import organ_from_image, organ_from_mask
 from tissue_sim.organ.request import Request
-from tissue_sim.organ.surfaces.surface import make_wall, marching_cubes_surface
+from tissue_sim.organ.surfaces.marching_cubes import marching_cubes_surface
+from tissue_sim.organ.surfaces.surface import make_wall
 
 VOXEL = 2.0  # mm
 SIZE = (7, 6, 5)

@@ -70,7 +70,7 @@ def test_spacings_that_are_none_are_refused(tmp_path, spacing):
         read_image(meta(tmp_path / "ct.mha", f"ElementSpacing = {spacing}"))
 
 
-def test_a_header_without_the_size_of_its_voxels_is_told(tmp_path):
+def test_a_header_without_the_size_of_its_voxels_is_reported(tmp_path):
     for path in (
         nrrd(tmp_path / "ct.nrrd"),
         nrrd(tmp_path / "nan.nrrd", "spacings: nan nan nan"),
@@ -126,7 +126,7 @@ def test_forms_that_agree_are_read(tmp_path):
     assert volume.notes == ()
 
 
-def test_a_nifti_without_a_form_is_told(tmp_path):
+def test_a_nifti_without_a_form_is_reported(tmp_path):
     write_nifti(tmp_path / "ct.nii", VOXELS)
     assert read_image(tmp_path / "ct.nii").notes == (
         "warning: ct.nii has neither a qform nor an sform, so it is unknown which side is left",

@@ -9,8 +9,9 @@ import pytest
 import trimesh
 
 from tissue_sim.errors import UserError
+from tissue_sim.organ.meshes.mesh_holes import area_of, capped_volume, fill, holes
 from tissue_sim.organ.meshes.mesh_input import read_mesh, voxelize
-from tissue_sim.organ.meshes.mesh_repair import area_of, capped_volume, fill, holes, once_used_edges
+from tissue_sim.organ.meshes.mesh_repair import once_used_edges
 from tissue_sim.organ.organ import check_surface, signed_volume
 from tissue_sim.organ.reporting.vtk_xml import polydata, tetrahedra
 
@@ -90,7 +91,7 @@ def without_cap(mesh, height):
     return trimesh.Trimesh(mesh.vertices, mesh.faces[keep], process=False)
 
 
-def test_small_holes_are_filled_and_told(tmp_path, egg):
+def test_small_holes_are_filled_and_reported(tmp_path, egg):
     open_egg = without_cap(egg, 31.8)  # the top of 32 mm
     keep = np.ones(len(open_egg.faces), dtype=bool)
     keep[[7, 400]] = False
@@ -140,13 +141,13 @@ def test_a_hole_with_a_curved_rim_is_closed_without_folds():
 
 def test_coinciding_and_nearly_coinciding_points_are_merged(tmp_path, egg):
     soup = np.asarray(egg.vertices)[egg.faces].reshape(-1, 3)
-    for name, noise, told in (("soup", 0.0, "merged 3198 coinciding"), ("noisy", 0.02, "rim points across seams")):
+    for name, noise, expected in (("soup", 0.0, "merged 3198 coinciding"), ("noisy", 0.02, "rim points across seams")):
         points = soup + np.random.default_rng(3).uniform(-noise, noise, soup.shape)
         trimesh.Trimesh(points, np.arange(len(soup)).reshape(-1, 3), process=False).export(tmp_path / f"{name}.ply")
         surface = read_mesh(tmp_path / f"{name}.ply", "mm")
         check_surface(surface.positions, surface.triangles, name)
         assert (len(surface.positions), len(surface.triangles)) == (642, 1280)
-        assert told in surface.repairs[0]
+        assert expected in surface.repairs[0]
         assert signed_volume(surface.positions, surface.triangles) == pytest.approx(egg.volume * 1e-9, rel=5e-3)
 
 
@@ -224,7 +225,7 @@ def test_parts_are_joined_across_a_gap_or_told_to_be_too_far_apart(tmp_path):
         read_mesh(far, "mm", merge_parts=True)
 
 
-def test_parts_that_share_a_wall_are_told_what_to_do(tmp_path):
+def test_parts_that_fraction_a_wall_are_reported_what_to_do(tmp_path):
     """Where they meet, each edge has three triangles: no part is a closed surface."""
     box = trimesh.creation.box([40.0, 40.0, 40.0])
     both = export(tmp_path / "both.stl", box, box.copy().apply_translation([40.0, 0.0, 0.0]))
@@ -240,7 +241,7 @@ def test_a_ring_keeps_its_handle_and_says_so(tmp_path):
     assert "1 handle (genus 1)" in surface.notes[0]
 
 
-def test_inward_and_mixed_winding_are_repaired_and_told(tmp_path, egg):
+def test_inward_and_mixed_winding_are_repaired_and_reported(tmp_path, egg):
     inward = tmp_path / "inward.ply"
     trimesh.Trimesh(egg.vertices, egg.faces[:, ::-1], process=False).export(inward)
     surface = read_mesh(inward, "mm")
@@ -553,7 +554,7 @@ def curved():
 @pytest.mark.parametrize(
     ("suffix", "file_format"), [("msh", "gmsh22"), ("msh", "gmsh"), ("vtu", "vtu"), ("vtk", "vtk")]
 )
-def test_of_elements_of_second_order_the_corners_are_taken_and_told(tmp_path, suffix, file_format):
+def test_of_elements_of_second_order_the_corners_are_taken_and_reported(tmp_path, suffix, file_format):
     import meshio
 
     points, pairs = curved()

@@ -23,7 +23,7 @@ SCALED = "scaled: the longest side is 12 cm"
 
 @dataclass(frozen=True)
 class Outcome:
-    """A mesh that becomes an organ: points, triangles, mL, handles, and what is told."""
+    """A mesh that becomes an organ: points, triangles, mL, handles, and the repairs that are reported."""
 
     points: int
     triangles: int

@@ -41,8 +41,8 @@ def record(coarse, around):
 
 @pytest.fixture(scope="module")
 def page(record):
-    told = dataclasses.replace(record, lines=["warning: <i>odd</i>"], repairs=("closed <u>3</u> holes",))
-    return report_page(told, "kidney.npz")
+    odd = dataclasses.replace(record, lines=["warning: <i>odd</i>"], repairs=("closed <u>3</u> holes",))
+    return report_page(odd, "kidney.npz")
 
 
 def test_the_page_is_complete_in_itself(page):
@@ -90,7 +90,7 @@ def test_the_figures_are_those_of_the_organ(page, record):
     assert list(record.seconds) == ["segment", "wall", "balloon", "skeleton", "springs"]
 
 
-def test_the_distances_between_the_surfaces_are_told(page):
+def test_the_distances_between_the_surfaces_are_reported(page):
     found = re.search(r"symmetric Hausdorff\) ([\d.]+) ([\d.]+) mean distance ([\d.]+) ([\d.]+)", Page(page).text)
     largest, in_voxels, mean, _ = map(float, found.groups())
     assert 0.1 < mean < largest < 5.0  # mm, 300 points on a kidney

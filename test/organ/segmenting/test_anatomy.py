@@ -44,7 +44,7 @@ def test_two_bodies_on_a_neck_are_a_leak_for_any_organ():
     assert narrowest(solid(((80, 80, 80), 40.0), ((80, 80, 130), 35.0))) == 0.0
 
 
-def test_an_unknown_organ_is_told():
+def test_an_unknown_organ_is_reported():
     with pytest.raises(UserError, match="--organ spline is unknown; choose one of kidney, liver"):
         anatomy_of("spline")
 

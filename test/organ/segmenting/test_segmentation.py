@@ -1,4 +1,4 @@
-"""One seed, the whole kidney, and nothing of its neighbours; a wrong seed and a leak are told."""
+"""One seed, the whole kidney, and nothing of its neighbours; a wrong seed and a leak are reported."""
 
 from dataclasses import fields
 
@@ -21,14 +21,14 @@ def small(coarse, around):
 
 
 @pytest.fixture(scope="module")
-def told():
+def stages():
     """What the progress of `small_kidney` was."""
     return []
 
 
 @pytest.fixture(scope="module")
-def small_kidney(small, told):
-    return segment(small.ct, small.seed_point, progress=lambda stage, share: told.append((stage, share)))
+def small_kidney(small, stages):
+    return segment(small.ct, small.seed_point, progress=lambda stage, fraction: stages.append((stage, fraction)))
 
 
 @pytest.mark.extended
@@ -57,12 +57,12 @@ def test_any_seed_inside_gives_the_same_kidney(small, small_kidney, offset):
 
 
 @pytest.mark.extended
-def test_progress_runs_up(small_kidney, told):
-    shares = [share for _, share in told]
-    assert shares == sorted(shares)
-    assert shares[0] == 0.0
-    assert shares[-1] <= 1.0
-    assert all(stage for stage, _ in told)
+def test_progress_runs_up(small_kidney, stages):
+    fractions = [fraction for _, fraction in stages]
+    assert fractions == sorted(fractions)
+    assert fractions[0] == 0.0
+    assert fractions[-1] <= 1.0
+    assert all(stage for stage, _ in stages)
 
 
 def test_a_leak_into_the_neighbours_is_refused(coarse):

@@ -52,7 +52,7 @@ def test_the_curated_midline_is_found(colon, capsys):
     offset, nearest = cKDTree(midline).query(atoms)
     radius = distance_to_surface(atoms, points, triangles)
     midline_radius = distance_to_surface(midline, points, triangles)
-    share, share_of_midline = (offset / radius).mean(), (offset / midline_radius[nearest]).mean()
+    fraction, fraction_of_midline = (offset / radius).mean(), (offset / midline_radius[nearest]).mean()
     line = vessels.dense(vessels.tube(atoms, 1.0), 0.2)
     back = cKDTree(line).query(midline)[0]
     forwards = nearest[-1] > nearest[0]
@@ -60,12 +60,12 @@ def test_the_curated_midline_is_found(colon, capsys):
     with capsys.disabled():
         print(
             f"\nlarge intestine: {skeleton.length:.0f} mm; atoms off the curated midline {offset.mean():.2f} mm,"
-            f" {share:.1%} of the atom's radius, {share_of_midline:.1%} of the midline's; midline off the skeleton"
-            f" {back.mean():.2f} mm, {back.mean() / midline_radius.mean():.1%} of its mean radius;"
+            f" {fraction:.1%} of the atom's radius, {fraction_of_midline:.1%} of the midline's; midline off the"
+            f" skeleton {back.mean():.2f} mm, {back.mean() / midline_radius.mean():.1%} of its mean radius;"
             f" ends {ends[0]:.1f} and {ends[1]:.1f} mm off, radii there {radius[0]:.1f} and {radius[-1]:.1f} mm"
         )
-    assert share <= 0.25
-    assert share_of_midline <= 0.25
+    assert fraction <= 0.25
+    assert fraction_of_midline <= 0.25
     assert back.mean() <= 0.25 * midline_radius.mean()
     assert np.all(ends <= 2.0 * radius[[0, -1]])
     # All along it, no loop is left out.

@@ -13,7 +13,8 @@ from helpers import vessels
 from helpers.shapes import ball, solid
 from tissue_sim.errors import UserError
 from tissue_sim.organ.skeletons.skeleton import extract
-from tissue_sim.organ.surfaces.surface import Wall, make_wall, marching_cubes_surface
+from tissue_sim.organ.surfaces.marching_cubes import marching_cubes_surface
+from tissue_sim.organ.surfaces.surface import Wall, make_wall
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 
 

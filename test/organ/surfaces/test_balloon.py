@@ -8,7 +8,8 @@ from helpers.solids import assert_near, assert_regular
 from tissue_sim.errors import UserError
 from tissue_sim.organ.pipeline import wall_distance
 from tissue_sim.organ.surfaces.balloon import fibonacci_sphere, inflate
-from tissue_sim.organ.surfaces.surface import make_wall, marching_cubes_surface
+from tissue_sim.organ.surfaces.marching_cubes import marching_cubes_surface
+from tissue_sim.organ.surfaces.surface import make_wall
 
 
 def grooved(x, y, z):
@@ -71,12 +72,12 @@ def test_the_papers_mesh_on_the_kidney(kidney_wall):
 
 
 def test_the_progress_rises_to_one(kidney_wall):
-    shares = []
-    balloon = inflate(kidney_wall, 200, progress=shares.append)
-    assert len(shares) > 5
-    assert shares == sorted(shares)
-    assert 0.0 <= shares[0] < 0.5
-    assert shares[-1] == 1.0
+    fractions = []
+    balloon = inflate(kidney_wall, 200, progress=fractions.append)
+    assert len(fractions) > 5
+    assert fractions == sorted(fractions)
+    assert 0.0 <= fractions[0] < 0.5
+    assert fractions[-1] == 1.0
     again = inflate(kidney_wall, 200)
     np.testing.assert_array_equal(again.positions, balloon.positions)
 
@@ -109,7 +110,7 @@ def test_hollow_and_long_organs(shape_wall, points):
         assert_near(balloon, shape_wall)
 
 
-def test_a_narrow_fold_left_out_is_told():
+def test_a_narrow_fold_left_out_is_reported():
     """A deep slot of 1.5 mm, which 60 points can't line, stays closed or costs accuracy: `missed` says how much."""
 
     def slotted(x, y, z):

@@ -12,7 +12,8 @@ from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.meshes.mesh_input import read_mesh, voxelize
 from tissue_sim.organ.segmenting.segmentation import segment
 from tissue_sim.organ.surfaces.balloon import inflate
-from tissue_sim.organ.surfaces.surface import compare, make_wall, marching_cubes_report, marching_cubes_surface, measure
+from tissue_sim.organ.surfaces.marching_cubes import marching_cubes_report, marching_cubes_surface
+from tissue_sim.organ.surfaces.surface import compare, make_wall, measure
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no ../shared/data beside the project")

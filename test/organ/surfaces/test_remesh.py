@@ -4,9 +4,10 @@ import numpy as np
 
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.surfaces.balloon import fibonacci_sphere
-from tissue_sim.organ.surfaces.remesh import flip_edges, relax, relax_sized, transport, transport_sized
+from tissue_sim.organ.surfaces.remesh import flip_edges
 from tissue_sim.organ.surfaces.resample import thicken, thin_out
 from tissue_sim.organ.surfaces.surface import corner_angles, measure
+from tissue_sim.organ.surfaces.transport import relax, relax_sized, transport, transport_sized
 
 
 def closed(positions, triangles):

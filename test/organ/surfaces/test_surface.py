@@ -8,15 +8,13 @@ from helpers.shapes import ball, solid
 from tissue_sim.errors import UserError
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
 from tissue_sim.organ.surfaces.balloon import fibonacci_sphere
+from tissue_sim.organ.surfaces.marching_cubes import largest_component, marching_cubes_report, marching_cubes_surface
 from tissue_sim.organ.surfaces.surface import (
     _smoothed,
     closed_wall,
     compare,
     intersecting_pairs,
-    largest_component,
     make_wall,
-    marching_cubes_report,
-    marching_cubes_surface,
     measure,
     wall_of_surface,
 )

@@ -29,7 +29,7 @@ print(one.frequency.hex(), hashlib.sha256(b"".join(parts)).hexdigest())
 @pytest.mark.extended
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="another architecture was not measured")
 def test_a_model_is_the_same_by_any_linear_algebra():
-    told = {
+    outputs = {
         subprocess.run(
             [sys.executable, "-c", MODEL],
             env=os.environ | ({"OPENBLAS_CORETYPE": kernels} if kernels else {}),
@@ -39,7 +39,7 @@ def test_a_model_is_the_same_by_any_linear_algebra():
         ).stdout
         for kernels in ("", *KERNELS_OF_BLAS)
     }
-    assert len(told) == 1
+    assert len(outputs) == 1
 
 
 @pytest.mark.extended
@@ -61,7 +61,7 @@ def test_another_processors_linear_algebra_repeats_to_the_last_bit(kernels):
 @pytest.mark.slow
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="another architecture was not measured")
 def test_another_instruction_set_repeats_to_the_last_bit(tmp_path):
-    """Compiles all kernels anew, in a folder of their own."""
+    """Compiles all kernels again, in a folder of their own."""
     compiled = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path / "generic")}
     words = ["--force-tolerance", "0", "--position-tolerance", "0"]
     done = subprocess.run(

@@ -99,16 +99,16 @@ def test_a_full_disk_ends_the_bag_and_nothing_else(tmp_path, capsys):
         assert started.success, started.message
         bridge = start_bridge(tmp_path)
 
-        def is_told():
+        def is_reported():
             client.report()
             return client.level == DiagnosticStatus.ERROR and "recording" in client.message
 
-        assert client.spin_until(is_told)
-        told = f"recording to {started.message} failed: {os.strerror(27)}"
-        assert told in client.message
+        assert client.spin_until(is_reported)
+        expected = f"recording to {started.message} failed: {os.strerror(27)}"
+        assert expected in client.message
         assert client.diagnostics["recording"] == ""
         stopped = client.record(False)
-        assert (stopped.success, stopped.message) == (False, told)
+        assert (stopped.success, stopped.message) == (False, expected)
         tick = int(client.report()["tick"])
         assert client.spin_until(lambda: int(client.diagnostics["tick"]) > tick + 200), "the node goes on"
         bridge.stop()

@@ -14,7 +14,7 @@ def shown(forces, surfaces=((0.0, 0.0, 0.0),)):
     return Shown(["left"], [10 + np.arange(len(forces))], [wrenches], [10 * (1 + np.arange(len(points)))], [points])
 
 
-def test_largest_and_first_beyond_are_told_apart():
+def test_largest_and_first_beyond_are_distinguished():
     found = compare(shown([1.0, 1.0, 1.0, 1.0]), shown([1.0, 1.1, 1.5, 1.2]), 0.05, 1e-6)
     assert found.force.largest == pytest.approx(0.5)
     assert found.force.tick == 12

@@ -123,7 +123,7 @@ def recovery_messages(path, file, data):
     return recovery.messages(path)
 
 
-def test_bits_that_zstd_finds_wrong_are_told(bag, capsys):
+def test_bits_that_zstd_finds_wrong_are_reported(bag, capsys):
     path, file, data = bag
     at, _ = first_chunk(data)
     data[at + 9 + 44 : at + 9 + 44 + 20] = bytes(20)
@@ -141,7 +141,7 @@ def test_a_header_that_goes_beyond_its_file_is_refused(bag, capsys, length):
     assert "interrupted before it had any content" in refused(capsys, path)
 
 
-def test_a_message_type_that_nobody_knows_is_told(bag, capsys):
+def test_a_message_type_that_nobody_knows_is_reported(bag, capsys):
     """In the summary of a bag that lacks its metadata: it can't be completed."""
     path, file, data = bag
     (path / metadata.NAME).unlink()
@@ -151,8 +151,10 @@ def test_a_message_type_that_nobody_knows_is_told(bag, capsys):
 
 def test_metadata_of_another_storage_is_refused(bag, capsys):
     path, _, _ = bag
-    told = path / metadata.NAME
-    told.write_text(told.read_text().replace("storage_identifier: mcap", "storage_identifier: sqlite3"))
+    metadata_file = path / metadata.NAME
+    metadata_file.write_text(
+        metadata_file.read_text().replace("storage_identifier: mcap", "storage_identifier: sqlite3")
+    )
     assert "has storage sqlite3" in refused(capsys, path)
 
 
@@ -160,9 +162,9 @@ def test_metadata_of_another_storage_is_refused(bag, capsys):
 def test_what_is_packed_without_a_length_is_refused(bag, capsys, monkeypatch, mode):
     """Files and messages, which rosbags would unpack to whatever comes."""
     path, _, _ = bag
-    told = path / metadata.NAME
-    text = told.read_text().replace("compression_mode: ''", f"compression_mode: {mode}")
-    told.write_text(text.replace("compression_format: ''", "compression_format: zstd"))
+    metadata_file = path / metadata.NAME
+    text = metadata_file.read_text().replace("compression_mode: ''", f"compression_mode: {mode}")
+    metadata_file.write_text(text.replace("compression_format: ''", "compression_format: zstd"))
     for name in ("decompress", "open"):
         monkeypatch.setattr(zstd, name, lambda *_: pytest.fail("unpacked without a bound"))
     assert f"compression {mode.lower()}" in refused(capsys, path)
@@ -172,27 +174,27 @@ def test_a_file_of_any_name_is_looked_through_before_it_is_read(bag, capsys, mon
     path, file, data = bag
     file.unlink()
     (path / "bag.dat").write_bytes(with_chunk(data, 1000, "zstd", BOMB))
-    told = path / metadata.NAME
-    told.write_text(told.read_text().replace(file.name, "bag.dat"))
+    metadata_file = path / metadata.NAME
+    metadata_file.write_text(metadata_file.read_text().replace(file.name, "bag.dat"))
     monkeypatch.setattr(zstd, "decompress", lambda *_: pytest.fail("unpacked without a bound"))
     assert "unpack" in refused(capsys, path)
 
 
 @pytest.mark.parametrize(
-    ("topic", "values", "told"),
+    ("topic", "values", "expected"),
     [
         ("measured_cp", (np.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), "metres"),
         ("measured_cp", (1e300, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), "metres"),
         ("external_cf", (np.inf, 0.0, 0.0, 0.0, 0.0, 0.0), "newtons"),
     ],
 )
-def test_poses_and_forces_that_no_node_takes_up_are_refused(tmp_path, capsys, topic, values, told):
+def test_poses_and_forces_that_no_node_takes_up_are_refused(tmp_path, capsys, topic, values, expected):
     kind = {"measured_cp": PoseStamped, "external_cf": WrenchStamped}[topic]
     odd = NumbersTemplate(kind(), len(values), "organ").message(1, values)
     was = {"external_cf": "measured_cf"}.get(topic, topic)  # in bags of format 8
     names, source = (f"left/{topic}", f"left/{was}"), ROOT / "bags" / ("poke" if topic == was else "local_force")
     path = rewritten(tmp_path / "bag", lambda name, raw: odd if name.endswith(names) else raw, source)
-    assert told in refused(capsys, path)
+    assert expected in refused(capsys, path)
 
 
 def test_a_bag_without_settings_is_refused(tmp_path, capsys):
@@ -232,7 +234,7 @@ def test_lost_settings_are_named(recording):
         replay(with_organ(recording, journal={**organ.journal, "inputs": inputs}))
 
 
-def test_surfaces_of_another_organ_are_told(recording):
+def test_surfaces_of_another_organ_are_reported(recording):
     more = [np.concatenate([surface, surface]) for surface in recording.organs[0].surfaces]
     with pytest.raises(UserError, match=r"surfaces have .* points, but the organ has .*: it is another organ"):
         replay(with_organ(recording, surfaces=more))

@@ -74,7 +74,7 @@ def test_of_an_organ_alone_there_is_nothing_but_the_journal():
 
 
 @pytest.mark.parametrize(
-    ("name", "change", "told"),
+    ("name", "change", "expected"),
     [
         ("links.organ", lambda a: a + 5, "an organ that doesn't exist"),
         ("links.node", lambda a: a + 10_000, "a node that doesn't exist"),
@@ -92,9 +92,9 @@ def test_of_an_organ_alone_there_is_nothing_but_the_journal():
         ("held", lambda a: a[:, :2], "has shape"),
     ],
 )
-def test_what_can_not_be_is_refused(written, name, change, told):
+def test_what_can_not_be_is_refused(written, name, change, expected):
     (fields,) = written[0]["joined"]
-    with pytest.raises(ValueError, match=told), np.errstate(invalid="ignore"):
+    with pytest.raises(ValueError, match=expected), np.errstate(invalid="ignore"):
         _check_fields({**fields, name: change(fields[name])}, SIZES)
 
 

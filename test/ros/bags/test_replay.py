@@ -1,4 +1,4 @@
-"""Bags that ship repeat; altered ones are told apart; other files are refused."""
+"""Bags that ship repeat; altered ones are distinguished; other files are refused."""
 
 import dataclasses
 import shutil

@@ -24,21 +24,21 @@ def written(folder, forces=True, stamped=True):
     quaternion = types["geometry_msgs/msg/Quaternion"](*TURN.as_quat())
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         poses = writer.add_connection("/tip", "geometry_msgs/msg/PoseStamped", typestore=STORE)
-        felt = writer.add_connection("/sensor", "geometry_msgs/msg/WrenchStamped", typestore=STORE)
+        wrenches = writer.add_connection("/sensor", "geometry_msgs/msg/WrenchStamped", typestore=STORE)
         for number in range(20 if forces else 0):
             ns = 5_000_000 * (number + 1)
-            told = header(stamp(0, ns if stamped else 0), "base")
+            head = header(stamp(0, ns if stamped else 0), "base")
             if number % 2 == 0:
                 pose = types["geometry_msgs/msg/Pose"](
                     types["geometry_msgs/msg/Point"](1e-3 * number, 0.0, 0.5), quaternion
                 )
                 writer.write(
-                    poses, ns, STORE.serialize_cdr(types["geometry_msgs/msg/PoseStamped"](told, pose), poses.msgtype)
+                    poses, ns, STORE.serialize_cdr(types["geometry_msgs/msg/PoseStamped"](head, pose), poses.msgtype)
                 )
             message = types["geometry_msgs/msg/WrenchStamped"](
-                told, wrench(vector(0.0, 0.0, 0.1 * number), vector(0.0, 0.0, 0.0))
+                head, wrench(vector(0.0, 0.0, 0.1 * number), vector(0.0, 0.0, 0.0))
             )
-            writer.write(felt, ns, STORE.serialize_cdr(message, felt.msgtype))
+            writer.write(wrenches, ns, STORE.serialize_cdr(message, wrenches.msgtype))
     return folder
 
 
@@ -72,7 +72,7 @@ def test_a_bag_that_was_broken_off_is_read_as_far_as_it_goes(tmp_path):
         topics_of(bag, "/tip", "/tip")
 
 
-def test_a_bag_of_a_robot_is_told_how_to_be_read(tmp_path):
+def test_a_bag_of_a_robot_is_reported_how_to_be_read(tmp_path):
     for bag in (written(tmp_path / "whole"), broken_off(tmp_path / "bag", 9)):
         with pytest.raises(UserError, match=r"--pose-topic \(PoseStamped: /tip\) and --wrench-topic .* /sensor"):
             recorded_tool(bag, None)

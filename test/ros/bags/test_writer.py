@@ -139,7 +139,7 @@ def test_files_go_on_when_one_is_large(tmp_path):
 
 @pytest.fixture
 def stalled(tmp_path, monkeypatch):
-    """A recorder whose disk takes nothing until it is let go, and has room for 8 MB until then."""
+    """A recorder whose disk takes nothing until it is released, and has room for 8 MB until then."""
     let_go, stuck = threading.Event(), threading.Event()
     write = BagWriter.write
 
@@ -276,10 +276,10 @@ spool.close(30.0)
 @pytest.mark.extended
 def test_what_waited_for_a_stalled_disk_leaves_no_memory(tmp_path):
     """100,000 small messages, 12 MB, wait at once."""
-    told = subprocess.run(
+    printed = subprocess.run(
         [sys.executable, "-c", STALLED, tmp_path / "stalled"], capture_output=True, text=True, check=True
     )
-    assert int(told.stdout) < 1e6
+    assert int(printed.stdout) < 1e6
     with Reader(tmp_path / "stalled") as reader:
         found = [int.from_bytes(raw[:8], "little") for _, _, raw in reader.messages()]
     assert found == [*range(1000), *range(100_000)]

@@ -12,9 +12,9 @@ from sensor_msgs.msg import JointState, PointCloud2
 from helpers.paths import CONFIG
 from helpers.ros.clearance import clearance
 from helpers.ros.clients import Client
+from helpers.ros.node_values import values
 from helpers.ros.processes import STAND_IN, UNHURRIED, Process, shipped, start_node
 from helpers.ros.stand_in import ball
-from helpers.ros.told import values
 from tissue_sim.cli import main
 from tissue_sim.contact.grasp import at_lower_pole
 from tissue_sim.contact.gripper import Jaws
@@ -101,7 +101,7 @@ def test_what_cannot_be_gripped_is_said():
 
 
 # which tools -----------------------------------------------------------------------------------
-def told(**shapes):
+def values_of(**shapes):
     """What a node's parameters say that has tools of some shapes."""
     given = {
         f"{name}__{key}": value
@@ -120,15 +120,15 @@ def chosen(values, *words):
 
 
 def test_a_bridge_plays_the_nodes_tools():
-    three = told(left="sphere", right="gripper", third="sphere")
+    three = values_of(left="sphere", right="gripper", third="sphere")
     assert chosen(three) == (("left", "right", "third"), ("stroke", "poke", "nip"), {}, 0.003)
     assert chosen(three, "--tools", "third")[:2] == (("third",), ("stroke", "poke"))
-    assert chosen(told(fd="capsule"), "--radius", "0.004") == (("fd",), ("stroke", "poke"), {}, 0.004)
+    assert chosen(values_of(fd="capsule"), "--radius", "0.004") == (("fd",), ("stroke", "poke"), {}, 0.004)
     assert chosen({}) == (("left", "right"), ("stroke", "poke", "nip"), {}, 0.005)
 
 
 def test_a_grip_takes_the_nodes_gripper():
-    values = told(left="sphere", right="gripper")
+    values = values_of(left="sphere", right="gripper")
     jaws = {"right": Jaws(0.003, 0.03)}
     assert chosen(values, "--script", "grip") == (("right",), ("grip",), jaws, 0.003)
     assert chosen(values, "--script", "grip", "--tools", "right,left")[0] == ("right", "left")
@@ -138,12 +138,16 @@ def test_a_grip_takes_the_nodes_gripper():
 @pytest.mark.parametrize(
     ("values", "words", "message"),
     [
-        (told(left="sphere"), [], "on /tissue_sim 'left' is a sphere: start it with --params-file config/gripper.yaml"),
-        (told(left="gripper"), ["--tools", "right"], "/tissue_sim has no tool 'right'; it has left"),
+        (
+            values_of(left="sphere"),
+            [],
+            "on /tissue_sim 'left' is a sphere: start it with --params-file config/gripper.yaml",
+        ),
+        (values_of(left="gripper"), ["--tools", "right"], "/tissue_sim has no tool 'right'; it has left"),
         ({}, [], "'left' is a sphere, 'right' is a sphere"),
     ],
 )
-def test_a_node_without_a_gripper_is_told(values, words, message):
+def test_a_node_without_a_gripper_is_reported(values, words, message):
     with pytest.raises(UserError, match=message):
         chosen(values, "--script", "grip", *words)
 
@@ -200,7 +204,7 @@ class Watcher(Client):
                 self._running = self.runs[-1]
 
     def grip(self):
-        """The newest three runs if jaws that were open have held something, lifted it and let go; else nothing."""
+        """The newest three runs if jaws that were open have held something, lifted it and released it; else nothing."""
         runs = self.runs[-3:]
         if [run.name for run in runs] != ["opened", "held", "opened"]:
             return None
@@ -235,7 +239,7 @@ def test_the_bridge_lifts_the_kidney_and_lets_go(tmp_path):
         assert np.median(before.forces) == 0.0, "open, they touch nothing"
         assert np.median(during.forces[len(during.forces) // 2 :]) > 0.2, "the hand feels what it lifts"
         assert watcher.set_parameter("stale_time", 0.05).successful
-        assert watcher.spin_until(lambda: abs(watcher.newest_lift) < 5e-4), "let go"
+        assert watcher.spin_until(lambda: abs(watcher.newest_lift) < 5e-4), "released"
         assert watcher.spin_until(lambda: np.abs(watcher.wrenches[-1][1]).max() == 0.0)
         assert "Traceback" not in player.text() + node.text()
         assert node.stop() == 0, node.text()

@@ -1,4 +1,4 @@
-"""A bridge that plays goes on at the organ's new place where that is registered anew: real processes."""
+"""A bridge that plays goes on at the organ's new place where that is registered again: real processes."""
 
 import numpy as np
 import pytest
@@ -14,16 +14,16 @@ OFFSET, TURN = np.array([1.0, -0.5, 0.2]), Rotation.from_euler("z", 90.0, degree
 
 @pytest.mark.extended
 def test_it_follows_an_organ_pose_that_changes(tmp_path):
-    listener, heard = Participant("listener"), []
-    listener.node.create_subscription(PoseStamped, "left/measured_cp", heard.append, qos_profile_sensor_data)
+    listener, poses = Participant("listener"), []
+    listener.node.create_subscription(PoseStamped, "left/measured_cp", poses.append, qos_profile_sensor_data)
     words = "tools:=[left]", UNHURRIED, "base_frame:=world", "left.frame_id:=world"
     low, high = shipped().rest_positions.min(axis=0) - 0.05, shipped().rest_positions.max(axis=0) + 0.05
 
     def presses(offset, turn):
-        """Whether the newest pose is beside the organ there, and something is felt."""
-        if not heard or float(listener.diagnostics.get("left.force_n", 0.0)) == 0.0:
+        """Whether the newest pose is beside the organ there, and there is a force."""
+        if not poses or float(listener.diagnostics.get("left.force_n", 0.0)) == 0.0:
             return False
-        place = heard[-1].pose.position
+        place = poses[-1].pose.position
         own = turn.inv().apply(np.array([place.x, place.y, place.z]) - offset)
         return bool(np.all((low < own) & (own < high)))
 
@@ -35,6 +35,6 @@ def test_it_follows_an_organ_pose_that_changes(tmp_path):
             listener.report()  # of a moment when the bridge may not know yet
             assert listener.spin_until(lambda: presses(OFFSET, TURN)), bridge.text()
             assert bridge.stop() == 0, bridge.text()
-        assert heard[-1].header.frame_id == "world"
+        assert poses[-1].header.frame_id == "world"
     finally:
         listener.close()

@@ -34,10 +34,10 @@ def test_it_feels_a_wrench_of_every_type(graph, kind, is_reliable):
     tool = ScriptedTool(graph, link)
     publisher = graph.create_publisher(kind, "left/servo_cf", RELIABLE if is_reliable else STREAM)
 
-    def is_felt():
+    def has_force():
         publisher.publish(pushed(kind))
         tool.feel()
         return tool.received > 0
 
-    wait_for(is_felt)
+    wait_for(has_force)
     assert tool.peak == pytest.approx(0.5)

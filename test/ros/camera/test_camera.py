@@ -45,8 +45,8 @@ def test_a_stereo_pair_sends_what_its_lenses_see(node, begin, listen, tmp_path):
     assert started < stamp_of(found["pose"]) < time.time_ns()
     assert found["pose"].header.frame_id == "organ"
     assert {one.header.frame_id for name, one in found.items() if name != "pose"} == {"camera_optical_frame"}
-    told = found["pose"].pose
-    place = [getattr(told.position, axis) for axis in "xyz"] + [getattr(told.orientation, axis) for axis in "xyzw"]
+    pose = found["pose"].pose
+    place = [getattr(pose.position, axis) for axis in "xyz"] + [getattr(pose.orientation, axis) for axis in "xyzw"]
     assert place == pytest.approx(POSE)
 
     # Depth and segmentation are those of rays from the pose through the pixels, by the CameraInfo, to the organ.
@@ -123,21 +123,21 @@ def test_the_pose_of_a_topic_in_another_frame_and_other_axes(node, graph, begin,
         return len(seen) == len(boxes)
 
     wait_for(came, camera.text)
-    told = seen["pose"].pose
-    assert [told.position.x, told.position.y, told.position.z] == pytest.approx(EYE)
-    turned = Rotation.from_quat([told.orientation.x, told.orientation.y, told.orientation.z, told.orientation.w])
+    pose = seen["pose"].pose
+    assert [pose.position.x, pose.position.y, pose.position.z] == pytest.approx(EYE)
+    turned = Rotation.from_quat([pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w])
     assert (turned.inv() * optical).magnitude() < 1e-9
     assert seen["image_raw"].header.frame_id == "lens"
     assert (pixels(seen["segmentation/image_raw"]) == 1).mean() > 0.1
 
 
 def test_the_pose_of_a_frame_in_tf(node, graph, begin, listen):
-    """With a stand-in for tf2_ros: the frame lies in base_frame, and the camera's own is told in the organ's."""
+    """With a stand-in for tf2_ros: the frame lies in base_frame, and the camera's own is given in the organ's."""
     begin("--tf=ecm", "--name=ecm_camera", PYTHONPATH=f"{FAKE_TF}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
     boxes = listen("pose", "segmentation/image_raw", before="/ecm_camera")
     latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     frames = graph.create_publisher(TransformStamped, "/tf_static", latched)
-    told = client.NewestMessage(graph, TransformStamped, "/tf", QoSProfile(depth=10))
+    transforms = client.NewestMessage(graph, TransformStamped, "/tf", QoSProfile(depth=10))
     placed = TransformStamped(child_frame_id="ecm")
     placed.header.frame_id = "table"
     offset, turn = placed.transform.translation, placed.transform.rotation
@@ -148,7 +148,7 @@ def test_the_pose_of_a_frame_in_tf(node, graph, begin, listen):
     place = found["pose"].pose.position
     assert [place.x, place.y, place.z] == pytest.approx(EYE)
     assert (pixels(found["segmentation/image_raw"]) == 1).mean() > 0.1
-    own = wait_for(told.take, "the camera's frame is not on tf")
+    own = wait_for(transforms.take, "the camera's frame is not on tf")
     assert (own.header.frame_id, own.child_frame_id) == ("organ", "ecm_camera_optical_frame")
     assert own.transform.translation.x == pytest.approx(EYE[0])
 
@@ -182,15 +182,15 @@ def test_nothing_is_drawn_until_somebody_subscribes(node, graph, begin, listen):
     begin("--name=idle")
     reports = client.NewestMessage(graph, DiagnosticArray, "/diagnostics", 10)
 
-    def told():
+    def newest():
         found = [one for report in reports.take_all() for one in report.status if one.name == "idle: pictures"]
         return {item.key: item.value for item in found[-1].values} if found else None
 
-    assert wait_for(told, "no diagnostics")["pictures"] == "0"
-    assert wait_for(told, "no more diagnostics")["pictures"] == "0"
+    assert wait_for(newest, "no diagnostics")["pictures"] == "0"
+    assert wait_for(newest, "no more diagnostics")["pictures"] == "0"
     box = listen("image_raw", before="/idle")
     wait_for(lambda: box["image_raw"].take() is not None, "no picture for a subscriber")
-    wait_for(lambda: float((told() or {"rate_hz": 0.0})["rate_hz"]) > 0.0, "no rate of pictures")
+    wait_for(lambda: float((newest() or {"rate_hz": 0.0})["rate_hz"]) > 0.0, "no rate of pictures")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from helpers.patience import wait_for
 from helpers.ros.pictures import LOOKING, POSE, first_hit, pixels, stamp_of
-from helpers.ros.processes import UNHURRIED, press_until_felt, running_node, shipped
+from helpers.ros.processes import UNHURRIED, press_until_contact, running_node, shipped
 from helpers.ros.surgeon import DEPTH, Surgeon
 from tissue_sim.rendering.offscreen import Offscreen
 from tissue_sim.rendering.pinhole import Pinhole, look_at, matrix_of
@@ -39,7 +39,7 @@ def test_an_organ_that_is_cut_while_it_runs_is_seen_with_its_walls(node, graph, 
         before = pixels(wait_for(boxes["depth/image_raw"].take, "no picture of the uncut organ"))
         answer = surgeon.cut(depth=DEPTH)
         assert answer.success, answer.message
-        inside = press_until_felt(surgeon, surgeon.ask, deepest=0.006)
+        inside = press_until_contact(surgeon, surgeon.ask, deepest=0.006)
         uncut = len(shipped().surface_triangles)
         assert surgeon.spin_until(lambda: len(surgeon.meshes[-1].triangles) > uncut)
         rest, triangles = client.mesh_arrays(surgeon.meshes[-1])
@@ -127,7 +127,7 @@ def test_ligaments_are_seen_where_they_are_until_they_are_deleted(graph, drawn):
 
 
 def pale(colours):
-    """Share of pixels that are as green as an inclusion is."""
+    """Fraction of pixels that are as green as an inclusion is."""
     return np.mean(colours[:, 1] > 0.75 * colours[:, 0])
 
 

@@ -1,4 +1,4 @@
-"""What people do with the ros2 command line: pub poses by hand, load a dump of the parameters, misspell one."""
+"""What users do with the ros2 command line: pub poses by hand, load a dump of the parameters, misspell one."""
 
 import re
 import subprocess
@@ -63,13 +63,13 @@ def test_a_misspelt_parameter_is_named_with_the_nearest(node):
     assert node.text().count("is unknown") == len(MISSPELT)
 
 
-def test_the_old_name_of_a_parameter_is_told_with_the_new_one(node):
+def test_the_old_name_of_a_parameter_is_reported_with_the_new_one(node):
     line = "parameter 'left.measured_cf' has no effect: its name is now 'left.external_cf', topic of external forces"
     assert node.text().count(line) == 1
 
 
 def test_whole_numbers_are_taken_for_decimals(client):
-    """As people write them, at the start and later."""
+    """As users write them, at the start and later."""
     assert client.set_parameter("rate", 900).successful
     assert client.set_parameter("gravity", [0, 0, 1]).successful
     request = GetParameters.Request(names=["rate", "gravity"])
@@ -136,17 +136,17 @@ def test_a_stamp_of_zero_is_refused_with_the_remedy_or_taken_as_of_its_arrival(n
     message.header.frame_id, message.pose.position.x = "organ", 1.0
     taken = int(client.report()["right.poses"])
 
-    def is_told():
+    def is_reported():
         client.send_pose(np.ones(3), stamp=0.0)
         right.publish(message)
         client.spin(0.02)
         return line in node.text() and int(client.diagnostics.get("right.poses", 0)) > taken
 
-    assert client.spin_until(is_told)
+    assert client.spin_until(is_reported)
     assert "right.refused.no_stamp" not in client.diagnostics
 
 
-def test_qos_that_does_not_match_is_told_both_ways_with_the_remedy(node, client):
+def test_qos_that_does_not_match_is_reported_both_ways_with_the_remedy(node, client):
     client.node.create_publisher(PoseStamped, "needle/measured_cp", qos_profile_sensor_data)
     client.node.create_subscription(WrenchStamped, "left/servo_cf", print, 10)
     for line in (
@@ -183,10 +183,10 @@ def test_wrong_words_end_with_one_line_each_and_2():
     command = [sys.executable, "-c", STARTS, *WRONG_WORDS]
     done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
     lines = done.stderr.splitlines()
-    for line, told in zip(
+    for line, expected in zip(
         lines, [*WRONG_WORDS.values(), "ROS_DOMAIN_ID is '300'; expected: a number from 0 to 232"], strict=True
     ):
-        assert line.startswith(f"tissue_node: error: {told}")
+        assert line.startswith(f"tissue_node: error: {expected}")
     version, codes = done.stdout.splitlines()
     assert version == f"tissue_node {tissue_sim.__version__}"
     assert codes == str([2] * len(lines) + [0])

@@ -32,7 +32,7 @@ class Gripper:
         self.joint.publish(message)
         self.client.ask(self.touch + depth * self.inward, quaternion=self.turn)
 
-    def felt(self, depth, angle):
+    def pinched(self, depth, angle):
         """The force (3,) N once it has settled; None while it has not been so for 100 answers."""
         self.hold(depth, angle)
         forces = np.array([wrench[:3] for _, wrench in self.client.wrenches[-100:]])
@@ -45,7 +45,7 @@ class Gripper:
         found = []
 
         def is_settled():
-            found[:] = [self.felt(depth, angle)]
+            found[:] = [self.pinched(depth, angle)]
             return found[0] is not None
 
         assert self.client.spin_until(is_settled), self.client.wrenches[-10:]
@@ -83,16 +83,16 @@ def gripper(client):
 def test_angle_that_is_none_is_refused_and_counted(client, node, gripper):
     for message, counter in ((JointState(position=[float("nan")]), "nan_angle"), (JointState(), "no_angle")):
 
-        def is_told(message=message, name=counter):
+        def is_reported(message=message, name=counter):
             gripper.joint.publish(message)
             return f"left.refused.{name}" in client.diagnostics
 
-        assert client.spin_until(is_told), client.diagnostics
+        assert client.spin_until(is_reported), client.diagnostics
     assert "tool 'left': angle refused" in node.text()
 
 
-def test_jaws_that_open_are_felt_and_a_bag_of_it_replays(folder, client, node, gripper):
-    # DDS matches both ends, not both at once; a tool first heard inside the organ would be held off.
+def test_jaws_that_open_change_the_force_and_a_bag_of_it_replays(folder, client, node, gripper):
+    # DDS matches both ends, not both at once; a tool whose first pose is inside the organ would be held off.
     assert client.spin_until(lambda: gripper.hold(-0.015, 0.0) or client.wrenches), "poses get no answer"
     for depth in np.linspace(-0.015, 0.004, 200):
         gripper.hold(depth, 0.0)

@@ -100,35 +100,35 @@ def test_a_large_organ_reaches_its_viewers_whole(tmp_path):
     ]
     node = start_node(tmp_path, *words)
     client = Client(markers=False)
-    heard = {"mesh": [], "markers": [], "surface": []}
+    received = {"mesh": [], "markers": [], "surface": []}
     try:
         for name, kind, qos in (
             ("mesh", Mesh, LATCHED),
             ("markers", MarkerArray, LATCHED),
             ("surface", PointCloud2, qos_profile_sensor_data),
         ):
-            client.node.create_subscription(kind, f"/tissue_sim/{name}", heard[name].append, qos, raw=True)
-        assert client.spin_until(lambda: all(heard.values())), {k: len(v) for k, v in heard.items()}
-        assert len(deserialize_message(heard["mesh"][0], Mesh).vertices) == organ.n_surface
-        cloud = deserialize_message(heard["surface"][0], PointCloud2)
+            client.node.create_subscription(kind, f"/tissue_sim/{name}", received[name].append, qos, raw=True)
+        assert client.spin_until(lambda: all(received.values())), {k: len(v) for k, v in received.items()}
+        assert len(deserialize_message(received["mesh"][0], Mesh).vertices) == organ.n_surface
+        cloud = deserialize_message(received["surface"][0], PointCloud2)
         assert cloud.width == organ.n_surface
-        assert len(heard["markers"][0]) > 72 * len(organ.surface_triangles)
+        assert len(received["markers"][0]) > 72 * len(organ.surface_triangles)
         # In motion: what is sent arrives, whole.
         top = np.array([0.0, -0.02, 0.0])
-        for share in np.linspace(0.0, 1.0, 100):
-            client.ask(top + [0.0, -0.008 + 0.012 * share, 0.0])
-        rest = client_points(heard["surface"][0])
+        for fraction in np.linspace(0.0, 1.0, 100):
+            client.ask(top + [0.0, -0.008 + 0.012 * fraction, 0.0])
+        rest = client_points(received["surface"][0])
         for name in ("markers", "surface"):
-            heard[name].clear()
+            received[name].clear()
         pressed = itertools.count()
 
         def moves():
             client.ask(top + [0.0, 0.004 + 0.001 * np.sin(0.05 * next(pressed)), 0.0])
-            return min(len(heard["markers"]), len(heard["surface"])) > 20
+            return min(len(received["markers"]), len(received["surface"])) > 20
 
-        assert client.spin_until(moves), {name: len(found) for name, found in heard.items()}
-        assert len(heard["markers"][-1]) > 72 * len(organ.surface_triangles)
-        moved = client_points(heard["surface"][-1])
+        assert client.spin_until(moves), {name: len(found) for name, found in received.items()}
+        assert len(received["markers"][-1]) > 72 * len(organ.surface_triangles)
+        moved = client_points(received["surface"][-1])
         assert len(moved) == organ.n_surface
         assert np.abs(moved - rest).max() > 1e-3
     finally:

@@ -23,7 +23,7 @@ from helpers.ros.processes import (
     UNHURRIED,
     Process,
     poke_path,
-    press_until_felt,
+    press_until_contact,
     running_node,
     shipped,
     start_node,
@@ -122,12 +122,12 @@ def hold_up(child, seconds):
     os.kill(child.pid, signal.SIGCONT)
 
 
-def test_time_that_was_lost_is_told(client, node):
+def test_time_that_was_lost_is_reported(client, node):
     """A process that is held up for a second is behind, and drops ticks: the next diagnostics warn."""
     dropped = int(client.report()["dropped_ticks"])
     reports = []
 
-    def is_told():
+    def is_reported():
         """Hold it up again where no report said so: the one that does may be lost."""
         hold_up(node.child, 1.0)
         reports[:] = [(client.report(), client.level, client.message) for _ in range(3)]
@@ -136,7 +136,7 @@ def test_time_that_was_lost_is_told(client, node):
         )
         return counter(client, "dropped_ticks") > dropped and max(behind) > 900.0 and min(factors) < 0.9
 
-    assert client.spin_until(is_told), reports
+    assert client.spin_until(is_reported), reports
     # At the lowest rate that a slow machine is given, a tick is 8 ms.
     assert counter(client, "dropped_ticks") - dropped > 0.9 / 0.008
     values, level, message = max(reports, key=lambda report: float(report[0]["behind_ms"]))
@@ -157,7 +157,7 @@ def change_rate_and_replay(client, capsys):
     """Record a press in which the rate changes; the bag repeats bit for bit."""
     started = client.record(True)
     assert started.success, started.message
-    position = press_until_felt(client, client.ask, deepest=0.004)
+    position = press_until_contact(client, client.ask, deepest=0.004)
     assert client.spin_until(lambda: client.ask(position) or client.hand_force() > 0.05)
     for rate in (500.0, 1000.0):
         assert client.set_parameter("rate", rate).successful
@@ -206,7 +206,7 @@ def pair(tmp_path_factory):
     """Two nodes with two organs, each recording in a folder of its own, and a client of each."""
     other = shipped_organ().with_name("kidney_as_built.npz")
     words = {"a": ("tools:=[left]",), "b": ("tools:=[left, right]", f"organ_file:={other}")}
-    rules = {"a": ("__ns:=/a",), "b": ("__ns:=/b", "right/servo_cf:=felt")}
+    rules = {"a": ("__ns:=/a",), "b": ("__ns:=/b", "right/servo_cf:=renamed")}
     made = Pair([tmp_path_factory.mktemp(name) for name in "ab"], [], [])
     try:
         for name, folder in zip("ab", made.folders, strict=True):
@@ -229,8 +229,8 @@ def pair(tmp_path_factory):
 def test_two_nodes_with_two_organs_run_side_by_side(pair):
     """Namespaces keep their forces apart; a remapped topic goes where it was sent."""
     first, second = pair.clients
-    felt = []
-    second.node.create_subscription(WrenchStamped, "felt", felt.append, qos_profile_sensor_data)
+    received = []
+    second.node.create_subscription(WrenchStamped, "renamed", received.append, qos_profile_sensor_data)
     right = second.node.create_publisher(PoseStamped, "right/measured_cp", qos_profile_sensor_data)
     assert second.spin_until(lambda: right.get_subscription_count() > 0)
     away = PoseStamped()
@@ -243,14 +243,14 @@ def test_two_nodes_with_two_organs_run_side_by_side(pair):
         for client in pair.clients:
             client.spin(0.003)
 
-    position = press_until_felt(first, move)
+    position = press_until_contact(first, move)
 
-    def are_told():
+    def are_reported():
         move(position)
-        return len(felt) > 50 and counter(second, "right.poses") > 50 and counter(first, "left.poses") > 50
+        return len(received) > 50 and counter(second, "right.poses") > 50 and counter(first, "left.poses") > 50
 
-    assert first.spin_until(are_told), "DDS never brings the remapped topic together"
-    assert all(message.wrench.force.x == 0.0 for message in felt)
+    assert first.spin_until(are_reported), "DDS never brings the remapped topic together"
+    assert all(message.wrench.force.x == 0.0 for message in received)
     assert second.node.count_publishers("/b/right/servo_cf") == 0, "it goes by another name"
     assert not second.wrenches, "nobody moves its other tool"
     for client, process in zip(pair.clients, pair.nodes, strict=True):
@@ -263,7 +263,7 @@ def test_two_nodes_with_two_organs_run_side_by_side(pair):
 def test_signal_under_load_zeroes_the_wrench_and_closes_the_bag(pair, one, number):
     client, process = pair.clients[one], pair.nodes[one]
     client.wrenches.clear()
-    position = press_until_felt(client, client.ask)
+    position = press_until_contact(client, client.ask)
     for _ in range(20):
         client.ask(position)
     process.child.send_signal(number)
@@ -286,7 +286,7 @@ def test_signal_under_load_zeroes_the_wrench_and_closes_the_bag(pair, one, numbe
         topic = f"{client.node.get_namespace()}/left/servo_cf"
         kept = sum(one.msgcount for one in reader.connections if one.topic == topic)
     left_out = int(closed[1] or 0)  # by a disk that is too slow
-    assert kept + left_out >= 0.9 * len(client.wrenches) > 9, "what was felt is in the bag"
+    assert kept + left_out >= 0.9 * len(client.wrenches) > 9, "the forces are in the bag"
 
 
 @pytest.mark.extended
@@ -331,11 +331,11 @@ def test_signal_while_loading_ends_it(tmp_path, start, delay):
         processes[number] = start(tmp_path / number.name, wait=False)
     time.sleep(delay)
     for number, process in processes.items():
-        heard = hears(process)
+        is_ready = hears(process)
         process.child.send_signal(number)
-        if not heard:
+        if not is_ready:
             wait_for(lambda one=process: one.child.poll() is not None or hears(one))
-        code = process.wait() if heard else process.stop(number)
+        code = process.wait() if is_ready else process.stop(number)
         assert code in (0, -number), process.text()
         assert "Traceback" not in process.text() or code == -number
 

@@ -1,4 +1,4 @@
-"""What a viewer gets from the node: at once, coloured, at a price."""
+"""What a viewer gets from the node: at once, coloured, at a cost."""
 
 import json
 import re
@@ -48,9 +48,9 @@ def colours_of(message):
 def test_who_comes_late_gets_the_organ_although_nothing_moves(client):
     """Mesh, markers, surface and skeleton of an organ asleep; the second one to come as well as the first."""
     for _ in range(2):
-        heard = {}
+        received = {}
         subscriptions = [
-            client.node.create_subscription(kind, f"/tissue_sim/{name}", partial(heard.__setitem__, name), qos)
+            client.node.create_subscription(kind, f"/tissue_sim/{name}", partial(received.__setitem__, name), qos)
             for name, kind, qos in (
                 ("mesh", Mesh, LATCHED),
                 ("markers", MarkerArray, LATCHED),
@@ -58,10 +58,10 @@ def test_who_comes_late_gets_the_organ_although_nothing_moves(client):
                 ("skeleton", PointCloud2, qos_profile_sensor_data),
             )
         ]
-        assert client.spin_until(lambda h=heard: len(h) == 4), heard.keys()
+        assert client.spin_until(lambda h=received: len(h) == 4), received.keys()
         organ = shipped()
-        assert np.abs(cloud_array(heard["surface"]) - organ.surface_positions).max() < 1e-6
-        assert len(heard["mesh"].triangles) == len(organ.surface_triangles)
+        assert np.abs(cloud_array(received["surface"]) - organ.surface_positions).max() < 1e-6
+        assert len(received["mesh"].triangles) == len(organ.surface_triangles)
         for subscription in subscriptions:
             client.node.destroy_subscription(subscription)
 

@@ -5,7 +5,7 @@ import re
 from std_srvs.srv import Trigger
 
 from helpers.patience import LIMIT
-from helpers.ros.processes import press_until_felt, start_sabotaged
+from helpers.ros.processes import press_until_contact, start_sabotaged
 from tissue_sim.ros.bags import recovery
 from tissue_sim.ros.bags.recording import Recording
 
@@ -17,7 +17,7 @@ def test_a_node_whose_loop_ends_zeroes_its_wrenches_closes_the_bag_and_says_wher
         client.send_pose(position)
         client.spin(0.005)
 
-    where = press_until_felt(client, move)
+    where = press_until_contact(client, move)
     (bag,) = (tmp_path / "bags").iterdir()
 
     def has_state():

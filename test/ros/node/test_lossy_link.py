@@ -7,7 +7,7 @@ import pytest
 from helpers.ros.processes import PUBLISHER, READY, WATCHER, shipped
 from helpers.ros.two_machines import two_machines
 
-LOSS, DELAY, WANTED = 0.05, 0.05, 100  # share, s, surfaces that differ
+LOSS, DELAY, WANTED = 0.05, 0.05, 100  # fraction, s, surfaces that differ
 
 
 @pytest.mark.extended

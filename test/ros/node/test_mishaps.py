@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
-from helpers.ros.processes import press_until_felt, start_sabotaged
+from helpers.ros.processes import press_until_contact, start_sabotaged
 
 OUTSIDE = (0.3, 0.0, 0.0)  # m
 
@@ -35,7 +35,7 @@ def lines(process, place):
     return [line for line in process.text().splitlines() if f"(tissue_sim/{place}:" in line]
 
 
-def test_callback_that_fails_is_told_once_and_counted_and_the_node_goes_on(node, client):
+def test_callback_that_fails_is_reported_once_and_counted_and_the_node_goes_on(node, client):
     assert sabotage(client, "break_poses").success
 
     def is_counted():
@@ -51,7 +51,7 @@ def test_callback_that_fails_is_told_once_and_counted_and_the_node_goes_on(node,
         if key.startswith("callback_failures.tissue_sim/ros/node/input/tool_input.py:")
     )
     assert int(client.diagnostics[key]) > 10
-    assert any("callback_failures" in told for told in client.told), "it is a warning"
+    assert any("callback_failures" in message for message in client.messages), "it is a warning"
     assert sabotage(client, "mend").success
     client.ask(OUTSIDE)
     assert client.spin_until(lambda: bool(client.wrenches) or client.send_pose(OUTSIDE))
@@ -63,7 +63,7 @@ def test_a_hand_goes_on_feeling_tissue_where_answers_fail(node, client):
     def goes_on():
         """From outside again where a busy machine held the poses up until they were stale."""
         assert sabotage(client, "mend").success
-        where = press_until_felt(client, partial(moved, client))
+        where = press_until_contact(client, partial(moved, client))
         failures = int(client.report().get("answers_failures", 0))
         assert sabotage(client, "break_answers").success
         assert client.spin_until(
@@ -78,14 +78,14 @@ def test_a_hand_goes_on_feeling_tissue_where_answers_fail(node, client):
     client.ask(OUTSIDE)
 
 
-def test_who_calls_a_service_that_fails_is_told(node, client):
+def test_who_calls_a_service_that_fails_is_reported(node, client):
     answer = sabotage(client, "fail")
     assert not answer.success
     assert "ZeroDivisionError: sabotaged, in two lines" in answer.message
     assert client.reset().success
 
 
-def test_who_sets_a_parameter_is_told(node, client):
+def test_who_sets_a_parameter_is_reported(node, client):
     assert sabotage(client, "break_parameters").success
     answer = client.set_parameter("marker_rate", 30.0)
     assert not answer.successful
@@ -93,21 +93,21 @@ def test_who_sets_a_parameter_is_told(node, client):
     assert client.reset().success
 
 
-def test_thread_that_fails_is_told(node, client):
+def test_thread_that_fails_is_reported(node, client):
     before = int(client.report()["callback_failures"])
     assert sabotage(client, "fail_in_thread").success
     assert client.spin_until(lambda: int(client.diagnostics["callback_failures"]) > before)
 
 
 def test_no_force_stands_while_the_loop_hangs(node, client):
-    where = press_until_felt(client, partial(moved, client))
+    where = press_until_contact(client, partial(moved, client))
     assert sabotage(client, "hang").success
     assert client.spin_until(lambda: client.hand_force() == 0.0 or client.send_pose(where))
-    heard = len(client.wrenches)
-    assert client.spin_until(lambda: len(client.wrenches) > heard + 50 or client.send_pose(where))
-    assert not any(np.any(wrench) for _, wrench in client.wrenches[heard:])
+    before = len(client.wrenches)
+    assert client.spin_until(lambda: len(client.wrenches) > before + 50 or client.send_pose(where))
+    assert not any(np.any(wrench) for _, wrench in client.wrenches[before:])
     assert client.spin_until(lambda: "loop hangs" in client.message)
     assert sabotage(client, "resume").success
     client.ask(OUTSIDE)
-    press_until_felt(client, partial(moved, client))
+    press_until_contact(client, partial(moved, client))
     assert client.spin_until(lambda: "loop hangs" not in client.message)

@@ -17,14 +17,14 @@ from helpers.ros.processes import (
     UNHURRIED,
     Process,
     poke_path,
-    press_until_felt,
+    press_until_contact,
     running_node,
     shipped,
     start_node,
     start_publisher,
 )
 from tissue_sim.cli import main
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def only_client(node):
 
 @pytest.fixture
 def client(only_client):
-    """The client, with an organ at rest, and nothing heard but how it looks then."""
+    """The client, with an organ at rest, and no messages received but its shape then."""
     assert only_client.set_parameter("stale_time", 5.0).successful
     only_client.reset()
     assert only_client.spin_until(lambda: only_client.moved() < 1e-6)
@@ -92,7 +92,7 @@ def test_markers_are_what_rviz_can_bear(client):
 
 def test_force_fades_when_poses_stop(client):
     """A stale pose ramps the wrench to zero and leaves no force standing; after how many ticks, test/contact shows."""
-    position = press_until_felt(client, client.ask, deepest=0.003)
+    position = press_until_contact(client, client.ask, deepest=0.003)
     assert client.spin_until(lambda: client.ask(position) or client.hand_force() > 0.03)
     assert client.set_parameter("stale_time", 0.05).successful
     assert client.spin_until(lambda: client.hand_force() == 0.0), client.diagnostics
@@ -138,12 +138,12 @@ BAD_POSES = {
 def test_bad_poses_are_refused_by_name(client, node):
     """A clear line, a counter in diagnostics, and a node that goes on."""
 
-    def all_are_told():
+    def all_are_reported():
         for bad in BAD_POSES.values():
             client.send_pose(**{"position": (1.0, 0.0, 0.0)} | bad)
         return all(reason in client.message for reason in BAD_POSES)
 
-    assert client.spin_until(all_are_told), client.message
+    assert client.spin_until(all_are_reported), client.message
     for reason in BAD_POSES:
         assert int(client.diagnostics[f"left.refused.{reason}"]) > 0, client.diagnostics
     assert client.level != b"\x00"
@@ -160,7 +160,7 @@ def test_stamp_that_runs_backwards_is_refused(client):
         return int(client.diagnostics.get("left.refused.backward_stamp", 0)) > 0
 
     assert client.spin_until(is_refused)
-    # A bridge that starts again with an older clock is heard after a pause.
+    # A bridge that starts again with an older clock is accepted after a pause.
     assert client.set_parameter("stale_time", 0.05).successful
     poses = int(client.report()["left.poses"])
 
@@ -176,12 +176,12 @@ def test_tool_that_appears_inside_is_held_off(client, node):
     assert client.set_parameter("stale_time", 0.05).successful
     inside = shipped().atom_positions[20]
 
-    def is_told():
+    def is_reported():
         client.spin(0.3)  # the last pose, wherever it was, is stale
         client.ask(inside)
         return "appeared inside the organ" in node.text()
 
-    assert client.spin_until(is_told)
+    assert client.spin_until(is_reported)
     assert client.set_parameter("stale_time", 5.0).successful
     client.wrenches.clear()
     for _ in range(60):
@@ -218,28 +218,28 @@ def test_parameters_change_live_or_say_why_not(client):
 def test_descriptors_tell_what_may_change_while_the_node_runs(client):
     specs = {spec.name: spec for spec in NODE_SPECS} | {f"left.{spec.name}": spec for spec in TOOL_SPECS}
     request = DescribeParameters.Request(names=[*specs, "tools", "organs"])
-    told = client.call(DescribeParameters, "/tissue_sim/describe_parameters", request).descriptors
-    assert {one.name: one.read_only for one in told} == {
+    descriptors = client.call(DescribeParameters, "/tissue_sim/describe_parameters", request).descriptors
+    assert {one.name: one.read_only for one in descriptors} == {
         **{name: not spec.live for name, spec in specs.items()},
         "tools": True,
         "organs": True,
     }
-    friction = next(one for one in told if one.name == "friction")
+    friction = next(one for one in descriptors if one.name == "friction")
     assert friction.additional_constraints == "may change while the node runs"
 
 
 def test_diagnostics_have_a_status_for_each_tool_and_organ(client):
-    heard = []
-    client.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+    reports = []
+    client.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
 
-    def is_told():
+    def is_reported():
         client.send_pose((1.0, 0.0, 0.0), stamp=0.0)
         client.spin(0.02)
-        statuses = {status.name: status for status in heard[-1].status} if heard else {}
+        statuses = {status.name: status for status in reports[-1].status} if reports else {}
         return "refused.no_stamp" in statuses["tissue_sim: tool left"].message and statuses if statuses else None
 
     found = []
-    assert client.spin_until(lambda: found.append(is_told()) or bool(found[-1]))
+    assert client.spin_until(lambda: found.append(is_reported()) or bool(found[-1]))
     statuses = found[-1]
     names = ("physics", "tool left", "tool right", "organ kidney")
     assert sorted(statuses) == sorted(f"tissue_sim: {name}" for name in names)
@@ -265,7 +265,7 @@ def test_recording_on_demand_replays_bit_for_bit(client, capsys):
     before = int(client.report()["left.poses"])
     client.set_parameter("stiffness_scale", 2.0)
     client.set_parameter("left.passivity_damping", 5.0)  # a bag holds forces without what that adds
-    position = press_until_felt(client, client.ask, deepest=0.004)
+    position = press_until_contact(client, client.ask, deepest=0.004)
     for _ in range(300):
         client.ask(position)
     assert client.spin_until(lambda: client.ask(position) or client.hand_force() > 0.05)
@@ -293,15 +293,15 @@ def test_recording_on_demand_replays_bit_for_bit(client, capsys):
 
 
 def test_diagnostics_tell_the_state_of_the_loop(client):
-    told = []
+    reports = []
 
-    def is_told():
+    def is_reported():
         """Whether the rate is that of the ticks between two reports; a machine may do something else in between."""
-        told.append((int(client.report()["tick"]), client.reported, float(client.diagnostics["tick_rate_hz"])))
-        (tick, then, _), (newest, now, rate) = told[-2:] if len(told) > 1 else told * 2
+        reports.append((int(client.report()["tick"]), client.reported, float(client.diagnostics["tick_rate_hz"])))
+        (tick, then, _), (newest, now, rate) = reports[-2:] if len(reports) > 1 else reports * 2
         return newest > tick and rate == pytest.approx((newest - tick) / (now - then), rel=0.05)
 
-    assert client.spin_until(is_told), told
+    assert client.spin_until(is_reported), reports
     values = client.diagnostics
     assert float(values["tick_p50_us"]) > 0.0
     assert values["region"] in ("asleep", "whole")

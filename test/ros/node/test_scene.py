@@ -57,7 +57,7 @@ def client(node):
     made.close()
 
 
-def heard(client, kind, topics, qos):
+def received(client, kind, topics, qos):
     """A list for each topic of the node that its messages are added to."""
     lists = {name: [] for name in topics}
     for name, messages in lists.items():
@@ -84,14 +84,14 @@ def press(client, *wheres, deepest=0.004):
 
 def test_each_organ_has_its_topics_and_all_have_one(node, client):
     assert "organs liver, kidney: 324 surface nodes" in node.text()
-    meshes = heard(client, Mesh, ["liver/mesh", "kidney/mesh"], beside.latched_qos())
+    meshes = received(client, Mesh, ["liver/mesh", "kidney/mesh"], beside.latched_qos())
     rest = {name: beside.mesh_arrays(first(client, messages))[0] for name, messages in meshes.items()}
     np.testing.assert_allclose(
         rest["kidney/mesh"] - rest["liver/mesh"], np.tile([0.0592, 0.0, 0.0], (162, 1)), atol=1e-12
     )
-    clouds = heard(client, PointCloud2, ["liver/surface", "kidney/surface", "liver/skeleton"], beside.stream_qos())
+    clouds = received(client, PointCloud2, ["liver/surface", "kidney/surface", "liver/skeleton"], beside.stream_qos())
     assert [len(beside.cloud_array(first(client, messages))) for messages in clouds.values()] == [162, 162, 5]
-    everything = heard(client, MarkerArray, ["markers", "kidney/markers"], beside.latched_qos())
+    everything = received(client, MarkerArray, ["markers", "kidney/markers"], beside.latched_qos())
     of_all = first(client, everything["markers"]).markers
     organs = [f"{name}/{part}" for name in ("liver", "kidney") for part in ("surface", "skeleton")]
     assert [marker.ns for marker in of_all] == [*organs, "contacts", "contacts"]
@@ -101,7 +101,7 @@ def test_each_organ_has_its_topics_and_all_have_one(node, client):
 
 
 def test_breathing_is_shown_and_is_no_displacement(client):
-    clouds = heard(client, PointCloud2, ["liver/surface", "kidney/surface"], beside.stream_qos())
+    clouds = received(client, PointCloud2, ["liver/surface", "kidney/surface"], beside.stream_qos())
 
     def span(name):
         heights = [beside.cloud_array(cloud)[:, 2].mean() for cloud in clouds[name]]
@@ -112,8 +112,8 @@ def test_breathing_is_shown_and_is_no_displacement(client):
 
 
 def test_ligaments_are_lines_between_the_nodes_that_they_join(client):
-    clouds = heard(client, PointCloud2, ["liver/surface", "kidney/surface"], beside.stream_qos())
-    lines = heard(client, MarkerArray, ["ligaments"], beside.latched_qos())["ligaments"]
+    clouds = received(client, PointCloud2, ["liver/surface", "kidney/surface"], beside.stream_qos())
+    lines = received(client, MarkerArray, ["ligaments"], beside.latched_qos())["ligaments"]
     assert client.spin_until(lambda: lines and all(clouds.values()))
     (marker,) = lines[-1].markers
     assert (marker.type, marker.header.frame_id) == (Marker.LINE_LIST, "organ")
@@ -125,7 +125,7 @@ def test_ligaments_are_lines_between_the_nodes_that_they_join(client):
 
 
 def test_tools_touch_any_organ_and_the_parameters_tell_their_names(client):
-    clouds = heard(client, PointCloud2, ["left/contacts"], 10)["left/contacts"]
+    clouds = received(client, PointCloud2, ["left/contacts"], 10)["left/contacts"]
     # Again where poses were lost before the node had discovered who sends them.
     assert client.spin_until(lambda: min(press(client, (0.0, 0.0), (0.0592, 0.0))) > 0.05), "N"
     assert client.spin_until(lambda: "liver.region" in client.diagnostics)
@@ -152,7 +152,7 @@ def test_tools_touch_any_organ_and_the_parameters_tell_their_names(client):
 
 def test_a_bag_of_a_scene_repeats_to_the_last_bit(client, capsys):
     bag = Path(client.record(True).message)
-    clouds = heard(client, PointCloud2, ["liver/surface", "kidney/surface"], beside.stream_qos())
+    clouds = received(client, PointCloud2, ["liver/surface", "kidney/surface"], beside.stream_qos())
     press(client, (0.0, 0.0), (0.0592, 0.0), (0.0296, 0.0))
     client.reset()
     press(client, (0.0, 0.0))
@@ -186,25 +186,25 @@ def test_the_bridge_plays_with_an_organ_that_is_named(node, tmp_path, capfd):
 
 
 @pytest.mark.extended
-def test_a_breath_that_is_told_is_followed_and_refused_where_it_is_none(scene_file, tmp_path):
-    told = tmp_path / "told.yaml"
-    told.write_text(SCENE.replace("rate: 60, ", "").replace("ball.npz", str(scene_file.parent / "ball.npz")))
+def test_a_breath_that_is_published_is_followed_and_refused_where_it_is_none(scene_file, tmp_path):
+    path = tmp_path / "followed.yaml"
+    path.write_text(SCENE.replace("rate: 60, ", "").replace("ball.npz", str(scene_file.parent / "ball.npz")))
     # In a namespace: the other node of this file is there, too.
-    words = UNHURRIED, f"scene_file:={told}", f"record_folder:={tmp_path}"
-    process = start_node(tmp_path, *words, remap=("__ns:=/told",))
-    client = Client("/told", markers=False)
+    words = UNHURRIED, f"scene_file:={path}", f"record_folder:={tmp_path}"
+    process = start_node(tmp_path, *words, remap=("__ns:=/followed",))
+    client = Client("/followed", markers=False)
     try:
         clouds: list[PointCloud2] = []
         node = client.node
-        node.create_subscription(PointCloud2, "/told/tissue_sim/liver/surface", clouds.append, beside.stream_qos())
-        publisher = node.create_publisher(JointState, "/told/tissue_sim/respiration", beside.stream_qos())
+        node.create_subscription(PointCloud2, "/followed/tissue_sim/liver/surface", clouds.append, beside.stream_qos())
+        publisher = node.create_publisher(JointState, "/followed/tissue_sim/respiration", beside.stream_qos())
         seconds = iter(range(1, 10**9))
         started = client.record(True)
         assert started.success, started.message
         bag = next(tmp_path.glob("tissue_sim-*"))
 
-        def tell(*shares, stamp=None):
-            message = JointState(position=list(shares))
+        def tell(*fractions, stamp=None):
+            message = JointState(position=list(fractions))
             message.header.stamp.sec = next(seconds) if stamp is None else stamp
             publisher.publish(message)
             return height()

@@ -7,7 +7,7 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 from helpers.ros.clients import Client
-from helpers.ros.processes import UNHURRIED, poke_path, press_until_felt, running_node, shipped
+from helpers.ros.processes import UNHURRIED, poke_path, press_until_contact, running_node, shipped
 
 STEP = 0.01  # s of simulated time from one /clock to the next
 
@@ -24,7 +24,7 @@ class Simulator:
 
     def press(self):
         """Press the tool in; returns where it is then."""
-        return press_until_felt(self.client, lambda position: self.run(STEP, position))
+        return press_until_contact(self.client, lambda position: self.run(STEP, position))
 
     def run(self, seconds, pose=None, wall=STEP):
         """Let so many s of simulated time go by, each step in `wall` s at least."""
@@ -48,7 +48,7 @@ class Simulator:
         return found[-1]
 
     def ticks(self, wanted):
-        """Whether the node comes to a tick, and no farther; the newest time is told again in case it was lost."""
+        """Whether the node comes to a tick, and no farther; the newest time is sent again in case it was lost."""
 
         def is_there():
             self.post()
@@ -114,12 +114,12 @@ def test_ticks_are_as_long_as_the_rate_says(client, simulator):
 def test_a_long_jump_forward_is_dropped_and_counted(client, simulator):
     tick, dropped = simulator.stands(), int(client.diagnostics["dropped_ticks"])
     simulator.time += 100.0
-    client.told.clear()
+    client.messages.clear()
     simulator.run(0.1)
     taken, given_up = simulator.stands() - tick, int(client.diagnostics["dropped_ticks"]) - dropped
     assert taken + given_up == pytest.approx(100_100, abs=1)
     assert given_up >= 99_999, "all that the jump made due, and where its first time was lost, of those behind it"
-    assert any("dropped_ticks" in message for message in client.told)
+    assert any("dropped_ticks" in message for message in client.messages)
 
 
 @pytest.mark.extended
@@ -140,11 +140,11 @@ def test_use_sim_time_can_be_left_and_taken_live(client, simulator):
 def test_a_clock_that_stands_leaves_no_force_and_no_kick_when_it_goes_on(client, simulator, node):
     inside = simulator.press()
 
-    def is_told():  # poses go on, the clock doesn't
+    def is_reported():  # poses go on, the clock doesn't
         client.ask(inside)
         return client.diagnostics["clock"] == "/clock stands" and client.hand_force() == 0.0
 
-    assert client.spin_until(is_told)
+    assert client.spin_until(is_reported)
     client.wrenches.clear()
     for _ in range(40):
         client.ask(inside)
@@ -155,11 +155,11 @@ def test_a_clock_that_stands_leaves_no_force_and_no_kick_when_it_goes_on(client,
     assert int(client.report()["tick"]) == tick
     client.wrenches.clear()
 
-    def is_felt_again():
+    def has_force_again():
         simulator.run(0.3, inside)
         return client.hand_force() > 0.02
 
-    assert client.spin_until(is_felt_again), "a tool in touch is resisted again"
+    assert client.spin_until(has_force_again), "a tool in touch is resisted again"
     assert client.kick(lambda: simulator.run(STEP, inside)) < 1.5
 
 

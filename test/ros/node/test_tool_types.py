@@ -61,7 +61,7 @@ class Tools(Client):
 
     def __init__(self) -> None:
         super().__init__()
-        self.felt: dict[str, list[np.ndarray]] = {"plain": [], "named": [], "odometry": [], "led": [], "pen": []}
+        self.wrenches: dict[str, list[np.ndarray]] = {"plain": [], "named": [], "odometry": [], "led": [], "pen": []}
         self.axes: dict[str, str] = {}  # by tool, the frame that its newest wrench names
         node, best_effort = self.node, qos_profile_sensor_data
         types = {"plain": Pose, "named": TransformStamped, "odometry": Odometry}
@@ -72,11 +72,11 @@ class Tools(Client):
         }
         self.forces = node.create_publisher(Wrench, "plain/external_cf", best_effort)
         self.tf = node.create_publisher(TransformStamped, "/tf_static", LATCHED)
-        self.frames: dict[tuple[str, str], np.ndarray] = {}  # parent, child: the newest pose (7,) heard from tf
+        self.frames: dict[tuple[str, str], np.ndarray] = {}  # parent, child: the newest pose (7,) from tf
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         for topic, qos in (("/tf_static", latched), ("/tf", 10)):
             node.create_subscription(TransformStamped, topic, self._on_transform, qos)
-        keep = {tool: felt.append for tool, felt in self.felt.items()}
+        keep = {tool: wrenches.append for tool, wrenches in self.wrenches.items()}
         subscribe = node.create_subscription
         subscribe(Wrench, "plain/servo_cf", lambda m: keep["plain"](six(m)), best_effort)
         subscribe(Float64MultiArray, "named/servo_cf", lambda m: keep["named"](np.array(m.data)), 10)
@@ -85,7 +85,7 @@ class Tools(Client):
 
     def _on_stamped(self, tool: str, message: WrenchStamped) -> None:
         self.axes[tool] = message.header.frame_id
-        self.felt[tool].append(six(message.wrench))
+        self.wrenches[tool].append(six(message.wrench))
 
     def turn_to_organ(self, frame: str) -> Rotation:
         """From the axes of a frame to the organ's, as tf has them."""
@@ -133,27 +133,27 @@ class Tools(Client):
         """
         self.reset()
         touch, inward = poke_path(shipped())
-        felt = self.felt[tool]
+        wrenches = self.wrenches[tool]
 
         def hold(depth: float) -> None:
             """A pose, until it is answered or a moment has passed."""
-            heard = len(felt)
+            before = len(wrenches)
             self.send(tool, to_device(touch + depth * inward), turn, frame)
             if force is not None:
                 self.forces.publish(force)
-            self.spin_until(lambda: len(felt) > heard, MOMENT)
+            self.spin_until(lambda: len(wrenches) > before, MOMENT)
 
         def is_settled() -> bool:
             hold(DEPTH)
-            newest = np.array([np.linalg.norm(one[:3]) for one in felt[arrived:][-20:]])
-            return len(felt) > arrived + 40 and bool(np.ptp(newest) < 0.01 * newest.mean())
+            newest = np.array([np.linalg.norm(one[:3]) for one in wrenches[arrived:][-20:]])
+            return len(wrenches) > arrived + 40 and bool(np.ptp(newest) < 0.01 * newest.mean())
 
-        assert self.spin_until(lambda: hold(-0.008) or len(felt) > 0), "poses get no answer"
+        assert self.spin_until(lambda: hold(-0.008) or len(wrenches) > 0), "poses get no answer"
         for depth in np.linspace(-0.008, DEPTH, 200):
             hold(depth)
-        arrived = len(felt)
-        assert self.spin_until(is_settled), felt[-20:]
-        pressed = np.array(felt[-10:]).mean(axis=0)
+        arrived = len(wrenches)
+        assert self.spin_until(is_settled), wrenches[-20:]
+        pressed = np.array(wrenches[-10:]).mean(axis=0)
         for depth in np.linspace(DEPTH, -0.05, 20):  # gone before the next tool comes
             hold(depth)
         return pressed
@@ -218,33 +218,33 @@ def is_outward(force: np.ndarray) -> bool:
 
 @pytest.fixture(scope="module")
 def bag(node, tools):
-    """A bag in which each tool presses once; what was felt last, along each device's axes."""
+    """A bag in which each tool presses once; the last wrenches, along each device's axes."""
     assert tools.record(True).success
-    felt = {}
+    wrenches = {}
     pull = Wrench()
     pull.force.x, pull.force.y, pull.force.z = map(float, TURN.inv().apply([0.0, 0.0, 0.02]))
-    felt["plain"] = tools.press("plain", in_device, TURN.inv() * HELD, force=pull)
-    felt["named"] = tools.press("named", in_device, TURN.inv() * HELD)
-    felt["odometry"] = tools.press("odometry", lambda point: (point + ORGAN) / 0.5, HELD)
+    wrenches["plain"] = tools.press("plain", in_device, TURN.inv() * HELD, force=pull)
+    wrenches["named"] = tools.press("named", in_device, TURN.inv() * HELD)
+    wrenches["odometry"] = tools.press("odometry", lambda point: (point + ORGAN) / 0.5, HELD)
     assert tools.axes["odometry"] == "odometry_wrench"
-    felt["odometry"][:3] = tools.turn_to_organ("odometry_wrench").apply(felt["odometry"][:3])
+    wrenches["odometry"][:3] = tools.turn_to_organ("odometry_wrench").apply(wrenches["odometry"][:3])
     transform = TransformStamped(child_frame_id="camera")
     transform.header.frame_id = "world"
     translation, rotation = transform.transform.translation, transform.transform.rotation
     translation.x, translation.y, translation.z = map(float, OFFSET)
     rotation.x, rotation.y, rotation.z, rotation.w = map(float, TURN.as_quat())
     tools.tf.publish(transform)
-    felt["led"] = tools.press("led", in_device, TURN.inv() * HELD, frame="camera")
+    wrenches["led"] = tools.press("led", in_device, TURN.inv() * HELD, frame="camera")
     assert tools.axes["led"] == "camera", "the frame of its poses, not the one that led.frame_id names"
-    # The organ is registered anew, while the node runs, and then as it was.
+    # The organ is registered again, while the node runs, and then as it was.
     assert tools.set_parameter("organ_pose", [*ORGAN_ELSEWHERE, *TURN.as_quat()]).successful
-    felt["registered"] = tools.press("odometry", lambda point: (TURN.apply(point) + ORGAN_ELSEWHERE) / 0.5, HELD)
-    assert tools.spin_until(lambda: np.allclose(tools.frames["world", "organ"][:3], ORGAN_ELSEWHERE)), "tf is told"
-    felt["registered"][:3] = tools.turn_to_organ("odometry_wrench").apply(felt["registered"][:3])
+    wrenches["registered"] = tools.press("odometry", lambda point: (TURN.apply(point) + ORGAN_ELSEWHERE) / 0.5, HELD)
+    assert tools.spin_until(lambda: np.allclose(tools.frames["world", "organ"][:3], ORGAN_ELSEWHERE)), "tf has it"
+    wrenches["registered"][:3] = tools.turn_to_organ("odometry_wrench").apply(wrenches["registered"][:3])
     assert tools.set_parameter("organ_pose", [*ORGAN, 0.0, 0.0, 0.0, 1.0]).successful
     stopped = tools.record(False)
     assert stopped.success
-    return stopped.message, felt
+    return stopped.message, wrenches
 
 
 def test_pose_and_wrench_without_headers_in_a_base_that_is_turned(bag):
@@ -314,7 +314,7 @@ def test_an_organ_that_is_registered_anew_is_where_it_is_and_bags_tell_the_tick(
 
 
 def test_all_feel_the_same_tissue(bag):
-    depth = [np.linalg.norm(felt[:3]) for felt in bag[1].values()]
+    depth = [np.linalg.norm(wrenches[:3]) for wrenches in bag[1].values()]
     assert max(depth) < 1.5 * min(depth), bag[1]
 
 

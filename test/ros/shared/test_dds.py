@@ -14,7 +14,7 @@ LOOK_AROUND = str(HERE / "look_around.py")
 
 
 @pytest.mark.parametrize(
-    ("set_by_user", "profile", "told"),
+    ("set_by_user", "profile", "expected"),
     [
         ({}, LOCAL_PROFILE, "on this machine only"),
         ({REACH: ""}, LOCAL_PROFILE, "on this machine only"),
@@ -29,12 +29,12 @@ LOOK_AROUND = str(HERE / "look_around.py")
         ({"ROS_DISCOVERY_SERVER": "10.0.0.2:11811"}, PROFILE, "through ROS_DISCOVERY_SERVER"),
     ],
 )
-def test_the_range_is_narrowed_only_where_the_user_says_nothing(set_by_user, profile, told):
+def test_the_range_is_narrowed_only_where_the_user_says_nothing(set_by_user, profile, expected):
     environment = dict(set_by_user)
     dds.prepare(environment)
     chosen = {REACH: "LOCALHOST"} if not any(set_by_user.values()) else set_by_user
     assert environment == chosen | dict.fromkeys(PROFILE_VARIABLES, str(ROOT / profile))
-    assert f"discoverable {told}" in dds.describe_discovery(environment)
+    assert f"discoverable {expected}" in dds.describe_discovery(environment)
 
 
 def test_a_profile_or_transports_of_the_users_are_kept():
@@ -53,7 +53,7 @@ def test_a_profile_that_a_parent_chose_for_another_range_is_chosen_anew():
 
 
 def test_both_profiles_differ_in_the_interfaces_and_in_what_is_announced_alone():
-    """On loopback every 0.2 s: programs of ROS's default range are not heard there before they hear the node."""
+    """On loopback every 0.2 s: programs of ROS's default range would discover the node too late there."""
     trees = [ElementTree.parse(ROOT / name).getroot() for name in (PROFILE, LOCAL_PROFILE)]
     lists = "{*}transport_descriptors/{*}transport_descriptor"
     for descriptor in trees[1].findall(lists):

@@ -1,4 +1,4 @@
-"""Organs of a scene as tools meet them: what is felt is the sum."""
+"""Organs of a scene as tools meet them: the wrench is the sum of theirs."""
 
 import numpy as np
 import pytest
@@ -77,7 +77,7 @@ def test_the_sum_is_clamped(organs):
         assert np.linalg.norm(organs.wrenches()[1][0, :3]) <= 0.1 * (1.0 + 1e-12), "N, as the first organ has it"
 
 
-def test_nothing_is_felt_of_a_loop_that_has_ended(organs):
+def test_no_force_comes_from_a_loop_that_has_ended(organs):
     press(organs)
     wait_for(lambda: np.abs(organs.wrenches()[1]).max() > 0.1)
     organs.loop.stop()
@@ -85,7 +85,7 @@ def test_nothing_is_felt_of_a_loop_that_has_ended(organs):
     assert not organs.wrenches()[1].any()
 
 
-def test_one_organ_alone_is_felt_as_it_is():
+def test_the_wrench_of_one_organ_alone_is_its_own():
     """To the last bit, though it presses with as much as the clamp allows, which is not applied a second time."""
     simulation = Simulation(placed(ball(2), [0.5 * APART, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]), shapes=TOOLS.shapes)
     simulation.settings.stale_time, simulation.settings.force_clamp = 1e9, 0.1

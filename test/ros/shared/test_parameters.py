@@ -4,7 +4,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from helpers.paths import CONFIG
-from tissue_sim.ros.shared.parameters import NODE_SPECS, SETTING_OF, TOOL_SPECS
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS
 
 FILE = CONFIG / "tissue_node.yaml"
 
@@ -30,4 +30,5 @@ def test_every_parameter_is_described(spec):
 
 
 def test_settings_are_one_to_one():
-    assert len(set(SETTING_OF.values())) == len(SETTING_OF)
+    settings = [spec.setting for spec in NODE_SPECS if spec.setting]
+    assert len(set(settings)) == len(settings)

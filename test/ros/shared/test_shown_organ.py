@@ -34,6 +34,6 @@ def test_a_cut_organ_is_shown_with_its_walls_as_its_nodes_move(cut):
 
 def test_places_on_a_scale_are_between_those_of_the_nodes(cut):
     shown = ShownOrgan.of(cut)
-    share, rows = np.random.default_rng(3).uniform(size=cut.organ.n_nodes), np.zeros(shown.n_rows)
-    shown.fill(rows, share)
+    fraction, rows = np.random.default_rng(3).uniform(size=cut.organ.n_nodes), np.zeros(shown.n_rows)
+    shown.fill(rows, fraction)
     assert 0.0 <= rows.min() <= rows.max() <= 1.0

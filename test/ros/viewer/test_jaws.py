@@ -15,7 +15,7 @@ pytest.importorskip("viser")
 import viser
 
 from helpers.paths import CONFIG
-from helpers.ros.told import values
+from helpers.ros.node_values import values
 from tissue_sim.ports import free_port
 from tissue_sim.ros.viewer.jaws import JawSlider
 from tissue_sim.ros.viewer.tool_view import ToolView
@@ -30,7 +30,9 @@ def test_jaws_turn_without_a_blow_and_then_are_silent(graph):
         JointState, "left/gripper/measured_js", lambda m: heard.append(m.position[0]), EVERY
     )
     length = 0.06
-    jaws = PokedJaws(graph, ToolLink.told(values(left__shape="gripper", left__length=length), "left", "tissue_sim"))
+    jaws = PokedJaws(
+        graph, ToolLink.from_parameters(values(left__shape="gripper", left__length=length), "left", "tissue_sim")
+    )
     try:
         listener.spin(0.3)
         assert not heard, "nobody touched it"

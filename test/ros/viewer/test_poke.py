@@ -63,27 +63,27 @@ def graph():
 
 def test_a_held_tool_publishes_until_it_is_released(graph):
     listener = Participant("listener")
-    heard = []
-    listener.node.create_subscription(PoseStamped, "left/measured_cp", heard.append, EVERY)
+    poses = []
+    listener.node.create_subscription(PoseStamped, "left/measured_cp", poses.append, EVERY)
     tool = PokedTool(graph, "left")
     assert not tool.held
     tool.take(np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.6, 0.0, 0.8]), "theatre")
-    assert listener.spin_until(lambda: len(heard) > 0)
+    assert listener.spin_until(lambda: len(poses) > 0)
     tool.goal = np.array([0.2, 0.2, 0.3])
-    assert listener.spin_until(lambda: heard[-1].pose.position.x > 0.19)
+    assert listener.spin_until(lambda: poses[-1].pose.position.x > 0.19)
     assert tool.rivals() == 0
-    message = heard[-1]
+    message = poses[-1]
     assert message.header.frame_id == "theatre"
     assert (message.pose.orientation.y, message.pose.orientation.w) == (0.6, 0.8)
-    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in heard])
-    x = np.array([m.pose.position.x for m in heard])
+    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in poses])
+    x = np.array([m.pose.position.x for m in poses])
     assert (np.diff(stamps) > 0.0).all()
     assert np.diff(x).max() <= TOP_SPEED * 0.021, "a leap"
     assert x[-1] <= 0.2002
     listener.node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
     assert listener.spin_until(lambda: tool.rivals() == 1)
     tool.release()
-    assert listener.hears_no_more(heard)
+    assert listener.hears_no_more(poses)
     listener.close()
 
 
@@ -103,7 +103,7 @@ def pixel(point):
     return 0.5 * SIZE[0] + scale * (ray @ right), 0.5 * SIZE[1] - scale * (ray @ np.cross(right, forward))
 
 
-def share_of_yellow(png):
+def fraction_of_yellow(png):
     """Of the organ's part of a screenshot, how much has the colour of a displacement of mm."""
     image = pytest.importorskip("PIL.Image").open(io.BytesIO(png)).convert("RGB")
     red, green, blue = np.asarray(image).astype(int).transpose(2, 0, 1)[:, :, : SIZE[0] - 350]  # beside the panel
@@ -149,7 +149,7 @@ def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
         assert client.spin_until(lambda: "A bridge already moves" in page.text()), "the client publishes too"
         client.node.destroy_publisher(client.pose)
         assert client.spin_until(lambda: "A bridge already moves" not in page.text())
-        assert share_of_yellow(page.picture()) < 0.001
+        assert fraction_of_yellow(page.picture()) < 0.001
 
         position, inward = beside(shipped().surface_positions, 0, RADIUS)
         arrow = position + 0.022 * inward  # on the one that points into the organ
@@ -182,7 +182,7 @@ def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
             return False
 
         browsers.wait_for(is_pressed, page.text)
-        browsers.wait_for(lambda: share_of_yellow(page.picture(tmp_path / "poked.png")) > 0.03, "no colour")
+        browsers.wait_for(lambda: fraction_of_yellow(page.picture(tmp_path / "poked.png")) > 0.03, "no colour")
         plotted = "Math.max(...Object.values(window.__viserTestpoints.uplots)[0].chart.data[1].filter(isFinite))"
         browsers.wait_for(lambda: (page.run(plotted) or 0.0) > 0.1, "no curve")
 

@@ -18,14 +18,14 @@ from tissue_sim.ros.shared.tool_messages import N_POSE, POSE_TYPES
 from tissue_sim.ros.viewer.poked_tool import PokedTool
 
 pytest.importorskip("viser")
-from helpers.ros.told import values
+from helpers.ros.node_values import values
 
 
 # what goes out ---------------------------------------------------------------------------------
 @pytest.mark.parametrize("kind", [PoseStamped, Pose, TransformStamped, Odometry])
 def test_poses_of_every_type_come_back_as_they_were(kind):
     base = Rotation.from_euler("xyz", [0.4, -1.0, 2.0])
-    told = values(
+    given = values(
         left__pose_type=kind.__name__,
         left__frame_id="arm",
         left__base_pose=[0.1, -0.2, 0.3, *base.as_quat()],
@@ -33,7 +33,7 @@ def test_poses_of_every_type_come_back_as_they_were(kind):
         organ_pose=[0.5, 0.1, -0.2, 0.0, 0.0, 0.6, 0.8],
         left__motion_scale=0.25,
     )
-    link = ToolLink.told(told, "left", "tissue_sim")
+    link = ToolLink.from_parameters(given, "left", "tissue_sim")
     pose = np.array([0.03, 0.02, -0.04, *Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_quat()])
     raw = PoseWriter(link).message(1_500_000_000, pose)
     read = POSE_TYPES[kind.__name__].parse(raw, N_POSE)
@@ -43,14 +43,14 @@ def test_poses_of_every_type_come_back_as_they_were(kind):
 
 
 def test_a_link_has_the_nodes_names_and_qos():
-    told = values(left__measured_cp="/MTML/measured_cp", left__measured_js="~/jaw", left__reliable=True)
-    link = ToolLink.told(told | {"left.shape": "gripper"}, "left", "ward/tissue_sim")
+    given = values(left__measured_cp="/MTML/measured_cp", left__measured_js="~/jaw", left__reliable=True)
+    link = ToolLink.from_parameters(given | {"left.shape": "gripper"}, "left", "ward/tissue_sim")
     assert link.topics.names["measured_cp"] == "/MTML/measured_cp"
     assert link.topics.names["measured_js"] == "/ward/tissue_sim/jaw"
     assert link.qos.reliability == rclpy.qos.ReliabilityPolicy.RELIABLE
     assert link.tool == Tool("left", "gripper")
-    assert ToolLink.told(told, "right", "tissue_sim") is None
-    assert ToolLink.told({}, "left", "tissue_sim") is None
+    assert ToolLink.from_parameters(given, "right", "tissue_sim") is None
+    assert ToolLink.from_parameters({}, "left", "tissue_sim") is None
 
 
 # over ROS --------------------------------------------------------------------------------------
@@ -111,10 +111,10 @@ def test_an_organ_that_is_registered_anew_is_poked_where_it_is_now(node, open_pa
 @pytest.mark.extended
 def test_another_frame_has_the_tool_let_go(graph):
     tool = PokedTool(graph, "left")
-    link = ToolLink.told(values(), "left", "tissue_sim")
+    link = ToolLink.from_parameters(values(), "left", "tissue_sim")
     tool.use(link)
     tool.take(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), "organ")
-    tool.use(ToolLink.told(values(), "left", "tissue_sim"))
+    tool.use(ToolLink.from_parameters(values(), "left", "tissue_sim"))
     assert tool.held, "the same"
     tool.use(ToolLink(link.topics, Transform((0.1, 0.0, 0.0)), link.tool))
     assert not tool.held

@@ -21,7 +21,7 @@ def server():
 
 
 def markers_of(*names):
-    """What a node with spheres of these names publishes of them, each 0.1 m from the organ, felt with 0.5 N."""
+    """What a node with spheres of these names publishes of them, each 0.1 m from the organ, with a force of 0.5 N."""
     tools = ToolSet([Tool(name) for name in names])
     pose = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     tips, forces = np.tile(pose[:3], (len(names), 1)), np.tile([0.0, 0.0, 0.5], (len(names), 1))
@@ -46,7 +46,7 @@ def test_the_tools_are_those_of_the_node_and_change_with_it(server, graph):
     assert labels(server) == ["Poke with arm", "Poke with needle"]
     first = view.views[0]
     view.take(markers_of("arm", "needle"), 2.0)
-    assert view.views[0] is first, "not made anew for every message"
+    assert view.views[0] is first, "not made again for every message"
     view.take(markers_of("probe"), 3.0)
     assert labels(server) == ["Poke with probe"]
     view.update(3.1, [], None, "")

@@ -101,7 +101,7 @@ def tool():
     return ToolView(types.SimpleNamespace(scene=scene), "left", 0), scene.parts
 
 
-def test_a_tool_looks_as_its_markers_say_and_shows_what_is_felt(tool):
+def test_a_tool_looks_as_its_markers_say_and_shows_its_force(tool):
     view, parts = tool
     shaft = seen(Marker.CYLINDER, scale=(0.006, 0.006, 0.04), number=1, place=(0.1, 0.2, 0.28))
     blade = seen(Marker.TRIANGLE_LIST, number=2, points=[(0.0, 0.004, 0.002), (0.003, 0.0, -0.05), (0.0, 0.0, 0.009)])

@@ -137,7 +137,7 @@ def measure(
             finer = finer_organ(organ, cut) if refine else None
             edge = placed(organ, cut).sheet.edge_at(finer or organ)
             found.append(compared(organ, cut, reference, edge, finer))
-            rows.tell(cut.name, f"{found[-1].error.mean():.1f} % on average, {found[-1].error.max():.1f} % at worst")
+            rows.report(cut.name, f"{found[-1].error.mean():.1f} % on average, {found[-1].error.max():.1f} % at worst")
     return found, list(skipped.values())
 
 

@@ -79,7 +79,7 @@ def measure(organ: Organ, toughness: Sequence[float] = TOUGHNESS, depth: float =
     with rows.until_stopped():
         for each in rows.each(toughness, "toughness"):
             found.append(cut(organ, each, depth))
-            rows.tell(f"{each:g} J/m^2", f"unaccounted {100.0 * found[-1].rest:.1f} %")
+            rows.report(f"{each:g} J/m^2", f"unaccounted {100.0 * found[-1].rest:.1f} %")
     return found
 
 

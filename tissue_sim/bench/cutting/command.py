@@ -7,7 +7,7 @@ import importlib.util
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.bench.arguments import add_priority, check_priority, check_shared
+from tissue_sim.bench.arguments import add_priority, add_shared, check_priority, check_shared
 from tissue_sim.bench.cutting import accuracy, node_times, times
 from tissue_sim.bench.cutting.cuts import CUTS
 from tissue_sim.bench.cutting.organs import kidney, makers
@@ -26,10 +26,7 @@ PEER = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
-    )
-    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is not met")
+    add_shared(parser, organ=None, check=True)
     add_priority(parser)
     parser.add_argument(
         "--accuracy", action="store_true", help="compare cuts with finite elements that hold the same cut, not times"

@@ -35,11 +35,11 @@ SETTINGS = Settings(smooth=1, sharp=0)
 class Onto(NamedTuple):
     """How forces on an organ's surface act on a finer one. f surface nodes of that, n of the organ."""
 
-    share: Floats  # (f, n) of each force
+    fraction: Floats  # (f, n) of each force
 
     def spread(self, force: Floats) -> Floats:
         """Return the forces (f, 3) N that forces (n, 3) N are on the finer organ."""
-        found: Floats = self.share @ force
+        found: Floats = self.fraction @ force
         return found
 
 
@@ -64,9 +64,9 @@ def onto_finer(organ: Organ, finer: Organ, sheet: Sheet) -> Onto:
     beyond = (place.across < 0.0)[:, None] != (own.across < 0.0)[corner]
     hat = np.where(beyond & sheet.covers(place)[:, None], 0.0, hat)
     area = node_area(positions, finer.surface_triangles)
-    share = np.zeros((len(positions), organ.n_surface))
-    np.add.at(share, (np.arange(len(positions))[:, None], corner), hat * area[:, None])
-    return Onto(share / share.sum(axis=0))
+    fraction = np.zeros((len(positions), organ.n_surface))
+    np.add.at(fraction, (np.arange(len(positions))[:, None], corner), hat * area[:, None])
+    return Onto(fraction / fraction.sum(axis=0))
 
 
 def finer_organ(organ: Organ, cut: Cut) -> Organ:

@@ -1,8 +1,8 @@
 """Contact of the two walls of a cut in finite elements: nodes of one must not enter the other, without friction.
 
 A node that has entered is pushed back by a spring along the normal of the wall where it is nearest; which place that
-is, is determined anew until it doesn't change the equilibrium. The springs are so stiff that nodes enter by a hundredth
-of an element (penalty method; Wriggers, Computational Contact Mechanics, 2nd ed. 2006, chapters 5 and 9).
+is, is determined again until the equilibrium no longer changes. The springs are so stiff that nodes enter by a
+hundredth of an element (penalty method; Wriggers, Computational Contact Mechanics, 2nd ed. 2006, chapters 5 and 9).
 """
 
 from __future__ import annotations
@@ -166,9 +166,9 @@ class Lips:
         normal, corners, weights = normal[chosen], corners[chosen], weights[chosen]
         own, k, n = self._above[chosen], len(chosen), len(nodes)
         ends = np.concatenate([own[:, None], corners], axis=1)
-        share = np.concatenate([np.ones((k, 1)), -weights], axis=1)
+        fraction = np.concatenate([np.ones((k, 1)), -weights], axis=1)
         columns = (3 * ends[:, :, None] + np.arange(3)).reshape(k, 12)
-        values = (share[:, :, None] * normal[:, None, :]).reshape(k, 12)
+        values = (fraction[:, :, None] * normal[:, None, :]).reshape(k, 12)
         row = np.repeat(np.arange(k), 12)
         rows = coo_array((values.ravel(), (row, columns.ravel())), shape=(k, 3 * n)).tocsr()
         return Springs(rows, rows @ nodes.ravel(), stiffness[chosen])

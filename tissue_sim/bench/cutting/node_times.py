@@ -69,7 +69,7 @@ def measure(priority: int = 0) -> list[CutInNode]:
                 place = beside(organ, placed(organ, cut))
                 hand.press(place)
                 found.append(CutInNode(cut, hand.hold(UNDISTURBED), hand.cut(place)))
-                rows.tell(cut.name, f"longest tick {1e6 * longest(found[-1].around):.0f} us")
+                rows.report(cut.name, f"longest tick {1e6 * longest(found[-1].around):.0f} us")
     return found
 
 
@@ -116,7 +116,7 @@ def longest(window: Window) -> float:
     window : Window
         What was measured.
     """
-    return max(one.longest for one in window.told[1:])
+    return max(one.longest for one in window.reports[1:])
 
 
 # telling -------------------------------------------------------------------------------------------
@@ -148,16 +148,16 @@ def _row(one: CutInNode) -> dict[str, Any]:
     """Return the figures of a cut."""
     row: dict[str, Any] = {"cut": one.cut.name, "answer": one.around.answer, "took_ms": 1e3 * one.around.took}
     for name, window in zip(WHEN, (one.before, one.around), strict=True):
-        first, *told = window.told
+        first, *reports = window.reports
         row |= {
-            f"{name}_ticks": told[-1].tick - first.tick,
-            f"{name}_late": told[-1].late - first.late,
-            f"{name}_dropped": told[-1].dropped - first.dropped,
-            f"{name}_p50_us": 1e6 * float(np.median([each.busy for each in told])),
-            f"{name}_p99_us": 1e6 * max(each.busy_p99 for each in told),
+            f"{name}_ticks": reports[-1].tick - first.tick,
+            f"{name}_late": reports[-1].late - first.late,
+            f"{name}_dropped": reports[-1].dropped - first.dropped,
+            f"{name}_p50_us": 1e6 * float(np.median([each.busy for each in reports])),
+            f"{name}_p99_us": 1e6 * max(each.busy_p99 for each in reports),
             f"{name}_longest_us": 1e6 * longest(window),
-            f"{name}_latest_us": 1e6 * max(each.latest for each in told),
-            f"{name}_substeps": max(each.substeps for each in told),
+            f"{name}_latest_us": 1e6 * max(each.latest for each in reports),
+            f"{name}_substeps": max(each.substeps for each in reports),
             f"{name}_delay_us": _percentiles(window.delays),
         }
     return row

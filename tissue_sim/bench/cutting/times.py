@@ -55,7 +55,7 @@ def measure() -> tuple[list[Timed], Floats]:
     with rows.until_stopped():
         for cut in rows.each([one for one in CUTS if one.organ == "kidney"], "cuts"):
             found.append(timed(organ, cut))
-            rows.tell(cut.name, f"{1e3 * found[-1].total:.0f} ms")
+            rows.report(cut.name, f"{1e3 * found[-1].total:.0f} ms")
     return found, noise_burst(2000)
 
 

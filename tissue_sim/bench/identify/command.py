@@ -17,7 +17,7 @@ from tissue_sim.organ.shipped import shipped_organ
 PHANTOM, PHANTOM_MAPPED, MEAT_MAPPED = 6.0, 4.5, 12.0  # %
 OFF, OFF_OFFSETS = 5.0, 8.0  # %
 HELD, MOST_HELD = 90.0, 97.0  # % of the intervals; above, they are too wide
-TOLD, FALSE = 90.0, 5.0  # % of the runs: a stiff place told over an unknown inclusion, and where none is
+REPORTED, FALSE = 90.0, 5.0  # % of the runs: a stiff place reported over an unknown inclusion, and where none is
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -93,13 +93,15 @@ def _exact_bounds(exact: list[dict[str, Any]]) -> list[Bound]:
 def _inclusion_bounds(around: list[dict[str, Any]]) -> list[Bound]:
     found = []
     for row in around:
-        told, elsewhere = (100.0 * row[key] / row["runs"] for key in ("told_over_inclusion", "told_elsewhere"))
+        reported, elsewhere = (
+            100.0 * row[key] / row["runs"] for key in ("reported_over_inclusion", "reported_elsewhere")
+        )
         found += _row_bounds(row, OFF_OFFSETS)
         if row["case"] == inclusions.UNKNOWN:
-            found.append(Bound(f"{row['case']}: told over it", told, TOLD, "%", True))
+            found.append(Bound(f"{row['case']}: reported over it", reported, REPORTED, "%", True))
         else:
-            found.append(Bound(f"{row['case']}: told over it as if it were unknown", told, FALSE, "%"))
-        found.append(Bound(f"{row['case']}: told elsewhere", elsewhere, FALSE, "%"))
+            found.append(Bound(f"{row['case']}: reported over it as if it were unknown", reported, FALSE, "%"))
+        found.append(Bound(f"{row['case']}: reported elsewhere", elsewhere, FALSE, "%"))
     return found
 
 
@@ -129,9 +131,9 @@ def text(found: dict[str, Any]) -> str:
         table = [["presses by Hertz", *columns[1:]], *map(_columns, found["exact"])]
         lines += ["the law is exact, and every run has places of its own", *aligned(table), ""]
     if found["inclusions"]:
-        told = ("told_over_inclusion", "told_elsewhere", "map_pays")
-        table = [[*columns, "told over it", "elsewhere", "map pays"]]
-        table += [[*_columns(row), *(f"{row[key]} of {row['runs']}" for key in told)] for row in found["inclusions"]]
+        keys = ("reported_over_inclusion", "reported_elsewhere", "map_pays")
+        table = [[*columns, "reported over it", "elsewhere", "map pays"]]
+        table += [[*_columns(row), *(f"{row[key]} of {row['runs']}" for key in keys)] for row in found["inclusions"]]
         lines += [f"around an inclusion, {inclusions.USED} presses a run", *aligned(table), ""]
     if found["sets"]:
         table = [

@@ -28,7 +28,7 @@ def measure(runs: int) -> list[Recovered]:
         for number, (presses, spread) in enumerate(CASES):
             found.append(recovered(presses, spread, np.random.default_rng(200 + number), runs))
             one = found[-1]
-            rows.tell(one.name, f"error {np.abs(one.off).max():.1f} %", f"{one.held} of {runs} intervals hold")
+            rows.report(one.name, f"error {np.abs(one.off).max():.1f} %", f"{one.held} of {runs} intervals hold")
     return found
 
 

@@ -33,14 +33,14 @@ class Around(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Result of a case, and in how many runs it tells of a stiff place.
+    """Result of a case, and in how many runs it reports a stiff place.
 
-    told: over the inclusion; elsewhere: farther from there than its surroundings reach; mapped: runs in which a map
+    reported: over the inclusion; elsewhere: farther from there than its surroundings reach; mapped: runs in which a map
     lowers the held-out error.
     """
 
     recovered: Recovered
-    told: int
+    reported: int
     elsewhere: int
     mapped: int
 
@@ -80,7 +80,9 @@ def measure(organ: Organ, runs: int) -> list[Found]:
         for number, case in enumerate(around.truths):
             found.append(found_around(case, around, np.random.default_rng(100 + number), runs))
             one = found[-1]
-            rows.tell(case, f"error {np.abs(one.recovered.off).max():.1f} %", f"told in {one.told} of {runs} runs")
+            rows.report(
+                case, f"error {np.abs(one.recovered.off).max():.1f} %", f"reported in {one.reported} of {runs} runs"
+            )
     return found
 
 
@@ -89,7 +91,7 @@ def found_around(case: str, around: Around, random: np.random.Generator, runs: i
     truth, count = around.truths[case], len(around.points)
     apart = np.linalg.norm(around.points - around.points[0], axis=1)
     moduli, widths = np.empty(runs), np.empty(runs)
-    held = told = elsewhere = mapped = 0
+    held = reported = elsewhere = mapped = 0
     for run in progress.steps(range(runs), case):
         chosen = np.concatenate([[0], 1 + np.sort(random.permutation(count - 1)[: USED - 1])])
         curves = truth.model.some(chosen)
@@ -98,11 +100,11 @@ def found_around(case: str, around: Around, random: np.random.Generator, runs: i
         moduli[run], widths[run] = fit.factor * truth.modulus, 0.5 * np.log(interval.high / interval.low)
         held += bool(interval.low * truth.modulus < MODULUS < interval.high * truth.modulus)
         stiff = chosen[stiff_places(fit).presses]
-        told += 0 in stiff
+        reported += 0 in stiff
         elsewhere += bool((apart[stiff] > AROUND).any())
         validated = held_out(curves, samples, around.points[chosen], FINGER, PRIORS)
         mapped += validated is not None and validated.map_pays
-    return Found(Recovered(case, moduli, held, float(np.median(widths))), told, elsewhere, mapped)
+    return Found(Recovered(case, moduli, held, float(np.median(widths))), reported, elsewhere, mapped)
 
 
 def as_rows(found: list[Found]) -> list[dict[str, Any]]:
@@ -111,8 +113,8 @@ def as_rows(found: list[Found]) -> list[dict[str, Any]]:
         {
             **row,
             "presses": USED,
-            "told_over_inclusion": one.told,
-            "told_elsewhere": one.elsewhere,
+            "reported_over_inclusion": one.reported,
+            "reported_elsewhere": one.elsewhere,
             "map_pays": one.mapped,
         }
         for one, row in zip(found, synthetic.as_rows([one.recovered for one in found]), strict=True)

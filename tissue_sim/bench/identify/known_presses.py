@@ -11,10 +11,9 @@ from tissue_sim.bench.palpation.presses import THROUGH, by_elements
 from tissue_sim.calibration.cases import surface_of
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.errors import UserError
-from tissue_sim.identification.places import PressPoint, thickness
-from tissue_sim.organ.inclusions import inclusions_of
+from tissue_sim.identification.places import PressPoint, clear_of_clamp, thickness
+from tissue_sim.organ.inclusions import existing_inclusions
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.tool_resolution import mean_edge
 from tissue_sim.result_cache import remembered, user_cache
 
 FINGER = 0.007  # m, radius
@@ -29,13 +28,9 @@ def places_with(organ: Organ, over: int = OVER, elsewhere: int = ELSEWHERE) -> l
 
     Raises UserError for an organ without an inclusion.
     """
-    inclusions = inclusions_of(organ)
-    if not inclusions:
-        raise UserError(f"organ '{organ.name}' has no inclusion; build it with --mask and --inclusion")
+    inclusions = existing_inclusions(organ)
     surface, deepest = surface_of(organ), float(DEEP[-1])
-    free = np.ones(len(surface.positions), dtype=bool)
-    if len(organ.fixed):
-        free = cKDTree(surface.positions[organ.fixed]).query(surface.positions)[0] > CLEAR * mean_edge(organ)
+    free = clear_of_clamp(organ, surface.positions, CLEAR)
     apart = np.linalg.norm(surface.positions - inclusions[0].positions.mean(axis=0), axis=1)
     nearest = int(np.where(free, apart, np.inf).argmin())
     near = np.linalg.norm(surface.positions - surface.positions[nearest], axis=1) < AROUND

@@ -27,7 +27,7 @@ from tissue_sim.organ.organ import Organ
 
 SLAB = (0.06, 0.06, 0.025)  # m
 FRICTION = 0.6
-# Contact was where a force of 0.05 or 0.08 N was first felt, which a robot finds again within hundredths of a mm.
+# Contact was where a force of 0.05 or 0.08 N was first measured, which a robot finds again within hundredths of a mm.
 PRIORS = Priors(offset=5e-5)
 BALLS = {"liver": 4e-3, "phantom": 3.16e-3, "meat": 3.16e-3}  # m, radius
 SETS = {
@@ -85,7 +85,7 @@ def measure(folder: Path, slab: Organ | None = None) -> list[SetErrors]:
             curves["linear"] = _shared(*bonded_layer(*given, thickness), len(presses))
             found.append(errors_of(name, presses, curves, organ.youngs_modulus))
             one = found[-1].errors["model"]
-            rows.tell(name, f"{100 * one.one:.1f} % with one modulus", f"{100 * one.mapped:.1f} % with a map")
+            rows.report(name, f"{100 * one.one:.1f} % with one modulus", f"{100 * one.mapped:.1f} % with a map")
     return found
 
 

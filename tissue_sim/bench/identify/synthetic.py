@@ -28,7 +28,7 @@ DEPTHS = np.concatenate([np.linspace(-8e-4, -1e-4, 5), np.linspace(1e-4, 0.0038,
 KNOTS = 10  # depths at which the model is held
 PLACES, USED = 8, 6  # pressed by finite elements; drawn for each run
 RUNS = 100
-NOISE, SHARE = 0.005, 0.02  # N and of the force
+NOISE, FRACTION = 0.005, 0.02  # N and of the force
 BIAS, OFFSET = 0.01, 2e-4  # N and m
 CASES = {
     "noise": (0.0, 0.0, Priors(offset=2e-5)),
@@ -106,7 +106,9 @@ def measure(organ: Organ, runs: int = RUNS) -> list[Recovered]:
     with rows.until_stopped():
         for number, name in enumerate(CASES):
             found.append(recovered(name, truth, np.random.default_rng(number), runs))
-            rows.tell(name, f"error {np.abs(found[-1].off).max():.1f} %", f"{found[-1].held} of {runs} intervals hold")
+            rows.report(
+                name, f"error {np.abs(found[-1].off).max():.1f} %", f"{found[-1].held} of {runs} intervals hold"
+            )
     return found
 
 
@@ -129,7 +131,7 @@ def pressed(elements: ForceCurves, bias: float, offset: float, random: np.random
     """Return samples of presses by finite elements with noise, a bias, N, and contact offsets, m."""
     depths = np.tile(DEPTHS, (len(elements.which), 1))
     force = elements.at(depths + offset * random.normal(size=(len(depths), 1)))[0] + bias
-    force = force * (1.0 + SHARE * random.normal(size=force.shape)) + NOISE * random.normal(size=force.shape)
+    force = force * (1.0 + FRACTION * random.normal(size=force.shape)) + NOISE * random.normal(size=force.shape)
     return Samples(depths, force, np.ones_like(force))
 
 

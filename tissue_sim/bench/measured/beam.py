@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.measured.body import Rate, built, calibrated, timed
 from tissue_sim.bench.measured.lattice import places, rigid_motion, shell
-from tissue_sim.bench.rows import tell, until_stopped
+from tissue_sim.bench.rows import report, until_stopped
 from tissue_sim.calibration.calibrate import Progress
 from tissue_sim.calibration.dynamics import SMOOTHED, Forces, Start, Steps, swing
 from tissue_sim.calibration.elastic import Elastic
@@ -314,7 +314,7 @@ def measure(data: Path, folder: Path, progress: Progress) -> tuple[Fitted, list[
     with until_stopped(), progress.stage("beam in motion", len(runs)) as done:
         for run in runs:
             bent.append(predicted(beam, run, found, rests[run.weight]))
-            tell(f"beam, {run.name}", f"error {bent[-1].off['model']:+.1f} % at rest")
+            report(f"beam, {run.name}", f"error {bent[-1].off['model']:+.1f} % at rest")
             done()
     return found, bent
 

@@ -8,10 +8,10 @@ from typing import Any
 
 from tissue_sim import progress
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import check_shared
+from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.measured import beam, truth_cube
 from tissue_sim.bench.measured.plots import write_pictures
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, print_pictures
 from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.errors import UserError
 
@@ -28,10 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for pictures, the calibrated bodies and intermediate results",
     )
     parser.add_argument("--bodies", nargs="+", choices=BODIES, default=BODIES, help="which")
-    parser.add_argument(
-        "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
-    )
-    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is not met")
+    add_shared(parser, organ=None, check=True)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -43,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
             raise UserError(f"{data / file} does not exist; name the folder of the measured tables with --data")
     found, pictures = in_one_thread(measure, data, Path(args.out), tuple(args.bodies))
     emit(found, text(found), args.json)
-    told(pictures)
+    print_pictures(pictures)
     return exit_code(found, check=args.check)
 
 

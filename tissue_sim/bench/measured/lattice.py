@@ -68,16 +68,18 @@ def places(points: Floats, nodes: Floats, cells: Ints) -> csr_array:
     """
     corner = nodes[cells[:, :4]]
     back = np.linalg.inv((corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1))
-    best, share = np.empty(len(points), dtype=np.int64), np.empty((len(points), 4))
+    best, weight = np.empty(len(points), dtype=np.int64), np.empty((len(points), 4))
     for first in range(0, len(points), AT_ONCE):
         some = slice(first, first + AT_ONCE)
         found = np.einsum("cij,pcj->pci", back, points[some, None] - corner[None, :, 0])
         found = np.concatenate([1.0 - found.sum(axis=2, keepdims=True), found], axis=2)
         best[some] = found.min(axis=2).argmax(axis=1)
-        share[some] = found[np.arange(len(found)), best[some]]
-    value = share
+        weight[some] = found[np.arange(len(found)), best[some]]
+    value = weight
     if cells.shape[1] > 4:
-        value = np.stack([*(share.T * (2.0 * share.T - 1.0)), *(4.0 * share[:, a] * share[:, b] for a, b in EDGES)], 1)
+        value = np.stack(
+            [*(weight.T * (2.0 * weight.T - 1.0)), *(4.0 * weight[:, a] * weight[:, b] for a, b in EDGES)], 1
+        )
     row = np.repeat(np.arange(len(points)), cells.shape[1])
     return coo_array((value.ravel(), (row, cells[best].ravel())), shape=(len(points), len(nodes))).tocsr()
 

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim.bench.measured.beam import WEIGHTS, Bent
 from tissue_sim.bench.measured.truth_cube import Compressed
 from tissue_sim.errors import UserError
+from tissue_sim.figures import empty_figure, hide_box
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 _MEASURED, _ELEMENTS, _MODEL = "#222222", "#2166ac", "#d55e00"
 MIDDLE = 2  # index among the inner beads' layers
@@ -50,11 +55,9 @@ def write_pictures(cube: list[Compressed] | None, bent: list[Bent] | None, folde
     return paths
 
 
-def _cube(found: list[Compressed]) -> Any:
+def _cube(found: list[Compressed]) -> Figure:
     """Return a figure of a layer of beads at the last strain, and of the errors of all inner beads at every strain."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, 4.6), layout="constrained")
+    figure = empty_figure(10.0, 4.6)
     layer, errors = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
     last = found[-1]
     shown = ((last.measured, "o", _MEASURED, "measured"), (last.elements, "+", _ELEMENTS, "finite elements"))
@@ -87,16 +90,13 @@ def _cube(found: list[Compressed]) -> Any:
     errors.set_ylabel("distance from the measured bead (mm)")
     errors.set_ylim(0.0, 1.3 * max(float(one.off[who].max()) for one in found for who in one.off))
     errors.legend(frameon=False, fontsize=9, loc="upper left")
-    for axis in (layer, errors):
-        _bare(axis)
+    hide_box(layer, errors)
     return figure
 
 
-def _beam(found: list[Bent]) -> Any:
+def _beam(found: list[Bent]) -> Figure:
     """Return a figure of the markers at the free end, measured and predicted, with a panel for each weight."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 4.2), layout="constrained")
+    figure = empty_figure(12.0, 4.2)
     panels = figure.subplots(1, len(WEIGHTS))
     for panel, load in zip(panels, WEIGHTS, strict=True):
         for number, one in enumerate(some for some in found if some.run.startswith(load)):
@@ -116,12 +116,7 @@ def _beam(found: list[Bent]) -> Any:
         panel.set_xlabel("time (s)")
         worst = max(some.off_moving["model"] for some in found if some.run.startswith(load))
         panel.set_title(f"{load}: error of the model {worst:.1f} %", loc="left", fontsize=10)
-        _bare(panel)
+        hide_box(panel)
     panels[0].set_ylabel("free end's markers, upward (mm)")
     panels[0].legend(frameon=False, fontsize=9, title="runs a (solid) and b (dashed)", title_fontsize=9)
     return figure
-
-
-def _bare(axis: Any) -> None:
-    for side in ("top", "right"):
-        axis.spines[side].set_visible(False)

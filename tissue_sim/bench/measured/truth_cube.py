@@ -17,7 +17,7 @@ from scipy.interpolate import RegularGridInterpolator
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.measured.body import Rate, built, calibrated, solve_prescribed_surface, timed
 from tissue_sim.bench.measured.lattice import places, shell
-from tissue_sim.bench.rows import tell, until_stopped
+from tissue_sim.bench.rows import report, until_stopped
 from tissue_sim.calibration.calibrate import Progress
 from tissue_sim.calibration.fe_mesh import FeMesh, coordinates
 from tissue_sim.calibration.fem import Body
@@ -136,7 +136,7 @@ def measure(data: Path, folder: Path, progress: Progress) -> list[Compressed]:
                     seconds,
                 )
             )
-            tell(f"truth cube, {strain:g} %", f"error {found[-1].off['model'].mean():.3f} mm")
+            report(f"truth cube, {strain:g} %", f"error {found[-1].off['model'].mean():.3f} mm")
             done()
     return found
 
@@ -145,8 +145,8 @@ def on_facets(filling: FeMesh, corners: Floats, moved: Floats) -> Floats:
     """Return displacements (n, 3) m of a filling's surface nodes, linear on triangles (t, 3, 3) m; 0 inside."""
     found = np.zeros_like(filling.nodes)
     for column in filling.facets.T:
-        share = coordinates(filling.nodes[column], corners[filling.triangle])
-        found[column] = np.einsum("fc,fcx->fx", share, moved[filling.triangle])
+        fraction = coordinates(filling.nodes[column], corners[filling.triangle])
+        found[column] = np.einsum("fc,fcx->fx", fraction, moved[filling.triangle])
     return found
 
 

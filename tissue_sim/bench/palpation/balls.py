@@ -57,10 +57,10 @@ def run(args: argparse.Namespace) -> int:
         for press in presses(organ, radii, places):
             pressed.append(press)
             worst = np.nanmax(np.abs(press.off), initial=0.0)
-            rows.tell(f"{press.radius:g} edges, point {press.place}, {press.kind}", f"error at most {worst:.1f} %")
+            rows.report(f"{press.radius:g} edges, point {press.place}, {press.kind}", f"error at most {worst:.1f} %")
         for slide in slides(organ, radii, places):
             slid.append(slide)
-            rows.tell(f"{slide.radius:g} edges, point {slide.place}, sliding", f"ripple {slide.ripple:.1f} %")
+            rows.report(f"{slide.radius:g} edges, point {slide.place}, sliding", f"ripple {slide.ripple:.1f} %")
     found = as_json(pressed, slid) | {"organ": organ.name, "edge_m": edge, "places": len(places)}
     emit(found, text(found), args.json)
     return exit_code(found, check=args.check)

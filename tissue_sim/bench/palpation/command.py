@@ -12,7 +12,7 @@ import argparse
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.palpation import finger
-from tissue_sim.bench.printing import emit, exit_code, told
+from tissue_sim.bench.printing import emit, exit_code, print_pictures
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -57,12 +57,12 @@ def run(args: argparse.Namespace) -> int:
     if args.radii is not None or args.slab:
         raise UserError("--radii and --slab need --places N")
     organ = Organ.load(args.organ or shipped_organ(DEFAULT))
-    felt = finger.measure(organ)
-    maps = finger.measure_maps(organ, felt)
-    found = finger.as_json(felt, maps)
+    pressed = finger.measure(organ)
+    maps = finger.measure_maps(organ, pressed)
+    found = finger.as_json(pressed, maps)
     emit(found, finger.text(organ, found), args.json)
     if args.out and not rows.stopped():
         from tissue_sim.bench.palpation.plot import write_plots
 
-        told(write_plots(organ, felt, maps, args.out))
+        print_pictures(write_plots(organ, pressed, maps, args.out))
     return exit_code(found, check=args.check)

@@ -13,11 +13,10 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench import rows
 from tissue_sim.bench.printing import Bound, aligned, bound_lines
 from tissue_sim.calibration.cases import CLEARANCE, Surface, surface_of
-from tissue_sim.calibration.sphere_compression import squeezed, touchable
+from tissue_sim.calibration.sphere_compression import compressed, touchable
 from tissue_sim.contact.scene import Scene
-from tissue_sim.errors import UserError
 from tissue_sim.identification.pressing import FRICTION, Press, ball, forces
-from tissue_sim.organ.inclusions import Inclusion, inclusions_of, with_inclusions
+from tissue_sim.organ.inclusions import Inclusion, existing_inclusions, with_inclusions
 from tissue_sim.organ.organ import Organ
 
 FINGER = 0.007  # m, radius
@@ -58,9 +57,7 @@ class Map(NamedTuple):
 
 def measure(organ: Organ) -> list[PressForces]:
     """Return a curve for each inclusion. Raises UserError for an organ without any, and as Body does."""
-    inclusions = inclusions_of(organ)
-    if not inclusions:
-        raise UserError(f"organ '{organ.name}' has no inclusion; build it with --mask and --inclusion")
+    inclusions = existing_inclusions(organ)
     found = []
     with rows.until_stopped():
         for inclusion in rows.each(inclusions, "inclusions"):
@@ -68,18 +65,18 @@ def measure(organ: Organ) -> list[PressForces]:
             scene = finger(organ)
             reference, plain = (by_elements(one, press) for one in (organ, with_inclusions(organ, [])))
             found.append(PressForces(inclusion, press, forces(scene, press, DEPTHS), reference, plain))
-            rows.tell(f"node {press.node}", f"error at most {found[-1].off.max():.2f} %")
+            rows.report(f"node {press.node}", f"error at most {found[-1].off.max():.2f} %")
     return found
 
 
-def measure_maps(organ: Organ, felt: Sequence[PressForces]) -> list[Map]:
+def measure_maps(organ: Organ, pressed: Sequence[PressForces]) -> list[Map]:
     """Return a map around each place; an empty one for those that Ctrl-C left out."""
     found: list[Map] = []
     with rows.until_stopped():
-        for one in rows.each(felt, "maps"):
+        for one in rows.each(pressed, "maps"):
             found.append(mapped(organ, one.press))
-            rows.tell(f"map around node {one.press.node}", f"{len(found[-1].nodes)} points")
-    return found + [Map(np.zeros(0, dtype=np.int64), np.zeros(0))] * (len(felt) - len(found))
+            rows.report(f"map around node {one.press.node}", f"{len(found[-1].nodes)} points")
+    return found + [Map(np.zeros(0, dtype=np.int64), np.zeros(0))] * (len(pressed) - len(found))
 
 
 def press_at(surface: Surface, node: int) -> Press:
@@ -105,9 +102,9 @@ def by_elements(organ: Organ, press: Press) -> Floats:
     touched = np.linalg.norm(organ.surface_positions - organ.surface_positions[press.node], axis=1) < UNDER
     solid, nodes = touchable(organ, touched)
     starts = np.concatenate([[0.0], DEPTHS[:-1]])
-    shares = (np.arange(STEPS) + 1.0) / STEPS
-    deep = (starts[:, None] + np.outer(DEPTHS - starts, shares)).ravel()
-    steps = squeezed(solid, nodes, np.array([[press.at(depth)] for depth in deep]), FINGER)
+    fractions = (np.arange(STEPS) + 1.0) / STEPS
+    deep = (starts[:, None] + np.outer(DEPTHS - starts, fractions)).ravel()
+    steps = compressed(solid, nodes, np.array([[press.at(depth)] for depth in deep]), FINGER)
     found = np.full(len(deep), np.nan)
     for number, step in enumerate(steps):
         if step.settled:
@@ -124,20 +121,20 @@ def mapped(organ: Organ, press: Press) -> Map:
         near &= cKDTree(surface.positions[organ.fixed]).query(surface.positions)[0] > CLEARANCE
     nodes = np.flatnonzero(near)
     depth = np.array([MAP_DEPTH])
-    felt = [
+    pressed = [
         forces(scene, press_at(surface, int(node)), depth)[0] / MAP_DEPTH for node in progress.steps(nodes, "places")
     ]
-    return Map(nodes, np.array(felt))
+    return Map(nodes, np.array(pressed))
 
 
-def as_json(felt: Sequence[PressForces], maps: Sequence[Map]) -> dict[str, Any]:
+def as_json(pressed: Sequence[PressForces], maps: Sequence[Map]) -> dict[str, Any]:
     """Return all figures and bounds: of each curve the error, and how clearly the inclusion is discernible."""
     table, bounds = [], []
-    for number, (one, around) in enumerate(zip(felt, maps, strict=True)):
+    for number, (one, around) in enumerate(zip(pressed, maps, strict=True)):
         settled = bool(np.isfinite(one.reference).all() and np.isfinite(one.plain).all())
         off = float(one.off.max()) if settled else None
         apart = float(one.inclusion_effect[-1]) if settled else None
-        name = f"inclusion {number}: " if len(felt) > 1 else ""
+        name = f"inclusion {number}: " if len(pressed) > 1 else ""
         bounds += [
             Bound(f"{name}force against finite elements, worst depth", off, MOST_OFF, "%"),
             Bound(
@@ -153,7 +150,7 @@ def as_json(felt: Sequence[PressForces], maps: Sequence[Map]) -> dict[str, Any]:
                 "reference_n": one.reference.tolist(),
                 "plain_reference_n": one.plain.tolist(),
                 "off_percent": one.off.tolist(),
-                "told_apart_percent": one.inclusion_effect.tolist(),
+                "inclusion_effect_percent": one.inclusion_effect.tolist(),
                 "map": {
                     "nodes": around.nodes.tolist(),
                     "stiffness_n_per_m": around.stiffness.tolist(),
@@ -168,7 +165,7 @@ def text(organ: Organ, found: dict[str, Any]) -> str:
     lines = [f"organ '{organ.name}': a finger of {1e3 * found['finger_m']:g} mm, held, without slip"]
     for row in found["inclusions"]:
         table = [["deep mm", "force N", "finite elements N", "error %", "without the inclusion N", "effect %"]]
-        keys = ("depth_m", "force_n", "reference_n", "off_percent", "plain_reference_n", "told_apart_percent")
+        keys = ("depth_m", "force_n", "reference_n", "off_percent", "plain_reference_n", "inclusion_effect_percent")
         for depth, force, reference, off, plain, apart in zip(*(row[key] for key in keys), strict=True):
             numbers = [f"{force:.3f}", f"{reference:.3f}", f"{off:.2f}", f"{plain:.3f}", f"{apart:.1f}"]
             table.append([f"{1e3 * depth:g}", *numbers])

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim.bench.palpation.finger import DEPTHS, MAP_DEPTH, Map, PressForces
 from tissue_sim.errors import UserError
+from tissue_sim.figures import empty_figure
 from tissue_sim.organ.organ import Organ
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def write_plots(organ: Organ, felt: Sequence[PressForces], maps: Sequence[Map], folder: str) -> list[Path]:
+
+def write_plots(organ: Organ, pressed: Sequence[PressForces], maps: Sequence[Map], folder: str) -> list[Path]:
     """Write a picture for each inclusion into the folder.
 
     Parameters
     ----------
     organ : Organ
         The organ.
-    felt : Sequence[Felt]
+    pressed : Sequence[PressForces]
         Curves over the inclusions.
     maps : Sequence[Map]
         Maps around them.
@@ -38,8 +42,8 @@ def write_plots(organ: Organ, felt: Sequence[PressForces], maps: Sequence[Map], 
         Where it can't be written.
     """
     paths = []
-    for number, (one, around) in enumerate(zip(felt, maps, strict=True)):
-        path = Path(folder) / ("palpation.png" if len(felt) == 1 else f"palpation_{number}.png")
+    for number, (one, around) in enumerate(zip(pressed, maps, strict=True)):
+        path = Path(folder) / ("palpation.png" if len(pressed) == 1 else f"palpation_{number}.png")
         try:
             drawn(organ, one, around).savefig(path, dpi=150)
         except OSError as error:
@@ -48,28 +52,27 @@ def write_plots(organ: Organ, felt: Sequence[PressForces], maps: Sequence[Map], 
     return paths
 
 
-def drawn(organ: Organ, felt: PressForces, around: Map) -> Any:
+def drawn(organ: Organ, pressed: PressForces, around: Map) -> Figure:
     """Return curves on the left, and the map with the inclusion's outline, seen along the finger's direction."""
-    from matplotlib.figure import Figure
     from scipy.spatial import ConvexHull
 
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    figure = empty_figure(10.0, 4.4)
     left, right = figure.subplots(1, 2)
     depths = np.concatenate([[0.0], DEPTHS]) * 1e3
     for force, name, style in (
-        (felt.reference, "finite elements, with the inclusion", "k-"),
-        (felt.ours, "tissue_sim", "C0o"),
-        (felt.plain, "finite elements, without", "k:"),
+        (pressed.reference, "finite elements, with the inclusion", "k-"),
+        (pressed.ours, "tissue_sim", "C0o"),
+        (pressed.plain, "finite elements, without", "k:"),
     ):
         left.plot(depths, np.concatenate([[0.0], force]), style, label=name)
     left.set(xlabel="depth, mm", ylabel="force, N", title="above the inclusion")
     left.legend()
-    across = np.linalg.svd(felt.press.way[None])[2][1:]
-    middle = organ.surface_positions[felt.press.node]
+    across = np.linalg.svd(pressed.press.way[None])[2][1:]
+    middle = organ.surface_positions[pressed.press.node]
     seen = 1e3 * (organ.surface_positions[around.nodes] - middle) @ across.T
     painted = right.tripcolor(*seen.T, around.stiffness, shading="gouraud", cmap="viridis")
     right.plot(*seen.T, ".", color="white", markersize=2)
-    outline = 1e3 * (felt.inclusion.positions - middle) @ across.T
+    outline = 1e3 * (pressed.inclusion.positions - middle) @ across.T
     hull = outline[ConvexHull(outline).vertices]
     right.plot(*np.concatenate([hull, hull[:1]]).T, "r-", label="inclusion")
     right.set(xlabel="mm", ylabel="mm", title=f"stiffness at a depth of {1e3 * MAP_DEPTH:g} mm", aspect="equal")

@@ -12,7 +12,7 @@ from tissue_sim import progress
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.sphere_compression import own_nodes, squeezed
+from tissue_sim.calibration.sphere_compression import compressed, own_nodes
 from tissue_sim.identification.places import PressPoint, thickness
 from tissue_sim.identification.pressing import FRICTION, Press, ball, forces
 from tissue_sim.organ.organ import Organ
@@ -84,7 +84,7 @@ def by_elements(organ: Organ, spots: Sequence[PressPoint], radius: float, depths
         under = np.flatnonzero(np.linalg.norm(centre - spot.point, axis=1) < 1.1 * radius + edge)
         nodes = _beneath(body, own_nodes(body, under), spot, radius)
         path = spot.point - radius * spot.way + deep[:, None] * spot.way
-        steps = squeezed(body.solid, nodes, path[:, None], radius)
+        steps = compressed(body.solid, nodes, path[:, None], radius)
         for number, step in enumerate(steps[STEPS - 1 :: STEPS]):
             if step.settled:
                 row[number] = step.forces[0] @ spot.way

@@ -110,7 +110,7 @@ def slide(scene: Scene, track: Track) -> Slide:
     scene.reset()
     tick, (begin, end) = scene.simulation.settings.tick_time, track.along[[0, -1]]
 
-    def felt(centre: Floats, normal: Floats) -> float:
+    def force_at(centre: Floats, normal: Floats) -> float:
         scene.move(0, centre)
         scene.step()
         return float(scene.wrenches[0, :3] @ normal)
@@ -118,13 +118,13 @@ def slide(scene: Scene, track: Track) -> Slide:
     first, normal = track.centres[0], track.normals[0]
     above = SLID_DEPTH * scene.tools.tools[0].radius + OUTSIDE
     for higher in np.linspace(above, 0.0, max(2, round(above / (ENTERING * tick)))):
-        felt(first + higher * normal, normal)
+        force_at(first + higher * normal, normal)
     for _ in range(round(PAUSE / tick)):
-        felt(first, normal)
+        force_at(first, normal)
     along = np.linspace(begin, end, max(2, round((end - begin) / (SLIDING * tick))))
     force, carried = [], []
     for place, one in zip(along, zip(*track.at(along), strict=True), strict=True):
-        now = felt(*one)
+        now = force_at(*one)
         if place >= begin + RUN_IN / (RUN_IN + WAY) * (end - begin):
             force.append(now)
             carried.append(displaced(scene))

@@ -27,8 +27,8 @@ class Tetrahedra(NamedTuple):
 
     def masses(self, density: float) -> Floats:
         """Return masses (n,) kg: a quarter of each cell's for each of its nodes."""
-        share = np.repeat(density * volumes(self.nodes, self.cells) / 4.0, 4)
-        return np.bincount(self.cells.ravel(), weights=share, minlength=len(self.nodes))
+        quarter = np.repeat(density * volumes(self.nodes, self.cells) / 4.0, 4)
+        return np.bincount(self.cells.ravel(), weights=quarter, minlength=len(self.nodes))
 
 
 def tetrahedra_of(organ: Organ) -> Tetrahedra:

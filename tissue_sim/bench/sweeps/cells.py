@@ -83,7 +83,7 @@ class Cell:
 
     @property
     def judged(self) -> bool:
-        """Whether nothing may go wrong: an integrator meant for use, substeps from the critical step."""
+        """Whether it must not fail: an integrator meant for use, substeps from the critical step."""
         return self.integrator != "explicit" and self.axis != "step"
 
     @property

@@ -8,6 +8,7 @@ from pathlib import Path
 from tissue_sim.bench.sweeps.cells import AXES
 from tissue_sim.bench.sweeps.trial import Record
 from tissue_sim.errors import UserError
+from tissue_sim.figures import empty_figure
 
 COLOURS = {"stable": "#7fbf8e", "guarded": "#f2c14e", "diverged": "#c8432f"}
 _RECOVERED = "////"
@@ -31,7 +32,6 @@ def draw_map(records: Sequence[Record], title: str, path: Path) -> None:
         Where it can't be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch, Rectangle
 
@@ -39,7 +39,7 @@ def draw_map(records: Sequence[Record], title: str, path: Path) -> None:
     rows = list(dict.fromkeys((record.integrator, record.local_region) for record in records))
     across = min(2, len(axes))  # so that words are read at the width of a page
     down = -(-len(axes) // across)
-    figure = Figure(figsize=(1.7 + 3.6 * across, 1.6 + (0.9 + 0.24 * len(rows)) * down), layout="constrained")
+    figure = empty_figure(1.7 + 3.6 * across, 1.6 + (0.9 + 0.24 * len(rows)) * down)
     FigureCanvasAgg(figure)
     panels = figure.subplots(down, across, squeeze=False)
     for index, panel in enumerate(panels.ravel()):

@@ -35,13 +35,13 @@ MOST_GAIN = 0.05  # fraction of the energy at release
 MOST_MODAL_GAIN, MODAL_TIME = 0.1, 0.01  # s
 # Time constants of the slowest mode in which the organ has to come to rest: more where it oscillates.
 SWINGING, SLOWEST_RETURN = 9.0, 6.0
-LEAST_WATCHED, MOST_WATCHED = 3.0, 150.0  # s
-QUICK_WATCHED = 1.5  # s, the most with --quick
-BRIEFLY_WATCHED = 0.03  # s
-# Substeps in a millisecond of the explicit integrator, at most; what would need more goes wrong, and is shown so.
+LEAST_OBSERVED, MOST_OBSERVED = 3.0, 150.0  # s
+QUICK_OBSERVED = 1.5  # s, the most with --quick
+BRIEFLY_OBSERVED = 0.03  # s
+# Substeps in a millisecond of the explicit integrator, at most; what would need more fails, and is shown as failed.
 MOST_SUBSTEPS, QUICK_SUBSTEPS = 400, 100
 ROUNDING = 1e-9  # m: an organ that is nearer to its rest shape holds the energy of rounded coordinates
-LATER_EVERY = 20  # ticks between two checks after the least time watched
+LATER_EVERY = 20  # ticks between two checks after the least time observed
 ENERGY_EVERY = 2  # ticks between two checks of the energy before that
 LOOK_EVERY = 20  # ticks between two checks of inverted cells
 
@@ -57,7 +57,7 @@ class Record:
     outcome: str  # stable, guarded (faults, recovered) or diverged
     problems: tuple[str, ...]  # why diverged
     judged: bool  # a fault here breaks the requirement on the default settings
-    settled: bool  # False when the organ was too slow to come to rest in the time that was watched
+    settled: bool  # False when the organ was too slow to come to rest in the time that was observed
     faults: int
     snaps: int  # number of recoveries to rest
     peak: float  # m, largest displacement of a node
@@ -220,7 +220,7 @@ def critical_step_of(organ: str, integrator: str) -> float:
     return model_step(model, largest_frequency(model), integrator=integrator)
 
 
-def watched(cell: Cell) -> tuple[float, bool]:
+def observed_time(cell: Cell) -> tuple[float, bool]:
     """Return seconds to watch after the release, and whether the organ's slowest mode decays within them."""
     frequency, damping = slowest_of(cell.organ)
     half, square = 0.5 * cell.at("damping", 1.0) * damping, cell.at("stiffness", 1.0) * frequency**2
@@ -228,9 +228,9 @@ def watched(cell: Cell) -> tuple[float, bool]:
         needed = SLOWEST_RETURN / (half - math.sqrt(half**2 - square))
     else:
         needed = SWINGING / half if half > 0.0 else math.inf
-    most = BRIEFLY_WATCHED if cell.brief else QUICK_WATCHED if cell.quick else MOST_WATCHED
+    most = BRIEFLY_OBSERVED if cell.brief else QUICK_OBSERVED if cell.quick else MOST_OBSERVED
     enough = needed <= most
-    return min(most, max(LEAST_WATCHED, needed if enough else 0.0)), enough
+    return min(most, max(LEAST_OBSERVED, needed if enough else 0.0)), enough
 
 
 class _Watch:
@@ -338,7 +338,7 @@ def run_cell(cell: Cell) -> Record:
     tick_time = 1.0 / simulation.rate
     pace = BRIEF if cell.brief else QUICK if cell.quick else FULL
     load = load_on(organ_of(cell.organ), axis.load, newtons, depth, tick_time, pace)
-    seconds, enough = watched(cell)
+    seconds, enough = observed_time(cell)
     watch = _Watch(simulation, inversion_check_of(cell.organ))
     # A load that overflows must not fill the terminal with warnings: the outcome says it.
     with np.errstate(all="ignore"):
@@ -353,7 +353,7 @@ def run_cell(cell: Cell) -> Record:
         after = 0
         while after * tick_time < seconds and watch.finite and not simulation.asleep:
             simulation.step()
-            late = after * tick_time > LEAST_WATCHED
+            late = after * tick_time > LEAST_OBSERVED
             if not late or after % LATER_EVERY == 0:
                 watch.look()
             if after % (LATER_EVERY if late else ENERGY_EVERY) == 0:
@@ -406,7 +406,7 @@ class End(NamedTuple):
 def problems_of(finite: bool, energy_gain: float, end: End, enough: bool) -> list[str]:
     """Return why a cell counts as diverged; empty when it doesn't.
 
-    energy_gain: over that at release, 0 when it is negligible; enough: the time watched suffices to come to rest.
+    energy_gain: over that at release, 0 when it is negligible; enough: the time observed suffices to come to rest.
     """
     if not finite:
         return ["not finite"]

@@ -23,7 +23,9 @@ from tissue_sim.array_types import Floats
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
 from tissue_sim.memory import limited
-from tissue_sim.organ.imaging.dicom import Stack, is_dicom, read_frames, read_stack
+from tissue_sim.organ.imaging.dicom import read_stack
+from tissue_sim.organ.imaging.dicom_file import Stack, is_dicom
+from tissue_sim.organ.imaging.dicom_frames import read_frames
 from tissue_sim.organ.imaging.itk_output import silenced
 from tissue_sim.organ.imaging.meta_header import read_meta_header
 from tissue_sim.organ.imaging.nifti_header import read_nifti_header

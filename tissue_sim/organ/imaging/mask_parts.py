@@ -55,10 +55,10 @@ def one_part(mask: Volume, part: int | None = None, *, merge: bool = False) -> V
     if part is not None and not 1 <= part <= count:
         raise UserError(f"mask {mask.name} has no part {part}; it contains {listed}")
     if merge:
-        joined, told = joined_parts(mask)
+        joined, notes = joined_parts(mask)
         if joined is None:
-            raise UserError(f"mask {mask.name} {told}; build each with --part N, and join them in a scene")
-        return replace(mask, array=joined, notes=(*mask.notes, *told))
+            raise UserError(f"mask {mask.name} {notes}; build each with --part N, and join them in a scene")
+        return replace(mask, array=joined, notes=(*mask.notes, *notes))
     if part is None and volumes[0] < DOMINANT * volumes.sum():
         raise UserError(
             f"mask {mask.name} has {count} separate parts: {listed}; select one with --part N (1 is the largest),"
@@ -105,12 +105,12 @@ def joined_parts(mask: Volume) -> tuple[Mask, list[str]] | tuple[None, str]:
     )
     if filled > _MOST_FILLED * before or ndimage.label(joined)[1] > 1:
         return None, f"has parts {gap:.3g} mm apart, too far for one organ"
-    told = []
+    notes = []
     if len(large) > 1:
-        told.append(f"joined {_count(len(large))} across gaps of up to {gap:.3g} mm: {filled:.3g} mL filled between")
+        notes.append(f"joined {_count(len(large))} across gaps of up to {gap:.3g} mm: {filled:.3g} mL filled between")
     if aside > 0.0:
-        told.append(f"omitted {_count(count - len(large))} of {aside:.3g} mL next to {before:.3g} mL")
-    return joined, told
+        notes.append(f"omitted {_count(count - len(large))} of {aside:.3g} mL next to {before:.3g} mL")
+    return joined, notes
 
 
 def _closed(solid: Mask, radius: float, sampling: Floats) -> Mask:

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Mask
 from tissue_sim.errors import UserError, shown
-from tissue_sim.organ.imaging.dicom import is_dicom, read_frames, read_stack
+from tissue_sim.organ.imaging.dicom import read_stack
+from tissue_sim.organ.imaging.dicom_file import is_dicom
+from tissue_sim.organ.imaging.dicom_frames import read_frames
 from tissue_sim.organ.imaging.image import FORMATS, Volume, of_stack, placed, read_file
 from tissue_sim.organ.imaging.segments import read_segments, segmentation_in
 

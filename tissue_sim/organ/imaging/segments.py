@@ -11,7 +11,8 @@ import numpy as np
 
 from tissue_sim.array_types import Mask, Pixels
 from tissue_sim.errors import UserError, shown
-from tissue_sim.organ.imaging.dicom import SEGMENTATIONS, decoding, functional_group, is_dicom, read_frame_grid
+from tissue_sim.organ.imaging.dicom_file import SEGMENTATIONS, decoding, is_dicom
+from tissue_sim.organ.imaging.dicom_frames import functional_group, read_frame_grid
 from tissue_sim.organ.imaging.image import Volume
 
 

@@ -1,1 +1,1 @@
-"""Triangle meshes as people have them: reading, repairing or refusing, and voxels of what they enclose."""
+"""Triangle meshes as users have them: reading, repairing or refusing, and voxels of what they enclose."""

@@ -15,8 +15,9 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.length_units import UNITS, is_organ
 from tissue_sim.organ.meshes.mesh_formats import FORMATS, MeshFile, Piece, read_pieces
+from tissue_sim.organ.meshes.mesh_holes import area_of, capped_volume
 from tissue_sim.organ.meshes.mesh_parts import choose, closed_part, split
-from tissue_sim.organ.meshes.mesh_repair import area_of, capped_volume, longest_side
+from tissue_sim.organ.meshes.mesh_repair import longest_side
 from tissue_sim.organ.meshes.mesh_union import merged
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
 from tissue_sim.organ.organ import signed_volume
@@ -198,7 +199,7 @@ def _closed(
 
 
 def _check_source(source: Path, unit: str | None, longest: float | None) -> None:
-    """Refuse a file that can't be read, and one whose unit nobody knows."""
+    """Refuse a file that can't be read, and one of unknown unit."""
     if not source.is_file():
         raise UserError(f"surface {source} does not exist; name a mesh file ({', '.join(FORMATS)})")
     suffix = source.suffix.lower()

@@ -11,15 +11,12 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.mask_parts import DOMINANT
 from tissue_sim.organ.meshes.mesh_formats import Piece
+from tissue_sim.organ.meshes.mesh_holes import Hole, capped_volume, fill, holes
 from tissue_sim.organ.meshes.mesh_repair import (
     WIDEST_HOLE,
-    Hole,
-    capped_volume,
     close_seams,
     components,
     crowded_edges,
-    fill,
-    holes,
     longest_side,
     once_used_edges,
     without_doubles,
@@ -86,49 +83,49 @@ def split(pieces: Sequence[Piece], scale: float) -> list[Part]:
     positions = np.concatenate([piece.positions for piece in pieces]) * scale
     triangles = np.concatenate([piece.triangles + n for piece, n in zip(pieces, first, strict=False)])
     owner = np.searchsorted(first, np.arange(len(positions)), side="right") - 1
-    closed, told = close_seams(positions, triangles, across=True)
+    closed, repairs = close_seams(positions, triangles, across=True)
     if len(once_used_edges(closed)):  # the gaps between separate parts are no seams
-        closed, told = close_seams(positions, triangles, across=False)
+        closed, repairs = close_seams(positions, triangles, across=False)
     closed, doubles = without_doubles(closed)
     if doubles:
-        told = (*told, f"omitted {doubles} duplicate triangles")
+        repairs = (*repairs, f"omitted {doubles} duplicate triangles")
     if not len(closed):
         return []
     unused = len(positions) - len(np.unique(closed))
-    if unused and not told:
-        told = (f"removed {unused} points that no triangle uses",)
+    if unused and not repairs:
+        repairs = (f"removed {unused} points that no triangle uses",)
     crowd = crowded_edges(closed)
     groups = components(closed)
     parts = []
     for group in groups:
         names = tuple(pieces[k].name for k in np.unique(owner[closed[group]]) if pieces[k].name)
         used, inverse = np.unique(closed[group], return_inverse=True)
-        part = _part(names, positions[used], inverse.reshape(-1, 3).astype(np.int64), crowd, told)
+        part = _part(names, positions[used], inverse.reshape(-1, 3).astype(np.int64), crowd, repairs)
         parts.append(part if len(groups) == 1 else _seamless(part))
     ordered = sorted(parts, key=lambda part: -part.volume)
     return [replace(part, number=k) for k, part in enumerate(ordered, 1)]
 
 
-def _part(names: Sequence[str], positions: Floats, triangles: Longs, crowd: int, told: tuple[str, ...]) -> Part:
+def _part(names: Sequence[str], positions: Floats, triangles: Longs, crowd: int, repairs: tuple[str, ...]) -> Part:
     name = names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "") if names else ""
     wound = wound_alike(positions, triangles)
     if wound is None:
-        return Part(name, positions, triangles, (), 0.0, "can't be wound consistently (like a Moebius strip)", told)
+        return Part(name, positions, triangles, (), 0.0, "can't be wound consistently (like a Moebius strip)", repairs)
     if wound is not triangles:
-        told = (*told, "made the winding consistent")
+        repairs = (*repairs, "made the winding consistent")
     gaps = tuple(holes(positions, wound))
     own = crowded_edges(wound)
     crowd = own if own or not gaps else crowd
     flaw = f"has {crowd} edges with more than two triangles" if own or (crowd and gaps) else ""
-    return Part(name, positions, wound, gaps, abs(capped_volume(positions, wound, gaps)), flaw, told)
+    return Part(name, positions, wound, gaps, abs(capped_volume(positions, wound, gaps)), flaw, repairs)
 
 
 def _seamless(part: Part) -> Part:
     """Return a part, one of several, with its own seams closed."""
     if not part.gaps or part.flaw:
         return part
-    closed, told = close_seams(part.positions, part.triangles, across=True)
-    if not told or not len(closed):
+    closed, repairs = close_seams(part.positions, part.triangles, across=True)
+    if not repairs or not len(closed):
         return part
     again = wound_alike(part.positions, closed)
     if again is None or crowded_edges(again):
@@ -138,7 +135,7 @@ def _seamless(part: Part) -> Part:
     gaps = tuple(holes(positions, triangles))
     volume = abs(capped_volume(positions, triangles, gaps))
     return replace(
-        part, positions=positions, triangles=triangles, gaps=gaps, volume=volume, repairs=(*part.repairs, *told)
+        part, positions=positions, triangles=triangles, gaps=gaps, volume=volume, repairs=(*part.repairs, *repairs)
     )
 
 
@@ -195,12 +192,12 @@ def choose(parts: Sequence[Part], name: str, wanted: int | str | None) -> Part:
             f"surface {name} is a hollow shell: the cavity is {100.0 * empty / main.volume:.0f} % of its volume,"
             f" but an organ must be solid: give --part {main.number} to fill it"
         )
-    told = list(main.repairs)
+    repairs = list(main.repairs)
     if beside:
-        told.append(f"omitted {_count(beside, 'separate part')} of {_volume(aside)} next to {_volume(main.volume)}")
+        repairs.append(f"omitted {_count(beside, 'separate part')} of {_volume(aside)} next to {_volume(main.volume)}")
     if cavities:
-        told.append(f"filled {_count(cavities, 'cavity', 'cavities')} of {_volume(empty)}")
-    return replace(main, repairs=tuple(told))
+        repairs.append(f"filled {_count(cavities, 'cavity', 'cavities')} of {_volume(empty)}")
+    return replace(main, repairs=tuple(repairs))
 
 
 def _inside(outer: Part, other: Part) -> bool:
@@ -258,9 +255,9 @@ def closed_part(part: Part, name: str) -> Part:
     filled = fill(part.positions, part.triangles, part.gaps)
     if filled is None or len(once_used_edges(filled)) or crowded_edges(filled):
         raise UserError(f"surface {name} is open: {_holes(part)} with rims that touch themselves; close them first")
-    told = f"filled {_holes(part)}, up to {widest * 1e3:.3g} mm wide"
+    repairs = f"filled {_holes(part)}, up to {widest * 1e3:.3g} mm wide"
     volume = abs(capped_volume(part.positions, filled, []))
-    return replace(part, triangles=filled, gaps=(), volume=volume, repairs=(*part.repairs, told))
+    return replace(part, triangles=filled, gaps=(), volume=volume, repairs=(*part.repairs, repairs))
 
 
 def _holes(part: Part) -> str:

@@ -13,8 +13,9 @@ from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.imaging.mask_parts import DOMINANT, joined_parts
+from tissue_sim.organ.meshes.mesh_holes import capped_volume, fill
 from tissue_sim.organ.meshes.mesh_parts import Part
-from tissue_sim.organ.meshes.mesh_repair import capped_volume, components, fill
+from tissue_sim.organ.meshes.mesh_repair import components
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
 
 _AXIS = 128  # voxels along the longest side
@@ -77,22 +78,22 @@ def merged(parts: Sequence[Part], name: str) -> Part:
     opened = _opened(sealed, _SPUR)
     if not opened.any():
         raise UserError(f"surface {name} has no parts that enclose a solid")
-    told = [f"joined {joined} parts on a grid of {pitch * 1e3:.2g} mm; the points are new"]
+    notes = [f"joined {joined} parts on a grid of {pitch * 1e3:.2g} mm; the points are new"]
     solid = _largest(opened)
     if np.count_nonzero(solid) < DOMINANT * np.count_nonzero(opened):
         bridged, how = joined_parts(Volume(opened, np.full(3, pitch / MM), origin, np.eye(3), name))
         if bridged is None:
             raise UserError(f"surface {name} {how}; build each with --part N, and join them in a scene")
         solid = bridged
-        told += how
+        notes += how
     if capped:
-        told.append(f"capped {capped} holes of the parts")
+        notes.append(f"capped {capped} holes of the parts")
     changes = {"filled chambers": sealed & ~union, "omitted sheets and loose pieces": union & ~solid}
     for what, changed in changes.items():
         if changed.any():
-            told.append(f"{what} of {np.count_nonzero(changed) * (pitch * 1e2) ** 3:.3g} mL")
+            notes.append(f"{what} of {np.count_nonzero(changed) * (pitch * 1e2) ** 3:.3g} mL")
     if skipped:
-        told.append(f"omitted {len(skipped)} parts that can't be closed")
+        notes.append(f"omitted {len(skipped)} parts that can't be closed")
     level = ndimage.gaussian_filter(solid.astype(np.float32), _SMOOTHING)
     corners, triangles, _, _ = marching_cubes(level, 0.5, allow_degenerate=False)
     positions = origin + corners[:, ::-1].astype(np.float64) * pitch
@@ -106,7 +107,7 @@ def merged(parts: Sequence[Part], name: str) -> Part:
         gaps=(),
         volume=volume,
         flaw="",
-        repairs=tuple(told),
+        repairs=tuple(notes),
     )
 
 

@@ -1,1 +1,1 @@
-"""What an organ is and how it was made, for people and other programs: report, info, export."""
+"""What an organ is and how it was made, for users and for other programs: report, info, export."""

@@ -20,17 +20,8 @@ from tissue_sim.organ.organ import Organ, SpringKind
 from tissue_sim.organ.reporting import pictures
 from tissue_sim.organ.reporting.description import describe, is_nested, label, shown
 from tissue_sim.organ.reporting.exchange import bones
-from tissue_sim.organ.surfaces.surface import (
-    MarchingCubesReport,
-    SurfaceComparison,
-    SurfaceQuality,
-    Wall,
-    compare,
-    corner_angles,
-    marching_cubes_report,
-    marching_cubes_surface,
-    measure,
-)
+from tissue_sim.organ.surfaces.marching_cubes import MarchingCubesReport, marching_cubes_report, marching_cubes_surface
+from tissue_sim.organ.surfaces.surface import SurfaceComparison, SurfaceQuality, Wall, compare, corner_angles, measure
 
 if TYPE_CHECKING:
     from jinja2 import Template

@@ -9,7 +9,7 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
@@ -17,8 +17,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from tissue_sim.array_types import Floats, Ints
+from tissue_sim.figures import empty_figure, png
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.reporting.render import Solid, View, balls, draw, rods, view_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 Surface = tuple[Floats, Ints]
 
@@ -143,11 +149,11 @@ def slices(source: Source, outlines: Sequence[tuple[str, str, Surface]], atoms: 
                 f"{plane.name if source.patient else 'across'} {'xyz'[plane.across]} = {centre[plane.across]:.1f} mm"
             )
         _slice_legend(figure, outlines, source.mask is not None)
-        return _png(figure)
+        return png(figure, 160)
 
 
 def _slice(
-    axis: Any, plane: Plane, ct: Volume | None, mask: Volume | None, box: tuple[Floats, Floats], centre: Floats
+    axis: Axes, plane: Plane, ct: Volume | None, mask: Volume | None, box: tuple[Floats, Floats], centre: Floats
 ) -> None:
     low, high = box
     source = ct if ct is not None else mask
@@ -184,7 +190,7 @@ def _sampled(volume: Volume, points: Floats, outside: float) -> NDArray[np.float
     return map_coordinates(array, index, output=np.float32, order=order, mode="constant", cval=outside)
 
 
-def _outline(axis: Any, plane: Plane, outlines: Sequence[tuple[str, str, Surface]], centre: Floats) -> None:
+def _outline(axis: Axes, plane: Plane, outlines: Sequence[tuple[str, str, Surface]], centre: Floats) -> None:
     from matplotlib.collections import LineCollection
 
     normal = np.eye(3)[plane.across]
@@ -197,7 +203,7 @@ def _outline(axis: Any, plane: Plane, outlines: Sequence[tuple[str, str, Surface
             axis.add_collection(LineCollection(list(lines), colors=colour, linewidths=2.0 - 1.0 * k, zorder=4 + k))
 
 
-def _borders(axis: Any, plane: Plane, patient: bool) -> None:
+def _borders(axis: Axes, plane: Plane, patient: bool) -> None:
     for side in ("top", "right", "bottom", "left"):
         axis.spines[side].set_visible(True)
     if not patient:
@@ -224,7 +230,7 @@ def _borders(axis: Any, plane: Plane, patient: bool) -> None:
     )
 
 
-def _slice_legend(figure: Any, outlines: Sequence[tuple[str, str, Surface]], with_mask: bool) -> None:
+def _slice_legend(figure: Figure, outlines: Sequence[tuple[str, str, Surface]], with_mask: bool) -> None:
     from matplotlib.lines import Line2D
 
     handles = [Line2D([], [], color=MASK, lw=2, label="mask")] if with_mask else []
@@ -409,20 +415,13 @@ def histograms(sets: Sequence[tuple[str, str, Floats, Floats]]) -> bytes:
         left.set_ylabel("fraction (%)")
         right.set_xticks(range(0, 181, 30))
         left.legend(frameon=False)
-        return _png(figure)
+        return png(figure, 160)
 
 
 @contextmanager
 def _styled(width: float, height: float) -> Iterator[Any]:
     """Yield an empty figure, inches, in one style; without pyplot, which would keep state for the whole process."""
     import matplotlib
-    from matplotlib.figure import Figure
 
     with matplotlib.rc_context(_STYLE):
-        yield Figure(figsize=(width, height), layout="constrained")
-
-
-def _png(figure: Any) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=160)
-    return buffer.getvalue()
+        yield empty_figure(width, height)

@@ -146,8 +146,8 @@ def draw(view: View, solids: list[Solid], glass: Solid | None = None) -> NDArray
         for side, least, most in ((-1, 0.10, 0.25), (+1, 0.14, 0.62)):
             hit, shaded, slope = _layer(view, glass, depth.copy(), side)
             # Glass is denser where it is seen edge-on, which makes its outline visible.
-            share = (least + (most - least) * (1.0 - slope) ** 2.5)[:, None]
-            colour[hit] += share * (shaded - colour[hit])
+            fraction = (least + (most - least) * (1.0 - slope) ** 2.5)[:, None]
+            colour[hit] += fraction * (shaded - colour[hit])
     small = colour.reshape(view.size[1], _SUPERSAMPLING, view.size[0], _SUPERSAMPLING, 3).mean(axis=(1, 3))
     return (np.clip(small, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 

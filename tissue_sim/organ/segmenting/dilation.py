@@ -130,9 +130,9 @@ def _upsample(values: Singles, every: int, shape: tuple[int, ...]) -> Singles:
     for axis, n in enumerate(shape):
         at = np.clip((np.arange(n) - 0.5 * (every - 1)) / every, 0, values.shape[axis] - 1)
         low = np.minimum(at.astype(int), max(values.shape[axis] - 2, 0))
-        share = (at - low).astype(np.float32).reshape([-1 if k == axis else 1 for k in range(3)])
+        fraction = (at - low).astype(np.float32).reshape([-1 if k == axis else 1 for k in range(3)])
         high = np.minimum(low + 1, values.shape[axis] - 1)
-        values = values.take(low, axis) * (1.0 - share) + values.take(high, axis) * share
+        values = values.take(low, axis) * (1.0 - fraction) + values.take(high, axis) * fraction
     return values
 
 

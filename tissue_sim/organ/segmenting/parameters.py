@@ -41,9 +41,9 @@ class SegmentationParameters:
     )
     erosion: float | None = _option(None, "mm", "erosion depth; by default until the organ is separate", (0.01, 100.0))
     neck: float = _option(
-        0.6, "share", "a neck below this fraction of the smaller lobe's depth separates organs", (0.0, 1.0)
+        0.6, "fraction", "a neck below this fraction of the smaller lobe's depth separates organs", (0.0, 1.0)
     )
-    stop: float = _option(0.5, "share", "fraction of the eroded region after which the front stops", (0.01, 1.0))
+    stop: float = _option(0.5, "fraction", "fraction of the eroded region after which the front stops", (0.01, 1.0))
     dilation: float | None = _option(
         None,
         "mm",
@@ -51,7 +51,7 @@ class SegmentationParameters:
         (0.0, 100.0),
     )
     stiffness: float = _option(
-        0.5, "share", "weight of the image relative to a small wall area during dilation", (0.01, 100.0)
+        0.5, "times", "weight of the image relative to a small wall area during dilation", (0.01, 100.0)
     )
     spur: float = _option(3.0, "mm", "vessels and spurs below this radius are removed", (0.0, 50.0))
     closing: float = _option(6.0, "mm", "cavities below this radius are filled, except those of fat", (0.0, 50.0))

@@ -29,7 +29,7 @@ SMOOTHINGS = (2.5, 3.0)  # mm, tried until the tissue at the seed is calm
 WINDOWS = (2.5, 3.3, 4.3, 5.5)  # half-widths tried, in deviations
 _FAT = (-160.0, -40.0)  # HU
 _NEIGHBOURHOOD = 60.0  # mm around the seed in which the dark side (fat) is looked for
-_LIGHT_SHARE, _LIGHT = 0.15, (1.5, 3.0)  # of the depth; mm: least erosion, removes rims and sheets
+_LIGHT_FRACTION, _LIGHT = 0.15, (1.5, 3.0)  # of the depth; mm: least erosion, removes rims and sheets
 _LOBE = 0.03  # fraction of the volume from which a neighbouring body counts
 _MAJORITY = 1.5  # mm
 _HOLE = 0.15  # mL, up to which a gap in the thresholded tissue is noise
@@ -228,7 +228,7 @@ def segment_crop(
         parts = _parted(depth, p)
         body = int(parts.labels[apex])
         apex = _deepest(depth, parts.labels == body)
-        light = float(np.clip(_LIGHT_SHARE * depth[apex], *_LIGHT))
+        light = float(np.clip(_LIGHT_FRACTION * depth[apex], *_LIGHT))
         labels, _ = ndimage.label((parts.labels == body) & (depth > light))
         eroded = labels == labels[apex]
         before, mean = mean, float(np.median(smooth[eroded]))
@@ -305,8 +305,8 @@ def _closed(mask: Mask, region: Region, radius: float) -> Mask:
 
 def _majority(mask: Mask, sigma: float) -> Mask:
     """Return what most of a voxel's surroundings say, sigma in voxels: noise would fray the region."""
-    share = sitk.SmoothingRecursiveGaussian(sitk.GetImageFromArray(mask.astype(np.float32)), sigma)
-    return np.asarray(sitk.GetArrayFromImage(share) > 0.5)
+    fraction = sitk.SmoothingRecursiveGaussian(sitk.GetImageFromArray(mask.astype(np.float32)), sigma)
+    return np.asarray(sitk.GetArrayFromImage(fraction) > 0.5)
 
 
 def _without_holes(mask: Mask, voxels: float) -> Mask:

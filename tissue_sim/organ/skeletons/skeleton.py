@@ -20,16 +20,9 @@ from skimage.measure import euler_number
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
-from tissue_sim.organ.skeletons.skeleton_tree import (
-    Limb,
-    Line,
-    arc_length,
-    find_limbs,
-    join,
-    longest_chain,
-    path_between,
-    place_atoms,
-)
+from tissue_sim.organ.skeletons.atom_placement import place_atoms
+from tissue_sim.organ.skeletons.polyline import arc_length
+from tissue_sim.organ.skeletons.skeleton_tree import Limb, Line, find_limbs, join, longest_chain, path_between
 from tissue_sim.organ.skeletons.voxel_tree import approach, grow_tree, middle_way
 from tissue_sim.organ.surfaces.solid_ball import flip_simple
 from tissue_sim.organ.surfaces.surface import Wall
@@ -277,8 +270,8 @@ def _smooth(path: Floats, field: NDArray[np.float32], h: float) -> Floats:
     t = np.linspace(0.0, arc[-1], max(int(2.0 * arc[-1] / h), 16))
     even = np.stack([np.interp(t, arc, path[:, k]) for k in range(3)], axis=1)
     least = 0.9 * min(float(_sample(field, even, h).min()), h)
-    for share in (0.35, 0.2, 0.1, 0.05):
-        stiffness = (share * scale) ** 4 / (t[1] - t[0])
+    for fraction in (0.35, 0.2, 0.1, 0.05):
+        stiffness = (fraction * scale) ** 4 / (t[1] - t[0])
         line = np.stack([make_smoothing_spline(t, even[:, k], lam=stiffness)(t) for k in range(3)], axis=1)
         if np.all(_sample(field, line, h) > least):
             return line

@@ -25,9 +25,10 @@ from tissue_sim.jit import kernel
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.surfaces.fitting import RATIO, Finished, bring_to, finish, fit, flip, mean_edge, sample
-from tissue_sim.organ.surfaces.remesh import transport
-from tissue_sim.organ.surfaces.surface import Wall, closed_wall, intersecting_pairs, marching_cubes_surface
+from tissue_sim.organ.surfaces.marching_cubes import marching_cubes_surface
+from tissue_sim.organ.surfaces.surface import Wall, closed_wall, intersecting_pairs
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
+from tissue_sim.organ.surfaces.transport import transport
 
 Progress = Callable[[float], None]
 
@@ -137,10 +138,10 @@ def inflate(
     """
     check_points(points)
     p = parameters or BalloonParameters()
-    told = _Rising(progress)
+    rising = _Rising(progress)
     reference = marching_cubes_surface(wall)
     best: Finished | None = None
-    for start in _starts(wall, points, p, told):
+    for start in _starts(wall, points, p, rising):
         found = finish(start.positions, start.triangles, start.wall, reference, p.fitting)
         # What expanded comes first and is preferred: the wall's own surface must come clearly nearer.
         if found is not None and (best is None or found.better_than(best, 0.9)):
@@ -150,7 +151,7 @@ def inflate(
         near = max(_NEAR * wall.spacing, _FLAT * mean_edge(best.positions, best.triangles))
         if best.hausdorff <= near or not start.expanded:
             break  # closing folds would only lead away from the wall
-    told(1.0)
+    rising(1.0)
     if best is not None:
         return Balloon(best.positions, best.triangles, best.missed, expanded, best.warnings)
     raise UserError(
@@ -164,10 +165,10 @@ class _Rising:
     def __init__(self, progress: Progress | None) -> None:
         self._progress, self._last = progress, -1.0
 
-    def __call__(self, share: float) -> None:
-        if self._progress is not None and share > self._last:
-            self._last = share
-            self._progress(share)
+    def __call__(self, fraction: float) -> None:
+        if self._progress is not None and fraction > self._last:
+            self._last = fraction
+            self._progress(fraction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,13 +181,13 @@ class _Start:
     expanded: bool
 
 
-def _starts(wall: Wall, points: int, p: BalloonParameters, told: Progress) -> Iterator[_Start]:
+def _starts(wall: Wall, points: int, p: BalloonParameters, rising: Progress) -> Iterator[_Start]:
     """Yield expansions that reach the wall everywhere, then the thinned wall, then expansions that left a fold out."""
     edge = float(np.sqrt(4.0 / np.sqrt(3.0) * wall.area() / (2 * points - 4)))
     closed = closed_wall(wall, _DETAIL * edge) or wall
     late: list[_Start] = []
     for k, closing in enumerate(_CLOSINGS):
-        moved = _inflate(closed, _EXPANDING, closing, p, _Part(told, 0.25 * k, 0.25 * k + 0.2))
+        moved = _inflate(closed, _EXPANDING, closing, p, _Part(rising, 0.25 * k, 0.25 * k + 0.2))
         if moved is None or len(intersecting_pairs(*moved)) > _CRUMPLED * _EXPANDING:
             continue
         brought = bring_to(*moved, closed, points)
@@ -195,7 +196,7 @@ def _starts(wall: Wall, points: int, p: BalloonParameters, told: Progress) -> It
         if distance_to_surface(closed.points(), *brought).max() < edge:
             yield _Start(*brought, wall, True)
         late.append(_Start(*brought, closed, True))
-    told(0.8)
+    rising(0.8)
     for detail in _DETAILS:
         shown = closed_wall(wall, detail * edge) if detail > 0.0 else wall
         brought = bring_to(*marching_cubes_surface(shown), shown, points) if shown is not None else None
@@ -207,15 +208,15 @@ def _starts(wall: Wall, points: int, p: BalloonParameters, told: Progress) -> It
 class _Part:
     """Progress callback that maps 0..1 to a part of the whole."""
 
-    def __init__(self, told: Progress, start: float, end: float) -> None:
-        self._told, self._start, self._end = told, start, end
+    def __init__(self, whole: Progress, start: float, end: float) -> None:
+        self._whole, self._start, self._end = whole, start, end
 
-    def __call__(self, share: float) -> None:
-        self._told(self._start + min(max(share, 0.0), 1.0) * (self._end - self._start))
+    def __call__(self, fraction: float) -> None:
+        self._whole(self._start + min(max(fraction, 0.0), 1.0) * (self._end - self._start))
 
 
 def _inflate(
-    wall: Wall, points: int, closing: float, p: BalloonParameters, told: Progress
+    wall: Wall, points: int, closing: float, p: BalloonParameters, rising: Progress
 ) -> tuple[Floats, Ints] | None:
     """Return the balloon on the wall; first in the organ closed by `closing` times its depth. None for a ring."""
     depth = distance_transform_edt(wall.level < 0.0)
@@ -226,15 +227,15 @@ def _inflate(
     outer = closed_wall(wall, closing * deepest, smooth=False) if closing > 0.0 else wall
     if outer is None:
         return None
-    _move_to_wall(positions, triangles, outer, p, +1.0, told)
+    _move_to_wall(positions, triangles, outer, p, +1.0, rising)
     if closing > 0.0:
         fit(positions, triangles, outer, p.fitting // 3)
-        _move_to_wall(positions, triangles, wall, p, -1.0, told)
+        _move_to_wall(positions, triangles, wall, p, -1.0, rising)
     return positions, triangles
 
 
 def _move_to_wall(
-    positions: Floats, triangles: Ints, wall: Wall, p: BalloonParameters, sign: float, told: Progress
+    positions: Floats, triangles: Ints, wall: Wall, p: BalloonParameters, sign: float, rising: Progress
 ) -> None:
     """Expand inside the organ (sign +1), or shrink around it (-1), until the volume settles; in place."""
     points, h = len(positions), wall.spacing
@@ -249,7 +250,7 @@ def _move_to_wall(
             flip(positions, triangles)
         if step % _ROUND == 0:
             before, volume = volume, signed_volume(positions, triangles)
-            told(volume / whole)
+            rising(volume / whole)
             if abs(volume - before) < _SETTLED * volume:
                 return
 

@@ -10,16 +10,17 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.organ.normals import surface_normals
-from tissue_sim.organ.surfaces.remesh import flip_edges, relax, relax_sized, transport, transport_sized
+from tissue_sim.organ.surfaces.remesh import flip_edges
 from tissue_sim.organ.surfaces.resample import thicken, thin_out
 from tissue_sim.organ.surfaces.sizing import mean_edge, spread
 from tissue_sim.organ.surfaces.surface import Wall, corner_angles, intersecting_pairs
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
+from tissue_sim.organ.surfaces.transport import relax, relax_sized, transport, transport_sized
 
 RATIO = 2.0  # a long edge is split when it is this many times a short one
 VARIATION = 0.25  # standard deviation of the edge lengths over their mean, at most
 LEAST_ANGLE = 20.0  # degrees
-_SHARE = 0.12  # fraction of the points that a pass of thinning removes, or adds
+_FRACTION = 0.12  # fraction of the points that a pass of thinning removes, or adds
 _CLOSEST = 12  # steps of least squares
 _ROUNDS = 8  # of refinement
 _VAIN = 4  # rounds without a better surface, after which refinement ends
@@ -111,11 +112,11 @@ class Finished:
     hausdorff: float
     warnings: tuple[str, ...]
 
-    def better_than(self, other: Finished, share: float = 1.0) -> bool:
-        """Return whether it has no warnings where the other has, or as good and within `share` of its distance."""
+    def better_than(self, other: Finished, fraction: float = 1.0) -> bool:
+        """Return whether it has no warnings where the other has, or as good and within `fraction` of its distance."""
         if bool(self.warnings) != bool(other.warnings):
             return not self.warnings
-        return self.hausdorff < share * other.hausdorff
+        return self.hausdorff < fraction * other.hausdorff
 
 
 def finish(
@@ -237,9 +238,9 @@ def bring_to(positions: Floats, triangles: Ints, wall: Wall, points: int) -> tup
     while len(positions) != points:
         n = len(positions)
         if n > points:
-            positions, triangles = thin_out(positions, triangles, min(n - points, max(int(_SHARE * n), 1)))
+            positions, triangles = thin_out(positions, triangles, min(n - points, max(int(_FRACTION * n), 1)))
         else:
-            positions, triangles = thicken(positions, triangles, min(points - n, max(int(_SHARE * n), 1)))
+            positions, triangles = thicken(positions, triangles, min(points - n, max(int(_FRACTION * n), 1)))
         if len(positions) == n:
             return None
         for _ in range(2):

@@ -8,15 +8,15 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.surfaces.fitting import flip, settle
 from tissue_sim.organ.surfaces.intersections import intersecting_pairs
-from tissue_sim.organ.surfaces.remesh import relax_sized, transport_sized
 from tissue_sim.organ.surfaces.resample import split_long
 from tissue_sim.organ.surfaces.sizing import Wanted, mean_edge
 from tissue_sim.organ.surfaces.surface import Wall
+from tissue_sim.organ.surfaces.transport import relax_sized, transport_sized
 
 _LONG = 4.0 / 3.0  # an edge is split when it is so many times as long as wanted: the halves are then nearer to it
 _FINER = 0.95  # of the edges that are there: where more is wanted, nothing is split
 _ROUNDS = 12  # of splitting; a round halves edges
-_SHARE = 0.25  # of the points that a round adds at most
+_FRACTION = 0.25  # of the points that a round adds at most
 _EVEN = 16  # steps of relaxation at the end
 
 
@@ -85,7 +85,7 @@ def _split(
         n = len(positions)
         size = np.minimum(wanted(positions), edge)
         finer = np.where(size < _FINER * edge, size, np.inf)
-        positions, triangles = split_long(positions, triangles, finer, _LONG, max(int(_SHARE * n), 1))
+        positions, triangles = split_long(positions, triangles, finer, _LONG, max(int(_FRACTION * n), 1))
         if len(positions) == n:
             break
         if len(positions) > most:

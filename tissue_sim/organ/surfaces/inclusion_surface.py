@@ -11,8 +11,9 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.inclusions import Inclusion, check_stiffness
 from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.surfaces.marching_cubes import marching_cubes_surface
 from tissue_sim.organ.surfaces.resample import thin_out
-from tissue_sim.organ.surfaces.surface import make_wall, marching_cubes_surface
+from tissue_sim.organ.surfaces.surface import make_wall
 
 POINTS = 400  # of one surface at most
 LEAST_VOXELS = 50  # of a part, as make_wall has it

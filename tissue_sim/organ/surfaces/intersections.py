@@ -6,7 +6,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
-from tissue_sim.organ.surfaces.remesh import _normal
+from tissue_sim.organ.surfaces.remesh import normal_of
 from tissue_sim.organ.surfaces.surface_distance import _dot, _span, listed_in_cells
 
 
@@ -113,11 +113,11 @@ def _hits(start, end, triangle):  # type: ignore[no-untyped-def]
     v = (triangle[2, 0] - a[0], triangle[2, 1] - a[1], triangle[2, 2] - a[2])
     d = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
     nothing = (0.0, 0.0, 0.0)
-    p = _normal(nothing, d, v)
+    p = normal_of(nothing, d, v)
     det = _dot(u, p)
     if abs(det) <= 1e-18:
         return False
     s = (start[0] - a[0], start[1] - a[1], start[2] - a[2])
-    q = _normal(nothing, s, u)
+    q = normal_of(nothing, s, u)
     alpha, beta, t = _dot(s, p) / det, _dot(d, q) / det, _dot(v, q) / det
     return alpha >= 0.0 and beta >= 0.0 and alpha + beta <= 1.0 and t >= 0.0 and t <= 1.0

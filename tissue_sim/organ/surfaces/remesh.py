@@ -114,7 +114,7 @@ def _joined(triangles: Ints, star: Stars, a: int, b: int) -> bool:
 
 
 @kernel
-def _normal(p, q, r):  # type: ignore[no-untyped-def]
+def normal_of(p, q, r):  # type: ignore[no-untyped-def]
     """Return twice the area times the unit normal as a tuple: small arrays cost more than the arithmetic."""
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
@@ -183,9 +183,9 @@ def flip_edges(positions: Floats, triangles: Ints) -> int:
                 continue
             if _joined(triangles, star, c, d):
                 continue
-            one, other = _normal(pa, pb, pc), _normal(pb, pa, pd)
+            one, other = normal_of(pa, pb, pc), normal_of(pb, pa, pd)
             old = (one[0] + other[0], one[1] + other[1], one[2] + other[2])
-            if not (_agree(old, _normal(pa, pd, pc)) and _agree(old, _normal(pd, pb, pc))):
+            if not (_agree(old, normal_of(pa, pd, pc)) and _agree(old, normal_of(pd, pb, pc))):
                 continue
             triangles[t, 0], triangles[t, 1], triangles[t, 2] = a, d, c
             triangles[s, 0], triangles[s, 1], triangles[s, 2] = d, b, c
@@ -237,12 +237,12 @@ def collapse_edge(positions: Floats, triangles: Ints, star: Stars, a: int, b: in
             q = star.triangles[v, k]
             if q == t or q == s:
                 continue
-            old = _normal(positions[triangles[q, 0]], positions[triangles[q, 1]], positions[triangles[q, 2]])
+            old = normal_of(positions[triangles[q, 0]], positions[triangles[q, 1]], positions[triangles[q, 2]])
             corners = np.empty((3, 3))
             for m in range(3):
                 w = triangles[q, m]
                 corners[m] = middle if w == v else positions[w]
-            if not _agree(old, _normal(corners[0], corners[1], corners[2])):
+            if not _agree(old, normal_of(corners[0], corners[1], corners[2])):
                 return -1, -1
     _remove(star, a, t)
     _remove(star, b, t)
@@ -298,189 +298,3 @@ def split_edge(positions: Floats, triangles: Ints, star: Stars, a: int, b: int, 
     _add(star, middle, s_new)
     _add(star, c, t_new)
     _add(star, d, s_new)
-
-
-def transport(positions: Floats, triangles: Ints, ratio: float, most: int) -> int:
-    """Move points from where edges are short to where they are long, in place.
-
-    The shortest edges are paired with the longest as long as the long one is more than `ratio` times the short one;
-    each point takes part once.
-
-    Parameters
-    ----------
-    positions : Floats, shape (n, 3)
-        Points of the surface.
-    triangles : Ints, shape (t, 3)
-        Corner indices, counter-clockwise seen from outside.
-    ratio : float
-        Least ratio of lengths of a pair.
-    most : int
-        Largest number of points moved.
-
-    Returns
-    -------
-    int
-        Number of points moved.
-    """
-    return int(transport_sized(positions, triangles, ratio, most, np.ones(len(positions))))
-
-
-@kernel
-def sized_edges(positions: Floats, triangles: Ints, size: Floats) -> tuple[Ints, Floats]:
-    """Return the edges of a closed surface, and their lengths relative to the mean wanted size at their ends.
-
-    Parameters
-    ----------
-    positions : Floats, shape (n, 3)
-        Points of the surface.
-    triangles : Ints, shape (t, 3)
-        Corner indices, counter-clockwise seen from outside.
-    size : Floats, shape (n,)
-        Wanted edge length at each point, relative.
-
-    Returns
-    -------
-    tuple[Ints, Floats]
-        Point indices, shape (m, 2), and lengths, shape (m,).
-    """
-    m = 3 * triangles.shape[0] // 2
-    edges = np.empty((m, 2), dtype=np.int32)
-    length = np.empty(m)
-    e = 0
-    for t in range(triangles.shape[0]):
-        for k in range(3):
-            a, b = triangles[t, k], triangles[t, (k + 1) % 3]
-            if a < b:
-                edges[e, 0], edges[e, 1] = a, b
-                d = positions[a] - positions[b]
-                length[e] = np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2) / (0.5 * (size[a] + size[b]))
-                e += 1
-    return edges, length
-
-
-@kernel
-def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int, size: Floats) -> int:
-    """Move points as `transport` does, with lengths relative to the mean wanted size at an edge's ends.
-
-    A point that moves takes the size of where it goes; `size` changes in place.
-
-    Parameters
-    ----------
-    positions : Floats, shape (n, 3)
-        Points of the surface.
-    triangles : Ints, shape (t, 3)
-        Corner indices, counter-clockwise seen from outside.
-    ratio : float
-        Least ratio of lengths of a pair.
-    most : int
-        Largest number of points moved.
-    size : Floats, shape (n,)
-        Wanted edge length at each point, relative.
-
-    Returns
-    -------
-    int
-        Number of points moved.
-    """
-    n = positions.shape[0]
-    star = stars(triangles, n)
-    edges, length = sized_edges(positions, triangles, size)
-    m = len(edges)
-    order = np.argsort(length)
-    used = np.zeros(n, dtype=np.bool_)
-    long = m - 1
-    moved = 0
-    for short in order:
-        if moved >= most:
-            break
-        a, b = edges[short, 0], edges[short, 1]
-        if used[a] or used[b]:
-            continue
-        while long >= 0:
-            c, d = edges[order[long], 0], edges[order[long], 1]
-            ready = not (used[c] or used[d]) and c != a and c != b and d != a and d != b
-            if ready and along_edge(triangles, star, c, d)[0] >= 0:
-                break
-            long -= 1
-        if long < 0 or length[order[long]] < ratio * length[short]:
-            break
-        c, d = edges[order[long], 0], edges[order[long], 1]
-        _, left = along_edge(triangles, star, c, d)
-        _, right = along_edge(triangles, star, d, c)
-        if left == a or left == b or right == a or right == b:
-            continue
-        if star.number[left] >= MOST_NEIGHBOURS - 2 or star.number[right] >= MOST_NEIGHBOURS - 2:
-            continue
-        t, s = collapse_edge(positions, triangles, star, a, b)
-        if t < 0:
-            continue
-        split_edge(positions, triangles, star, c, d, Free(b, t, s))
-        size[b] = 0.5 * (size[c] + size[d])
-        used[a] = used[b] = used[c] = used[d] = True
-        moved += 1
-        long -= 1
-    return moved
-
-
-def relax(positions: Floats, triangles: Ints, share: float) -> None:
-    """Move every point along the surface towards the area-weighted centroid of its triangles, in place.
-
-    Parameters
-    ----------
-    positions : Floats, shape (n, 3)
-        Points of the surface.
-    triangles : Ints, shape (t, 3)
-        Corner indices, counter-clockwise seen from outside.
-    share : float
-        Fraction of the distance that is moved.
-    """
-    relax_sized(positions, triangles, share, np.ones(len(positions)))
-
-
-@kernel
-def relax_sized(positions: Floats, triangles: Ints, share: float, size: Floats) -> None:
-    """Relax as `relax` does with areas weighted by size^-4, which spreads the points as densely as wanted.
-
-    The exponent is that of centroidal Voronoi cells of a density in the plane (Du, Faber and Gunzburger 1999).
-
-    Parameters
-    ----------
-    positions : Floats, shape (n, 3)
-        Points of the surface.
-    triangles : Ints, shape (t, 3)
-        Corner indices, counter-clockwise seen from outside.
-    share : float
-        Fraction of the distance that is moved.
-    size : Floats, shape (n,)
-        Wanted edge length at each point, relative.
-
-    References
-    ----------
-    Du, Faber & Gunzburger 1999: Centroidal Voronoi tessellations; the exponent is that of a density in the plane.
-    """
-    n = positions.shape[0]
-    total = np.zeros(n)
-    middle, normal = np.zeros((n, 3)), np.zeros((n, 3))
-    for t in range(triangles.shape[0]):
-        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        cross = _normal(positions[i], positions[j], positions[k])
-        x, y, z = cross
-        area = np.sqrt(x * x + y * y + z * z) / ((size[i] + size[j] + size[k]) / 3.0) ** 4
-        for m in range(3):
-            at = area * (positions[i, m] + positions[j, m] + positions[k, m]) / 3.0
-            for p in (i, j, k):
-                middle[p, m] += at
-                normal[p, m] += cross[m]
-        for p in (i, j, k):
-            total[p] += area
-    for i in range(n):
-        if total[i] <= 0.0:
-            continue
-        length = np.sqrt(normal[i, 0] ** 2 + normal[i, 1] ** 2 + normal[i, 2] ** 2)
-        along = 0.0
-        for m in range(3):
-            normal[i, m] /= length if length > 0.0 else 1.0
-            middle[i, m] = middle[i, m] / total[i] - positions[i, m]
-            along += middle[i, m] * normal[i, m]
-        for m in range(3):
-            positions[i, m] += share * 1.5 * (middle[i, m] - normal[i, m] * along)

@@ -9,16 +9,8 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
-from tissue_sim.organ.surfaces.remesh import (
-    MOST_NEIGHBOURS,
-    Free,
-    Stars,
-    along_edge,
-    collapse_edge,
-    sized_edges,
-    split_edge,
-    stars,
-)
+from tissue_sim.organ.surfaces.remesh import MOST_NEIGHBOURS, Free, Stars, along_edge, collapse_edge, split_edge, stars
+from tissue_sim.organ.surfaces.transport import sized_edges
 
 
 @kernel

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes, mesh_surface_area
 
 from tissue_sim.array_types import Floats, Ints, Mask
@@ -32,7 +30,6 @@ from tissue_sim.organ.surfaces.surface_quality import (
 )
 
 __all__ = [
-    "MarchingCubesReport",
     "SurfaceComparison",
     "SurfaceQuality",
     "Wall",
@@ -40,17 +37,12 @@ __all__ = [
     "compare",
     "corner_angles",
     "intersecting_pairs",
-    "largest_component",
     "make_wall",
-    "marching_cubes_report",
-    "marching_cubes_surface",
     "measure",
     "wall_of_surface",
 ]
-
-
 _SMOOTHING = 0.8  # voxels of the mask: takes its steps away
-_SHRUNK = 0.05  # of the volume: where smoothing takes more, as it does in bodies a few voxels thick, it is made good
+_SHRUNK = 0.05  # of the volume: where smoothing takes more, as it does in bodies a few voxels thick, it is corrected
 _SHIFTS = 2  # Newton steps of the even shift that does so: the second changes a thousandth
 _MARGIN = 4  # voxels around the organ
 _INNER, _OUTER = 0.1, 0.5  # voxels, level beside a cut or membrane; unequal, so that marching cubes parts diagonals
@@ -266,8 +258,8 @@ def _smooth_distance(solid: Mask, h: float) -> NDArray[np.float32]:
 def _exact_away(smooth: NDArray[np.float32], h: float) -> NDArray[np.float32]:
     """Return exact distances to the smooth level's inside from 2.5 voxels on: smoothing alone flattens the ridges."""
     exact = _signed_distance(smooth < 0.0, np.full(3, h))
-    share = np.clip(np.abs(exact) / h - 1.5, 0.0, 1.0)
-    return (smooth + share * (exact - smooth)).astype(np.float32)
+    fraction = np.clip(np.abs(exact) / h - 1.5, 0.0, 1.0)
+    return (smooth + fraction * (exact - smooth)).astype(np.float32)
 
 
 def _resample(level: NDArray[np.float32], sampling: Floats, h: float) -> NDArray[np.float32]:
@@ -380,119 +372,3 @@ def wall_of_surface(positions: Floats, triangles: Ints, wall: Wall) -> Wall:
     if not solid.any():
         raise UserError("the surface encloses no voxel; use a finer image")
     return replace(wall, level=_smooth_distance(solid, wall.spacing))
-
-
-def marching_cubes_surface(wall: Wall) -> tuple[Floats, Ints]:
-    """Return the largest closed component of the wall by marching cubes.
-
-    Parameters
-    ----------
-    wall : Wall
-        The wall.
-
-    Returns
-    -------
-    tuple[Floats, Ints]
-        Points, shape (n, 3), mm, and triangles, shape (t, 3), outward.
-    """
-    positions, triangles, _, _ = marching_cubes(wall.level, 0.0, spacing=(wall.spacing,) * 3, allow_degenerate=False)
-    return largest_component(positions[:, ::-1].astype(np.float64), triangles[:, ::-1].astype(np.int32))
-
-
-@dataclass(frozen=True)
-class MarchingCubesReport:
-    """Counts and measures of a marching cubes surface, as the paper counts them; lengths in mm.
-
-    Attributes
-    ----------
-    points : int
-        Points of the largest closed component.
-    triangles : int
-        Triangles of the largest closed component.
-    islands : int
-        Number of other closed components that enclose tissue.
-    hollows : int
-        Number of closed components that enclose a cavity.
-    handles : int
-        Handles of the largest component.
-    quality : SurfaceQuality
-        Measures of the largest component.
-    """
-
-    points: int
-    triangles: int
-    islands: int
-    hollows: int
-    handles: int
-    quality: SurfaceQuality
-
-    @property
-    def fragments(self) -> int:
-        """Number of closed components other than the largest."""
-        return self.islands + self.hollows
-
-
-def marching_cubes_report(source: Wall | Volume) -> MarchingCubesReport:
-    """Return counts and measures of marching cubes on a wall's level set, or on a mask as segmented.
-
-    Parameters
-    ----------
-    source : Wall | Volume
-        The wall or the mask.
-
-    Returns
-    -------
-    MarchingCubesReport
-        The report.
-
-    Raises
-    ------
-    UserError
-        Where a mask is empty.
-
-    References
-    ----------
-    Lorensen & Cline 1987: Marching cubes.
-    """
-    if isinstance(source, Wall):
-        level, spacing = source.level, np.full(3, source.spacing)
-    else:
-        if not source.array.any():
-            raise UserError(f"{source.name or 'the mask'} is empty: marching cubes finds no surface")
-        level, spacing = np.pad(0.5 - source.array.astype(np.float32), 1, constant_values=0.5), source.spacing[::-1]
-    found, faces, _, _ = marching_cubes(level, 0.0, spacing=tuple(spacing), allow_degenerate=False)
-    everything = found[:, ::-1].astype(np.float64), faces[:, ::-1].astype(np.int32)
-    _, volume = _components(*everything)
-    positions, triangles = largest_component(*everything)
-    quality = measure(positions, triangles)
-    hollows = int(np.count_nonzero(volume < 0.0))
-    return MarchingCubesReport(
-        points=len(positions),
-        triangles=len(triangles),
-        islands=len(volume) - hollows - 1,
-        hollows=hollows,
-        handles=1 - quality.euler // 2,
-        quality=quality,
-    )
-
-
-def _components(positions: Floats, triangles: Ints) -> tuple[Ints, Floats]:
-    """Return the component of every point, (n,), and the signed volume that each encloses."""
-    n = len(positions)
-    links = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
-    graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
-    a, b, c = (positions[triangles[:, k]] for k in range(3))
-    signed = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
-    return label, np.bincount(label[triangles[:, 0]], weights=signed)
-
-
-def largest_component(positions: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """Return the component with the largest enclosed volume, wound outward, without unused points."""
-    label, volume = _components(positions, triangles)
-    chosen = int(np.abs(volume).argmax())
-    triangles = triangles[label[triangles[:, 0]] == chosen]
-    if volume[chosen] < 0.0:
-        triangles = triangles[:, ::-1]
-    used, inverse = np.unique(triangles, return_inverse=True)
-    return positions[used], inverse.reshape(-1, 3).astype(np.int32)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.array_types import Floats, Ints
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 
 _MOST_CELLS = 4e6
@@ -43,11 +43,11 @@ def distance_to_surface(points: Floats, positions: Floats, triangles: Ints) -> F
 class Cells(NamedTuple):
     """A grid over triangles, and the triangles whose box touches each cell."""
 
-    low: Any  # (3,) its low corner
+    low: Floats  # (3,) its low corner
     cell: float  # the edge of a cell
-    shape: Any  # (3,) how many cells
-    start: Any  # (cells + 1,) where the triangles of each cell start
-    member: Any  # the triangles, cell by cell
+    shape: Longs  # (3,) how many cells
+    start: Longs  # (cells + 1,) where the triangles of each cell start
+    member: Longs  # the triangles, cell by cell
 
 
 def listed_in_cells(corner: Floats) -> Cells:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 _LARGEST = 1e15
 _LONGEST = 4096  # characters of a name or path
 
-Fits = Callable[[Any], bool]
+Fits = Callable[[object], bool]
 
 
 def read_config(text: str) -> dict[str, Any]:
@@ -56,14 +56,16 @@ def check_config(config: Mapping[str, Any]) -> None:
         _check(organ, f"{where}.", {"name": _is_name, "digest": _is_name})
     _check(config["topics"], "topics.", dict.fromkeys(config["topics"], _is_name))
     _check(config["first"], "first.", dict.fromkeys(config["first"], _is_whole))
-    parameters, of_tool = config["parameters"], {"shape": _is_name, "radius": _is_number, "length": _is_number}
+    parameters = config["parameters"]
+    of_tool: dict[str, Fits] = {"shape": _is_name, "radius": _is_number, "length": _is_number, "mesh": _is_name}
     chosen: dict[str, Fits] = {"rate": _is_rate, "model": _is_name, "local_region": _is_name}
     chosen |= {name: _is_name for name in ("integrator", "return_target") if name in parameters}
     for tool in config["tools"]:
-        chosen |= {f"{tool}.{name}": fits for name, fits in {**of_tool, "mesh": _is_name}.items()}
+        chosen |= {f"{tool}.{name}": fits for name, fits in of_tool.items()}
         # Bags from before these parameters lack them.
         later: dict[str, Fits] = {"smoothing": _is_number, "links": _is_names}
-        later |= {"tip_link": _is_name, "jaw_joint": _is_name, "height": _is_number, "cautery_speed": _is_number}
+        later |= {"tip_link": _is_name, "jaw_joint": _is_name}
+        later |= {"height": _is_number, "cautery_speed": _is_number}
         chosen |= {f"{tool}.{name}": fits for name, fits in later.items() if f"{tool}.{name}" in parameters}
     _check(parameters, "parameters.", chosen)
     if parameters.get("return_target", "rest") != "rest":
@@ -83,33 +85,33 @@ def _check(values: Mapping[str, Any], where: str, wanted: Mapping[str, Fits]) ->
             raise ValueError(f"its configuration's '{where}{name}' is of another type")
 
 
-def _is_object(value: Any) -> bool:
+def _is_object(value: object) -> bool:
     return isinstance(value, dict)
 
 
-def _is_filled(value: Any) -> bool:
-    return _is_object(value) and len(value) > 0
+def _is_filled(value: object) -> bool:
+    return isinstance(value, dict) and len(value) > 0
 
 
-def _is_name(value: Any) -> bool:
+def _is_name(value: object) -> bool:
     return isinstance(value, str) and len(value) <= _LONGEST and (not value or value.isprintable())
 
 
-def _is_whole(value: Any) -> bool:
-    return type(value) is int and abs(value) < 2**62
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**62
 
 
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and abs(value) <= _LARGEST
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
 
 
-def _is_rate(value: Any) -> bool:
+def _is_rate(value: object) -> bool:
     return _is_number(value) and value > 0
 
 
-def _is_vector(value: Any) -> bool:
+def _is_vector(value: object) -> bool:
     return isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))
 
 
-def _is_names(value: Any) -> bool:
+def _is_names(value: object) -> bool:
     return isinstance(value, list) and all(map(_is_name, value)) and len(set(value)) == len(value)

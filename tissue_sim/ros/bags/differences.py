@@ -66,14 +66,14 @@ def differences(first: Described, second: Described) -> list[str]:
     """
     lines = []
 
-    def tell(what: str, one: Any, other: Any) -> None:
+    def report(what: str, one: object, other: object) -> None:
         if one != other:
             lines.append(f"{what}: {first.how} {shown(str(one), _LONGEST)}, {second.how} {shown(str(other), _LONGEST)}")
 
     if first.digest != second.digest:
-        tell("organ", f"{first.organ} ({first.digest[:12]})", f"{second.organ} ({second.digest[:12]})")
-    tell("package", f"tissue_sim {first.version}", f"tissue_sim {second.version}")
+        report("organ", f"{first.organ} ({first.digest[:12]})", f"{second.organ} ({second.digest[:12]})")
+    report("package", f"tissue_sim {first.version}", f"tissue_sim {second.version}")
     names = (first.parameters.keys() | second.parameters.keys()) - BESIDE_THE_POINT
     for name in sorted(names):
-        tell(f"parameter {name}", *(run.parameters.get(name, "nothing") for run in (first, second)))
+        report(f"parameter {name}", *(run.parameters.get(name, "nothing") for run in (first, second)))
     return lines

@@ -51,7 +51,7 @@ class Frame(NamedTuple):
 def frames_of(bag: Bag, every: int) -> list[Frame]:
     """Replay a bag, and return every so many ticks the organs' surfaces and the tools.
 
-    Tools stand where their poses were when a tick took them up, and carry the force that the hand felt.
+    Tools stand where their poses were when a tick took them up, and carry the force on the hand.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def _organ_part(name: str, surface: ShownSurface, scale: Floats) -> Part:
 
 
 class _ShownTool:
-    """A tool in the frames of some ticks (k,), body by body, with the force (k, 3) N that the hand felt."""
+    """A tool in the frames of some ticks (k,), body by body, with the force (k, 3) N on the hand."""
 
     def __init__(self, bag: Bag, tools: ToolSet, number: int, ticks: Longs, forces: Floats) -> None:
         self._tools, self._number, self._forces = tools, number, forces

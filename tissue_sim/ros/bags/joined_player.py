@@ -26,7 +26,7 @@ class JoinedPlayer:
         if not before:
             raise UserError("the bag doesn't record which inputs its state had used; its recording lost messages")
         self._newest = self._taken_at[max(before)]
-        self._shares = dict(
+        self._fractions = dict(
             zip(rows["respiration"]["respiration"].tolist(), rows["respiration"]["share"].tolist(), strict=True)
         )
         self._found_from = dict(zip(rows["pairs"]["pairs"].tolist(), rows["pair_ticks"].tolist(), strict=True))
@@ -51,7 +51,7 @@ class JoinedPlayer:
             self.joined.reset()
         row, before = self._taken_at.get(tick, self._newest), self._newest
         if row["respiration"] != before["respiration"]:
-            self.joined.set_breathing(self._share(int(row["respiration"])))
+            self.joined.set_breathing(self._fraction(int(row["respiration"])))
         if row["pairs"] != before["pairs"]:
             self.joined.take_pairs(self._pair_set(int(row["pairs"])))
         self._newest = row
@@ -60,10 +60,10 @@ class JoinedPlayer:
             if tick in needed:
                 kept[tick] = one.simulation.positions + one.simulation.state.carried
 
-    def _share(self, sequence: int) -> float:
-        if sequence not in self._shares:
+    def _fraction(self, sequence: int) -> float:
+        if sequence not in self._fractions:
             raise UserError(f"the bag has no respiration number {sequence}; its recording lost messages")
-        return float(self._shares[sequence])
+        return float(self._fractions[sequence])
 
     def _pair_set(self, sequence: int) -> OrganContactSet:
         whole = self._recording.pair_sets.get(sequence)

@@ -31,14 +31,14 @@ class JoinedRecorder:
         self._read = 0  # rows of the loop's journal
         self._notes: list[tuple[int, Sequence[int]]] = []
         self._newest: tuple[int, Longs] | None = None  # number and words of a set
-        self._newest_share = (0, 0.0)  # number, and fraction of the breath's way
-        self._shares = [self._newest_share]
+        self._newest_fraction = (0, 0.0)  # number, and fraction of the breath's way
+        self._fractions = [self._newest_fraction]
         self._state_tick = -1
 
     def begin(self) -> None:
         """Begin a bag; call it with `together` held."""
         self._read, self._notes, self._state_tick = int(self._box.journal_written[0]), [], -1
-        self._shares = [self._newest_share]
+        self._fractions = [self._newest_fraction]
         if self._newest is not None:
             self._whole_set(*self._newest)
 
@@ -89,19 +89,19 @@ class JoinedRecorder:
         if self._state_tick < 0 or min(ticks) <= self._state_tick or touches_itself:
             self._whole_set(*self._newest)
 
-    def respiration(self, sequence: int, share: float) -> None:
+    def respiration(self, sequence: int, fraction: float) -> None:
         """Record where the breath is to be; call it with `together` held since it was posted.
 
         Parameters
         ----------
         sequence : int
             Number of the message.
-        share : float
+        fraction : float
             Fraction of the breath's way.
         """
-        self._newest_share = sequence, share
+        self._newest_fraction = sequence, fraction
         if self._messages.active:
-            self._shares.append(self._newest_share)
+            self._fractions.append(self._newest_fraction)
 
     def rows(self) -> dict[str, NDArray[Any]]:
         """Return the journal's rows since the last call; to be called with `together` held."""
@@ -111,11 +111,11 @@ class JoinedRecorder:
         chosen = unread_rows(self._read, written)
         self._read = written
         noted, self._notes = self._notes, []
-        shares, self._shares = self._shares, []
+        fractions, self._fractions = self._fractions, []
         n_organs = len(self._joined.simulations)
         return {
             "joined": self._box.journal[chosen],
-            "respiration": np.array(shares, dtype=bag.RespirationRow.dtype),
+            "respiration": np.array(fractions, dtype=bag.RespirationRow.dtype),
             "pairs": np.array([(sequence,) for sequence, _ in noted], dtype=bag.PairRow.dtype),
             "pair_ticks": np.array([ticks for _, ticks in noted], dtype=np.int64).reshape(-1, n_organs),
         }

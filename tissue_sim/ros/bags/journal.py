@@ -52,8 +52,8 @@ def check_journal(rows: Mapping[str, NDArray[Any]], n_bodies: int, first_tick: i
         _check_rows(rows, kind, record, (len(rows[kind]) if kind in rows and rows[kind].ndim else 0,))
     for kind, (owner, record) in _BODIES.items():
         _check_rows(rows, kind, record, (len(rows[owner]), n_bodies))
-    told = [rows[kind]["tick"].astype(np.int64) for kind in SHOWING]
-    ticks = np.unique(np.concatenate([np.array([first_tick]), *told]))
+    ticks_shown = [rows[kind]["tick"].astype(np.int64) for kind in SHOWING]
+    ticks = np.unique(np.concatenate([np.array([first_tick]), *ticks_shown]))
     if ticks[0] < -1 or ticks[-1] > MOST_TICKS:
         raise ValueError(f"its journal contains tick {ticks[0] if ticks[0] < -1 else ticks[-1]}")
     ticks = ticks[ticks >= first_tick]

@@ -76,7 +76,7 @@ class _Live:
         self._tools: list[ScriptedTool] = []
         self._frames: list[str] = []  # of each tool's poses and forces
         self._wrenches: list[client.NewestMessage] = []
-        self._felt: list[dict[int, np.ndarray]] = []
+        self._answers: list[dict[int, np.ndarray]] = []
         self._forces: list[Publisher | None] = []
         self._shift: dict[int, int] = {}  # ns from the recording's stamps to those sent, by tool
 
@@ -87,13 +87,13 @@ class _Live:
         begun = time.monotonic()
         for tick in sorted(inputs):
             ahead = begun + 1e-9 * self._period * (tick - self._first) - time.monotonic()
-            self._tell(tick - 1)
+            self._publish_time(tick - 1)
             time.sleep(max(RAN, ahead))
             self._hear()
             for send in inputs[tick]:
                 send(self._stamp(tick))
             self._answered()
-            self._tell(tick)
+            self._publish_time(tick)
         time.sleep(ANSWERED)
         self._hear()
         return notes, self._shown()
@@ -106,7 +106,7 @@ class _Live:
         values = self._wait(parameters.poll, f"no answer from /{target}/get_parameters")
         notes = self._differing(values, client.mesh_arrays(mesh)[0])
         for tool in tools_of(recording.config):
-            link = ToolLink.told(values, tool.name, target)
+            link = ToolLink.from_parameters(values, tool.name, target)
             if link is None:
                 raise UserError(f"/{target} has no tool '{tool.name}', which the bag has")
             if link.topics.wrench_type != "WrenchStamped" or link.topics.turns_wrench or not link.to_organ.is_identity:
@@ -117,9 +117,11 @@ class _Live:
             self._frames.append(link.topics.frame_id)
             name = link.topics.names
             self._wrenches.append(client.NewestMessage(self._node, WrenchStamped, name["servo_cf"], KEEP, raw=True))
-            self._felt.append({})
+            self._answers.append({})
             self._forces.append(self._force_publisher(tool.name, name["external_cf"]))
-        self._wait(lambda: all(tool.heard for tool in self._tools) or None, "the node does not receive the poses")
+        self._wait(
+            lambda: all(tool.has_subscribers for tool in self._tools) or None, "the node does not receive the poses"
+        )
         self._wait(self._is_followed, f"/{target} sends nothing on /diagnostics")
         reset = self._node.create_client(Trigger, f"/{target}/reset")
         self._wait(lambda: reset.service_is_ready() or None, f"no service /{target}/reset")
@@ -153,7 +155,7 @@ class _Live:
         return notes
 
     def _is_followed(self) -> bool | None:
-        self._tell(self._first)
+        self._publish_time(self._first)
         status = client.physics_status(self._reports.take_all(), self._target)
         if status is not None and status.get("clock") == "wall":
             raise UserError(f"/{self._target} does not follow /clock: start it with use_sim_time:=true")
@@ -169,7 +171,7 @@ class _Live:
     def _stamp(self, tick: int) -> int:
         return self._origin + (tick - self._first) * self._period
 
-    def _tell(self, tick: int) -> None:
+    def _publish_time(self, tick: int) -> None:
         self._clock.publish(Clock(clock=Time(nanoseconds=self._stamp(tick)).to_msg()))
 
     def _inputs(self) -> dict[int, list[Callable[[int], None]]]:
@@ -221,25 +223,25 @@ class _Live:
             time.sleep(2e-4)
 
     def _hear(self) -> int:
-        heard = 0
-        for felt, inbox in zip(self._felt, self._wrenches, strict=True):
+        received = 0
+        for wrenches, inbox in zip(self._answers, self._wrenches, strict=True):
             for raw in inbox.take_all():
                 message = parse_stamped(raw, 6)
-                felt[self._tick(message.stamp)] = np.array(message.values)
-                heard += 1
+                wrenches[self._tick(message.stamp)] = np.array(message.values)
+                received += 1
         for cloud in self._surfaces.take_all():
             stamp = cloud.header.stamp.sec * 1_000_000_000 + cloud.header.stamp.nanosec
             self._shapes[self._tick(stamp)] = client.cloud_array(cloud)
-        return heard
+        return received
 
     def _tick(self, stamp: int) -> int:
         return self._first + round((stamp - self._origin) / self._period)
 
     def _shown(self) -> Shown:
-        ticks = [np.array(sorted(felt), dtype=np.int64) for felt in self._felt]
+        ticks = [np.array(sorted(wrenches), dtype=np.int64) for wrenches in self._answers]
         wrenches = [
-            np.array([felt[tick] for tick in own.tolist()]).reshape(-1, 6)
-            for felt, own in zip(self._felt, ticks, strict=True)
+            np.array([wrenches[tick] for tick in own.tolist()]).reshape(-1, 6)
+            for wrenches, own in zip(self._answers, ticks, strict=True)
         ]
         shapes = np.array(sorted(self._shapes), dtype=np.int64)
         surfaces = [self._shapes[tick][:, :3] for tick in shapes.tolist()] or np.zeros((0, 0, 3))

@@ -140,11 +140,11 @@ def _span(start: int, end: int, count: int) -> dict[str, Any]:
 
 
 def _topic(topic: Connection, count: int) -> dict[str, Any]:
-    told = {
+    topic_metadata = {
         "name": topic.topic,
         "type": topic.msgtype,
         "serialization_format": "cdr",
         "offered_qos_profiles": dump_qos_v9(qos_of(topic)),
         "type_description_hash": topic.digest,
     }
-    return {"topic_metadata": told, "message_count": count}
+    return {"topic_metadata": topic_metadata, "message_count": count}

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim.errors import UserError
+from tissue_sim.figures import empty_figure
 from tissue_sim.ros.bags.comparison import Deviation
 from tissue_sim.ros.bags.outcome import Outcome
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 RECORDED, REPLAYED = "#777777", "#b2182b"
 LEAST = 1e-18  # stands for a deviation of zero: the axis is logarithmic
@@ -59,11 +64,10 @@ def write_picture(path: Path, outcome: Outcome) -> None:
         When it can't be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
     wanted, found, rate = outcome.replayed.wanted, outcome.replayed.shown, outcome.rate
     tools = wanted.tools
-    figure = Figure(figsize=(9.0, 2.0 * (len(tools) + 2)), layout="constrained")
+    figure = empty_figure(9.0, 2.0 * (len(tools) + 2))
     FigureCanvasAgg(figure)
     axes = np.atleast_1d(figure.subplots(len(tools) + 2, sharex=True))
     for tool, (name, axis) in enumerate(zip(tools, axes[:-2], strict=True)):
@@ -83,7 +87,7 @@ def write_picture(path: Path, outcome: Outcome) -> None:
         raise UserError(f"cannot write {path}: {error.strerror}") from None
 
 
-def _deviation(axis: Any, rate: float, found: Deviation) -> None:
+def _deviation(axis: Axes, rate: float, found: Deviation) -> None:
     finite = np.where(np.isfinite(found.values), found.values, np.nan)
     axis.semilogy(found.ticks / rate, np.maximum(finite, LEAST), ".", markersize=3.0, color=REPLAYED)
     axis.axhline(found.tolerance, color=RECORDED, linestyle="--", linewidth=1.0)

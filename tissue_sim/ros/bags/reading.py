@@ -53,7 +53,7 @@ class Bag(Mapping[str, Series]):
     """What a bag holds, by name.
 
     Of each tool `left`: `left/position` m, `left/quaternion`, `left/angle` rad (grippers), as ticks took them up, and
-    `left/external_force` N; `left/force` N and `left/torque` N m as the hand felt them. Of each organ `kidney`:
+    `left/external_force` N; `left/force` N and `left/torque` N m on the hand. Of each organ `kidney`:
     `kidney/surface`, positions (k, n_surface, 3) m. All in the axes of the organ or the scene.
     """
 

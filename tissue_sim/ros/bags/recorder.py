@@ -158,7 +158,7 @@ class Recorder:
             writer.open()
         except OSError as error:
             raise UserError(f"cannot record to {path}: {error.strerror}") from None
-        patience = {one.names[name]: share for one in self.of_organ for name, share in PATIENCE.items()}
+        patience = {one.names[name]: fraction for one in self.of_organ for name, fraction in PATIENCE.items()}
         messages = self._messages
         with ExitStack() as kept:
             for one in self.of_organ:

@@ -34,7 +34,7 @@ OF_RUBBISH = (Exception,)
 HEADER, CHUNK, DATA_END = 0x01, 0x06, 0x0F  # opcodes of records
 LARGEST_CHUNK = 1 << 28  # bytes, unpacked; a recorder closes a chunk after some MB
 _UNPACKERS = {"zstd": zstd.ZstdDecompressor, "lz4": LZ4FrameDecompressor}
-ANEW = ".recovered"  # folder in a bag where a file is rewritten
+REWRITTEN = ".recovered"  # folder in a bag where a file is rewritten
 
 
 def is_interrupted(folder: Path) -> bool:
@@ -172,20 +172,20 @@ def _complete(folder: Path) -> int:
     store, files = get_typestore(Stores.ROS2_JAZZY), []
     with _opened(folder) as readers:
         for reader in readers:
-            told = reader.statistics
-            assert told is not None
-            counts = {topic.topic: told.channel_message_counts.get(topic.id, 0) for topic in reader.connections}
-            files.append(metadata.File(Path(str(reader.path)).name, told.start_time, told.end_time, counts))
+            statistics = reader.statistics
+            assert statistics is not None
+            counts = {topic.topic: statistics.channel_message_counts.get(topic.id, 0) for topic in reader.connections}
+            files.append(metadata.File(Path(str(reader.path)).name, statistics.start_time, statistics.end_time, counts))
         topics = [topic._replace(digest=store.hash_rihs01(topic.msgtype)) for topic in readers[0].connections]
         metadata.write(folder, files, topics)
     return files[-1].end - files[0].start
 
 
 def _rewrite(folder: Path, reader: McapReader) -> None:
-    anew = folder / ANEW
-    shutil.rmtree(anew, ignore_errors=True)  # left by a recovery that was broken off, too
+    rewritten = folder / REWRITTEN
+    shutil.rmtree(rewritten, ignore_errors=True)  # left by a recovery that was broken off, too
     try:
-        writer = BagWriter(anew)
+        writer = BagWriter(rewritten)
         writer.open()
         try:
             topics = {topic.topic: Topic(topic.msgtype, metadata.qos_of(topic)) for topic in reader.connections}
@@ -196,10 +196,10 @@ def _rewrite(folder: Path, reader: McapReader) -> None:
         except BaseException:
             writer.abort()
             raise
-        (made,) = anew.glob("*.mcap")
+        (made,) = rewritten.glob("*.mcap")
         made.replace(Path(str(reader.path)))
     finally:
-        shutil.rmtree(anew, ignore_errors=True)
+        shutil.rmtree(rewritten, ignore_errors=True)
 
 
 @contextmanager

@@ -69,20 +69,20 @@ def run(args: argparse.Namespace) -> int:
     for index, path in enumerate(paths):
         outcome = replay_bag(path, asked, f"{path}: " if len(paths) > 1 else "")
         outcomes.append(outcome)
-        print(columns.row(outcome) if len(paths) > 1 else "\n".join(told(outcome)), flush=True)
+        print(columns.row(outcome) if len(paths) > 1 else "\n".join(report_lines(outcome)), flush=True)
         if pictures:
             write_picture(pictures[index], outcome)
             print(f"{pictures[index]}: picture")
     if args.live:
         tolerances = Asked(args.live_force_tolerance, args.live_position_tolerance, organ)
         outcomes.append(replay_live(paths[0], tolerances, args.node))
-        print("\n".join(told(outcomes[-1])), flush=True)
+        print("\n".join(report_lines(outcomes[-1])), flush=True)
     if args.junit:
         write_junit(Path(args.junit), outcomes)
     return 0 if all(outcome.comparison.passes for outcome in outcomes) else 1
 
 
-def told(outcome: Outcome) -> list[str]:
+def report_lines(outcome: Outcome) -> list[str]:
     """Return the lines about the result of a bag."""
     replayed, found = outcome.replayed, outcome.comparison
     lines = [

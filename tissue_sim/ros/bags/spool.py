@@ -68,7 +68,7 @@ class Spool:
     def __init__(self, writer: BagWriter, topics: Mapping[str, Connection], patience: Mapping[str, float]) -> None:
         self._writer, self._topics = writer, list(topics.values())
         self._index = {name: index for index, name in enumerate(topics)}
-        self._most = {name: share * MOST_WAITING for name, share in patience.items()}
+        self._most = {name: fraction * MOST_WAITING for name, fraction in patience.items()}
         self._lock = threading.Lock()
         self._blocks: deque[_Block] = deque()
         self._count = self._waiting = 0  # messages, and bytes, that are not written yet
@@ -149,7 +149,7 @@ class Spool:
         try:
             self._write_all()
             writer.close()
-        except Exception as error:  # anything that goes wrong on the way to the disk
+        except Exception as error:  # any failure on the way to the disk
             with self._lock:
                 self._fail((isinstance(error, OSError) and error.strerror) or str(error))
             writer.abort()

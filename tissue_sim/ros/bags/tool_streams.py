@@ -54,11 +54,11 @@ def recorded_tool(path: Path, name: str | None) -> ToolStream:
     round_ones = [tool for tool in bag.tools if tool.shape == "sphere" and name in (None, tool.name)]
     if not round_ones:
         raise UserError(f"bag {path} has no spherical tool{f' {name}' if name else ''}; it has {', '.join(names)}")
-    felt = [tool for tool in round_ones if {f"{tool.name}/position", f"{tool.name}/force"} <= set(bag)]
-    if len(felt) != 1:
-        which = ", ".join(tool.name for tool in felt) or "none"
+    recorded = [tool for tool in round_ones if {f"{tool.name}/position", f"{tool.name}/force"} <= set(bag)]
+    if len(recorded) != 1:
+        which = ", ".join(tool.name for tool in recorded) or "none"
         raise UserError(f"bag {path}: tools with poses and forces: {which}; choose one with --tool")
-    tool = felt[0]
+    tool = recorded[0]
     positions, turns, forces = (bag[f"{tool.name}/{what}"] for what in ("position", "quaternion", "force"))
     known = forces.time >= positions.time[0]
     time = forces.time[known]

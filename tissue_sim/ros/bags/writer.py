@@ -203,14 +203,14 @@ class BagWriter(Writer):
         self.flush()
         file = self._file
         assert file is not None
-        told = metadata.File(file.path.name, file.message_start_time, file.message_end_time, dict(self._counts))
+        summary = metadata.File(file.path.name, file.message_start_time, file.message_end_time, dict(self._counts))
         descriptor = os.dup(file.bio.fileno())  # rosbags closes the file without an fsync
         try:
-            file.close(metadata.VERSION, metadata.as_yaml(metadata.information([told], self.connections)))
+            file.close(metadata.VERSION, metadata.as_yaml(metadata.information([summary], self.connections)))
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
-        self._files.append(told)
+        self._files.append(summary)
         self._file = self.storage = None
 
 

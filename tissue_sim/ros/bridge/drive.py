@@ -11,9 +11,8 @@ import numpy as np
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.ros.bridge.play import organ_of
+from tissue_sim.ros.bridge.served import served_by, write_missing
 from tissue_sim.ros.shared import client
-from tissue_sim.unexpected_errors import write_error
 
 if TYPE_CHECKING:
     from tissue_sim.environments.policies import Learned
@@ -35,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         metavar=("X", "Y", "Z"),
         help="point in the organ's frame, m, to which the surface point of the goal is nearest (default: the middle of"
-        " the front)",
+        " the front; of Retract the lower pole)",
     )
     add("--force", type=client.number(0.01, 20.0, "N"), default=0.3, help="wanted force, N")
     add("--seconds", type=client.number(0.1, 3600.0, "s"), help="longest time (default: that of the task's episodes)")
@@ -57,40 +56,33 @@ def run(args: argparse.Namespace) -> int:
     if learned.task == "Cut":
         raise UserError("a node has no tool like the blade of Cut, which meets no resistance; cut by the service ~/cut")
 
-    from shape_msgs.msg import Mesh
-
     from tissue_sim.ros.bridge.driven_tool import CLEAR, DrivenTool
     from tissue_sim.ros.shared.node_parameters import NodeParameters
 
     with client.Stop() as stop, client.client_node("drive", args.node) as node:
         parameters = NodeParameters(node, args.node)
-        with progress.task(f"waiting for /{args.node}"):
-            values = client.wait_until(parameters.poll, args.wait, stop)
-        if values is None:
-            return 0 if stop else _not_there(args, f"answer from /{args.node}/get_parameters")
-        link = link_of(values, args, task)
-        below = f"/{args.node}/{organ_of(values, args)}"
-        meshes = client.NewestMessage(node, Mesh, f"{below}mesh", client.latched_qos())
-        with progress.task(f"waiting for {below}mesh"):
-            mesh = client.wait_until(meshes.take, args.wait, stop)
-        if mesh is None:
-            return 0 if stop else _not_there(args, f"mesh on {below}mesh")
-        goal = goal_of(*client.mesh_arrays(mesh), args)
-        start = goal.place + (task.tool().radius + CLEAR) * goal.outward
-        tool = DrivenTool(node, args.node, link, below)
+        served = served_by(node, args, parameters, stop)
+        if served is None:
+            return 0 if stop else 1
+        link = link_of(served.values, args, task)
+        goal = goal_of(*client.mesh_arrays(served.mesh), args, task)
+        radius = 0.0 if task.has_jaws else task.tool().radius
+        start = goal.place + (radius + CLEAR) * goal.outward
+        tool = DrivenTool(node, args.node, link, served.prefix)
         with progress.task(f"waiting for wrenches of '{link.tool.name}'"):
             is_there = tool.meet(start, goal, args.wait, stop)
         if not is_there:
-            return 0 if stop else _not_there(args, f"wrench on /{args.node}/{link.tool.name}/wrench")
+            write_missing(args, f"wrench on /{args.node}/{link.tool.name}/wrench", stop)
+            return 0 if stop else 1
         progress.tell_by(None)  # nothing of it runs beside the poses
         steps = NAMES[learned.task] if args.seconds is None else round(args.seconds / STEP)
         done = tool.drive(learned, goal, start, steps, stop)
         tool.leave(done.tip, goal)
-    print(told(learned, goal, done, STEP))
+    print(result_line(learned, goal, done, STEP))
     return 0 if done.is_met or bool(stop) else 1
 
 
-def told(learned: Learned, goal: Goal, done: Done, step: float) -> str:
+def result_line(learned: Learned, goal: Goal, done: Done, step: float) -> str:
     """Return the line about what an agent did."""
     x, y, z = 1e3 * done.tip
     after = (
@@ -101,9 +93,9 @@ def told(learned: Learned, goal: Goal, done: Done, step: float) -> str:
     way = done.tip - goal.place
     beside = 1e3 * float(np.linalg.norm(way - (way @ goal.outward) * goal.outward))
     force = float(done.force @ goal.outward)
-    wanted = "" if learned.task == "Retract" else f" of {goal.force:.3f} N"
-    share = f" in {100.0 * done.share:.0f} % of the steps" if learned.task == "Hold" else ""
-    met = f"goal {'' if done.is_met else 'not '}met{share}"
+    wanted = "" if learned.task == "Retract" else f" of {goal.wanted:.3f} N"
+    fraction = f" in {100.0 * done.fraction:.0f} % of the steps" if learned.task == "Hold" else ""
+    met = f"goal {'' if done.is_met else 'not '}met{fraction}"
     return f"{learned.task}: {met}: {force:.3f} N{wanted}, {beside:.1f} mm beside the place, {after}"
 
 
@@ -114,15 +106,17 @@ def link_of(values: Mapping[str, Any], args: argparse.Namespace, task: Task) -> 
 
     there = tuple(values.get("tools", ()))
     name = args.tool or (there[0] if there else "")
-    link = ToolLink.told(values, name, args.node)
+    link = ToolLink.from_parameters(values, name, args.node)
     if link is None:
         raise UserError(f"/{args.node} has no tool '{name}'; it has {', '.join(there) or 'none'}: choose with --tool")
     check_tool(task, link.tool, args.node)
     return link
 
 
-def goal_of(vertices: Floats, triangles: Any, args: argparse.Namespace) -> Goal:
-    """Return the goal at the surface point nearest to the place that is chosen."""
+def goal_of(vertices: Floats, triangles: Any, args: argparse.Namespace, task: Task) -> Goal:
+    """Return the goal at the surface point nearest to the place that is chosen, or a grasp from its side."""
+    from tissue_sim.contact.grasp import lower_pole
+    from tissue_sim.environments.tasks import Retract
     from tissue_sim.organ.normals import surface_normals
     from tissue_sim.ros.bridge.contact_locations import FRONT, Surface
     from tissue_sim.ros.bridge.driven_tool import Goal
@@ -134,9 +128,10 @@ def goal_of(vertices: Floats, triangles: Any, args: argparse.Namespace) -> Goal:
     else:
         place = np.array(args.place)
     node = int(np.argmin(np.linalg.norm(vertices - place, axis=1)))
-    return Goal(node, vertices[node], surface_normals(vertices, triangles)[node], args.force)
-
-
-def _not_there(args: argparse.Namespace, what: str) -> int:
-    write_error(f"tissue_sim drive: no {what} within {args.wait:g} s; start tissue_node, or name yours with --node\n")
-    return 1
+    outward = surface_normals(vertices, triangles)[node]
+    if not isinstance(task, Retract):
+        return Goal(node, vertices[node], vertices[node], outward, args.force)
+    grasp = task.grasp(vertices, triangles, lower_pole(vertices)[0] if args.place is None else outward)
+    place = grasp.place + grasp.depth * grasp.out
+    node = int(np.argmin(np.linalg.norm(vertices - place, axis=1)))
+    return Goal(node, vertices[node], place, grasp.out, grasp.width, grasp.turn, grasp.opened)

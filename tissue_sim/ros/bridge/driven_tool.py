@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +14,8 @@ from sensor_msgs.msg import PointCloud2
 from tissue_sim.array_types import Floats, Mask
 from tissue_sim.contact.tools import Tool
 from tissue_sim.environments.policies import Learned
-from tissue_sim.environments.steering import Sensed, clipped, declared, facing, moved_jaws, moved_tip, observation_of
-from tissue_sim.environments.tasks import HELD, OPEN, STEP, Judged, Now, Task, task_of
+from tissue_sim.environments.steering import Sensed, clipped, declared, moved_jaws, moved_tip, observation_of
+from tissue_sim.environments.tasks import HELD, STEP, Judged, Now, Task, task_of
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
 from tissue_sim.ros.shared import client
@@ -24,16 +25,19 @@ from tissue_sim.ros.shared.tool_link import ToolLink
 POSES = 5  # of a step: a bridge sends more often than an agent decides
 CLEAR = 0.006  # m from the surface to the tool at the beginning
 AWAY = 0.03  # m outwards to which it goes in the end
-ANSWERED = 3  # poses outside that the node answers before it begins: a tool first heard inside is held off
+ANSWERED = 3  # poses outside that the node answers before it begins: a tool whose first pose is inside is held off
 
 
 class Goal(NamedTuple):
     """What an agent is to do."""
 
     node: int  # of the surface, at the place
+    rest: Floats  # (3,) m, where that node is at rest
     place: Floats  # (3,) m
     outward: Floats  # (3,)
-    force: float  # N
+    wanted: float  # N of force, or m of the width between jaws
+    turn: Floats = np.array([0.0, 0.0, 0.0, 1.0])  # (4,) of the tool, xyzw
+    angle: float = 0.0  # rad between its jaws at the beginning
 
 
 class Done(NamedTuple):
@@ -41,10 +45,10 @@ class Done(NamedTuple):
 
     is_met: bool  # the goal was met for as many steps as in the environment, or the agent said: here it is
     steps: int
-    share: float  # of the steps in which the goal was met
+    fraction: float  # of the steps in which the goal was met
     late: int  # steps that began more than a tenth of a step late
     tip: Floats  # (3,) m, where the tool was in the end
-    force: Floats  # (3,) N that the hand felt then
+    force: Floats  # (3,) N on the hand then
 
 
 class DrivenTool:
@@ -75,13 +79,13 @@ class DrivenTool:
     def meet(self, start: Floats, goal: Goal, longest: float, stop: client.Stop) -> bool:
         """Hold the tool outside until the node answers; return whether it does within some s."""
         if self._has_jaws:
-            self._turn, self._angle = facing(-goal.outward), OPEN
+            self._turn, self._angle = goal.turn, goal.angle
 
-        def is_heard() -> bool:
+        def is_connected() -> bool:
             self._send(start)
             return self.answers >= ANSWERED
 
-        return bool(client.wait_until(is_heard, longest, stop))
+        return bool(client.wait_until(is_connected, longest, stop))
 
     def drive(self, learned: Learned, goal: Goal, start: Floats, steps: int, stop: client.Stop) -> Done:
         """Let an agent move the tool, until its goal is met as in its environment, or for so many steps.
@@ -110,9 +114,9 @@ class DrivenTool:
             opened = moved_jaws(np.array([self._angle]), given)[0] if task.has_jaws else 0.0
             before_angle = self._angle
             for part in range(1, POSES + 1):
-                share = part / POSES
-                self._angle = before_angle + share * (opened - before_angle)
-                self._send(before + share * (tip - before), began + (count + share) * STEP)
+                fraction = part / POSES
+                self._angle = before_angle + fraction * (opened - before_angle)
+                self._send(before + fraction * (tip - before), began + (count + fraction) * STEP)
             count += 1
             judged = self._judge(task, goal, tip, declared(task, given))
             held = held + 1 if judged.is_good[0] else 0
@@ -146,23 +150,23 @@ class DrivenTool:
             angle=np.array([self._angle]),
             place=goal.place[None],
             outward=goal.outward[None],
-            wanted=np.array([goal.force]),
+            wanted=np.array([goal.wanted]),
         )
 
     def _judge(self, task: Task, goal: Goal, tip: Floats, says: Mask) -> Judged:
         if (surface := self._surface.take()) is not None:
             self._moved = client.cloud_array(surface)[:, :3].astype(np.float64)
-        there = self._moved[goal.node] if goal.node < len(self._moved) else goal.place
+        there = self._moved[goal.node] if goal.node < len(self._moved) else goal.rest
         force = self.wrench[:3]
         return task.judge(
             Now(
                 place=goal.place[None],
                 outward=goal.outward[None],
-                wanted=np.array([goal.force]),
+                wanted=np.array([goal.wanted]),
                 tip=tip[None],
                 pushed=np.array([force @ goal.outward]),
-                felt=np.array([np.linalg.norm(force)]),
-                lifted=np.array([(there - goal.place) @ goal.outward]),
+                force=np.array([np.linalg.norm(force)]),
+                lifted=np.array([(there - goal.rest) @ goal.outward]),
                 declared=says,
             )
         )
@@ -171,10 +175,16 @@ class DrivenTool:
 def check_tool(task: Task, tool: Tool, node: str) -> None:
     """Raise UserError where a node's tool isn't the one that a task was learned with."""
     wanted = task.tool()
-    if tool.shape != wanted.shape or abs(tool.radius - wanted.radius) > 1e-6 or abs(tool.length - wanted.length) > 1e-6:
-        length = f" -p {tool.name}.length:={wanted.length:g}" if wanted.shape != "sphere" else ""
+    if wanted.has_jaws:
+        # A node may have its meshes in another folder.
+        if (tool.shape, Path(tool.mesh).name, tool.length) != (wanted.shape, Path(wanted.mesh).name, wanted.length):
+            raise UserError(
+                f"tool '{tool.name}' of /{node} isn't the gripper that the policy was learned with: start the node with"
+                " --params-file config/gripper.yaml"
+            )
+    elif tool.shape != wanted.shape or abs(tool.radius - wanted.radius) > 1e-6:
         raise UserError(
             f"tool '{tool.name}' of /{node} is a {tool.shape} with a radius of {1e3 * tool.radius:g} mm; the policy was"
             f" learned with another one: start the node with -p {tool.name}.shape:={wanted.shape}"
-            f" -p {tool.name}.radius:={wanted.radius:g}{length}"
+            f" -p {tool.name}.radius:={wanted.radius:g}"
         )

@@ -175,18 +175,18 @@ class Path:
         n = int(np.ceil(self.rate * max(least, SHORTEST if least > 1e-6 else 0.0, leg.seconds) - 1e-9))
         if n == 0:
             return self
-        share = minimum_jerk(np.arange(1, n + 1) / n)
+        fraction = minimum_jerk(np.arange(1, n + 1) / n)
         places = [
-            np.stack([np.interp(share * length[-1], length, axis) for axis in way.T], axis=1)
+            np.stack([np.interp(fraction * length[-1], length, axis) for axis in way.T], axis=1)
             for way, length in zip(ways, along, strict=True)
         ]
-        rotations = [Slerp([0.0, 1.0], pair)(share).as_quat() for pair in turns]
+        rotations = [Slerp([0.0, 1.0], pair)(fraction).as_quat() for pair in turns]
         out = np.array([leg.outward.get(tool, np.zeros(3)) for tool in range(len(before))])
         return replace(
             self,
             phases=np.append(self.phases, [leg.phase] * n),
             poses=np.concatenate([self.poses, np.concatenate([places, rotations], axis=2).swapaxes(0, 1)]),
-            angles=np.concatenate([self.angles, shut + share[:, None] * opening]),
+            angles=np.concatenate([self.angles, shut + fraction[:, None] * opening]),
             outward=np.concatenate([self.outward, np.broadcast_to(out, (n, *out.shape))]),
         )
 

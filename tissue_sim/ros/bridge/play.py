@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from typing import Any
 
 from tissue_sim import progress
-from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge.script import ACTIONS, check
+from tissue_sim.ros.bridge.served import served_by
 from tissue_sim.ros.shared import client
-from tissue_sim.unexpected_errors import write_error
 
 MATCHING = 3.0  # s, at most, for DDS to bring the tools' topics together
 
@@ -48,8 +46,6 @@ def run(args: argparse.Namespace) -> int:
     if args.script:
         check(args.script, args.tools)
 
-    from shape_msgs.msg import Mesh
-
     from tissue_sim.ros.bridge.contact_locations import Surface
     from tissue_sim.ros.bridge.player import Player, cast
     from tissue_sim.ros.bridge.registration import Registration
@@ -60,25 +56,18 @@ def run(args: argparse.Namespace) -> int:
 
     with client.Stop() as stop, client.client_node("haptic_bridge", args.node) as node:
         parameters = NodeParameters(node, args.node)
-        with progress.task(f"waiting for /{args.node}"):
-            values = client.wait_until(parameters.poll, args.wait, stop)
-        if values is None:
-            return 0 if stop else _not_there(args, f"answer from /{args.node}/get_parameters")
-        topic = f"/{args.node}/{organ_of(values, args)}mesh"
-        meshes = client.NewestMessage(node, Mesh, topic, client.latched_qos())
-        with progress.task(f"waiting for {topic}"):
-            mesh = client.wait_until(meshes.take, args.wait, stop)
-        if mesh is None:
-            return 0 if stop else _not_there(args, f"mesh on {topic}")
-        links, script, jaws, radius = cast(values, args)
+        served = served_by(node, args, parameters, stop)
+        if served is None:
+            return 0 if stop else 1
+        links, script, jaws, radius = cast(served.values, args)
         tools = [ScriptedTool(node, link, link.tool.name in jaws) for link in links]
-        organ: Any = client.mesh_arrays(mesh)
-        client.wait_until(lambda: all(tool.heard for tool in tools), MATCHING, stop)
+        organ: Any = client.mesh_arrays(served.mesh)
+        client.wait_until(lambda: all(tool.has_subscribers for tool in tools), MATCHING, stop)
         registration = Registration(node, args.node, parameters)
 
         def relinked() -> dict[str, ToolLink]:
-            told = registration.poll() or {}
-            found = {link.tool.name: ToolLink.told(told, link.tool.name, args.node) for link in links}
+            changed = registration.poll() or {}
+            found = {link.tool.name: ToolLink.from_parameters(changed, link.tool.name, args.node) for link in links}
             return {name: link for name, link in found.items() if link is not None}
 
         player = Player(tools, args.seconds, relinked)
@@ -92,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
                 flush=True,
             )
             progress.tell_by(None)  # nothing of it runs beside the poses
-            organ = player.play(path, stop, meshes, vertices)
+            organ = player.play(path, stop, served.meshes, vertices)
             if organ is not None:
                 print("the node has another organ", flush=True)
         peaks = ", ".join(f"{tool.name} {tool.peak:.2f} N" for tool in tools)
@@ -100,25 +89,3 @@ def run(args: argparse.Namespace) -> int:
         late = f", {player.skipped} skipped" if player.skipped else ""
         print(f"{sent} poses sent{late}, {received} wrenches received, peak force: {peaks}", flush=True)
     return 0
-
-
-def organ_of(values: Mapping[str, Any], args: argparse.Namespace) -> str:
-    """Return the prefix of the organ's topics below the node's name: in a scene its name.
-
-    Raises
-    ------
-    UserError
-        For an organ that the node doesn't have.
-    """
-    from tissue_sim.ros.shared.parameters import TOLD
-
-    names = list(values.get(TOLD, ()))  # a node without this parameter has one organ
-    if args.organ and args.organ not in names:
-        there = f"it serves {', '.join(names)}" if names else "it serves one organ, without a name"
-        raise UserError(f"/{args.node} has no organ '{args.organ}': {there}")
-    return f"{args.organ or names[0]}/" if names else ""
-
-
-def _not_there(args: argparse.Namespace, what: str) -> int:
-    write_error(f"tissue_sim bridge: no {what} within {args.wait:g} s; start tissue_node, or name yours with --node\n")
-    return 1

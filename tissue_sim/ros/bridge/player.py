@@ -47,7 +47,7 @@ def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
         if there and name not in there:
             raise UserError(f"/{args.node} has no tool '{name}'; it has {', '.join(there)}: choose with --tools")
     links = [
-        ToolLink.told(values, name, args.node) or ToolLink.by_default(name, "organ")
+        ToolLink.from_parameters(values, name, args.node) or ToolLink.by_default(name, "organ")
         for name in args.tools or there or TOOLS
     ]
     script = args.script or SCRIPT[: len(SCRIPT) if len(links) > 1 else -1]
@@ -68,7 +68,7 @@ def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
 class Player:
     """Sends a path's poses for so many seconds; late ones are left out, so that speeds stay true.
 
-    relinked: asked before each pose, gives the tools' links anew, by their names, where the organ was moved.
+    relinked: asked before each pose, gives the tools' links again, by their names, where the organ was moved.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Player:
         self._tools, self._relinked = tools, relinked
         self._end = np.inf if seconds is None else time.monotonic() + seconds
         self.skipped = 0
-        self._told: set[str] = set()  # tools whose other publishers were reported
+        self._warned: set[str] = set()  # tools whose other publishers were reported
 
     def play(self, path: Path, stop: client.Stop, meshes: client.NewestMessage, organ: Floats) -> Any:
         """Play a path repeatedly until the time is over, a signal asks for it, or the node has another organ.
@@ -122,8 +122,8 @@ class Player:
 
     def _warn_of_other_publishers(self) -> None:
         for tool in self._tools:
-            if tool.name not in self._told and tool.rivals() > 0:
-                self._told.add(tool.name)
+            if tool.name not in self._warned and tool.rivals() > 0:
+                self._warned.add(tool.name)
                 what = f"{tool.topic} has another publisher: {tool.name} jumps between the two"
                 sys.stderr.write(f"tissue_sim bridge: {what}\n")
 

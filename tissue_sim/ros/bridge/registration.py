@@ -14,7 +14,7 @@ from tissue_sim.ros.shared.node_parameters import NodeParameters
 
 
 class Registration:
-    """Reads the parameters of the node `target` anew after its diagnostics tell that `organ_pose` has changed."""
+    """Reads the parameters of the node `target` again after its diagnostics tell that `organ_pose` has changed."""
 
     def __init__(self, node: Node, target: str, parameters: NodeParameters) -> None:
         self._target, self._parameters = target, parameters
@@ -22,9 +22,9 @@ class Registration:
         self._count: str | None = None  # of the newest report, how often the organ was registered
 
     def poll(self) -> Mapping[str, Any] | None:
-        """Return the node's parameters once they have been read anew, else None. Doesn't wait."""
-        told = client.physics_status(self._reports.take_all(), self._target)
-        if told is not None and told.get("registrations") != self._count:
-            self._count = told.get("registrations")
+        """Return the node's parameters once they have been read again, else None. Doesn't wait."""
+        status = client.physics_status(self._reports.take_all(), self._target)
+        if status is not None and status.get("registrations") != self._count:
+            self._count = status.get("registrations")
             self._parameters.ask()
         return self._parameters.poll()

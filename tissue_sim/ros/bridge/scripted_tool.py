@@ -65,8 +65,8 @@ class ScriptedTool:
         self._jaws.publish(self._joint)
 
     @property
-    def heard(self) -> bool:
-        """Whether somebody subscribes to the poses, and to the jaws if there are any."""
+    def has_subscribers(self) -> bool:
+        """Whether the poses have a subscriber, and to the jaws if there are any."""
         publishers = [self._publisher] if self._jaws is None else [self._publisher, self._jaws]
         return all(publisher.get_subscription_count() for publisher in publishers)
 

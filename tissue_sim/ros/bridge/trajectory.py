@@ -78,8 +78,8 @@ class _Planner:
     def stroke(self) -> None:
         """Move the first tool along the front, pressed in evenly."""
         touches, depth = self._surface.stroke_line(self._stroke_depth), self._stroke_depth
-        share = np.linspace(0.0, 1.0, len(touches))
-        line = CubicSpline(share, [touch.place for touch in touches])(np.linspace(0.0, 1.0, 20 * len(touches)))
+        fraction = np.linspace(0.0, 1.0, len(touches))
+        line = CubicSpline(fraction, [touch.place for touch in touches])(np.linspace(0.0, 1.0, 20 * len(touches)))
         self._enter("stroke", {0: touches[0]}, HOVER + depth)
         self._then(Leg("press", {0: touches[0].place}, PRESS))
         self._then(Leg("draw", {0: line}, STROKE))

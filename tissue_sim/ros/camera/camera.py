@@ -1,4 +1,4 @@
-"""The camera's work for each picture: take the newest of everything, draw it, publish what somebody wants."""
+"""The camera's work for each picture: take the newest of everything, draw it, publish what has subscribers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.messages import NumbersTemplate
 from tissue_sim.ros.shared.node_parameters import NodeParameters
 from tissue_sim.ros.shared.organ_topics import path_of
-from tissue_sim.ros.shared.parameters import TOLD
+from tissue_sim.ros.shared.parameter_specs import ORGANS
 from tissue_sim.ros.shared.qos import RELIABLE
 from tissue_sim.ros.shared.tool_messages import N_POSE
 
@@ -135,7 +135,7 @@ class Camera:
         self._ligaments.take()
 
     def _use(self, values: Mapping[str, Any]) -> None:
-        names = tuple(values.get(TOLD, ())) or ("",)
+        names = tuple(values.get(ORGANS, ())) or ("",)
         if names != tuple(one.name for one in self._organs):
             for one in self._organs:
                 one.remove()
@@ -158,7 +158,7 @@ class Camera:
             self._broadcast.move(stamp, {self._settings.frame_id: (self._frame_id, pose)})
 
     def _report(self, now: float) -> None:
-        """Ask for the parameters again where the organ was registered anew; publish how the pictures go."""
+        """Ask for the parameters again where the organ was registered again; publish how the pictures go."""
         lasted = now - self._reported
         if lasted < REPORT_EVERY:
             return
@@ -171,9 +171,9 @@ class Camera:
         rate, mean = (len(self._took) - 1) / lasted, sum(self._took) / max(len(self._took) - 1, 1)
         values = {"rate_hz": f"{rate:.1f}", "picture_ms": f"{1e3 * mean:.2f}", "pictures": str(self.pictures)}
         values["drawn_by"] = self.drawn.drawn_by
-        told = DiagnosticStatus(name=f"{self._settings.name}: pictures", message="running" if rate else "idle")
-        told.values = [KeyValue(key=key, value=value) for key, value in values.items()]
-        message = DiagnosticArray(status=[told])
+        own = DiagnosticStatus(name=f"{self._settings.name}: pictures", message="running" if rate else "idle")
+        own.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+        message = DiagnosticArray(status=[own])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._own_reports.publish(message)
         self._took, self._reported = [0.0], now

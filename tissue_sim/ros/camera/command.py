@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from tissue_sim.ros.camera.settings import CameraSettings
     from tissue_sim.ros.camera.viewpoint import Viewpoint
 
-IDLE_TIME = 0.2  # s between two checks while nobody subscribes
+IDLE_TIME = 0.2  # s between two checks without subscribers
 RECORDED = ("image_raw/compressed", "camera_info")
 RECORDED_DEPTH = ("depth/image_raw", "depth/camera_info", "segmentation/image_raw", "segmentation/camera_info")
 
@@ -65,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=client.number(0.005, 2.0, "m"),
         help="distance from the light at which tissue is exposed well, m",
     )
-    add("--record", metavar="BAG", help="folder for a bag of the compressed images, made anew")
+    add("--record", metavar="BAG", help="folder for a bag of the compressed images, made again")
     add("--record-depth", action="store_true", help="with --record, the images of depth and segmentation, too")
     add(
         "--nice",
@@ -90,16 +89,12 @@ def run(args: argparse.Namespace) -> int:
         progress.tell_by(None)
         print(
             f"/{settings.name}: {settings.lens.width} x {settings.lens.height} at {settings.rate:g} Hz, drawn by"
-            f" {camera.drawn.drawn_by}; drawn when somebody subscribes",
+            f" {camera.drawn.drawn_by}; drawn when there are subscribers",
             flush=True,
         )
+        period = 1.0 / settings.rate
         try:
-            due = time.monotonic()
-            while not stop:
-                period = 1.0 / settings.rate if camera.update() else min(IDLE_TIME, 1.0 / settings.rate)
-                now = time.monotonic()
-                due = max(due + period, now + 0.001)
-                time.sleep(due - now)
+            client.repeat(stop, lambda: period if camera.update() else min(IDLE_TIME, period))
         finally:
             camera.close()
         if camera.bag is not None and camera.bag.problem:

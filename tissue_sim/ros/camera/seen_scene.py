@@ -25,7 +25,7 @@ from tissue_sim.ros.shared.organ_topics import path_of
 FIRST_ORGAN, LIGAMENTS, FIRST_TOOL = 1, 100, 101  # labels
 STEEL = (0.62, 0.64, 0.67)
 LIGAMENT_BODY = "ligaments"
-SILENT_AFTER = 3.0  # s without markers, after which nobody knows where the tools are
+SILENT_AFTER = 3.0  # s without markers, after which the tools' poses are unknown
 
 
 class SeenOrgan:
@@ -89,12 +89,12 @@ class SeenOrgan:
         """Draw the surface at rest; where a cut goes through an inclusion, its walls have the colour of that."""
         if self.rest is None:
             return
-        look, share = self._look, np.zeros(len(self.rest))
+        look, fraction = self._look, np.zeros(len(self.rest))
         if self._inclusions is not None and len(self._inclusions[1]):
             vertices, triangles = self._inclusions
             look = replace(look, inner=screen(INCLUSION))
-            share = inside(self.rest, vertices, triangles.astype(np.int32)).astype(float)
-        self._drawn.add(self._body, self.rest, self._triangles, look, share)
+            fraction = inside(self.rest, vertices, triangles.astype(np.int32)).astype(float)
+        self._drawn.add(self._body, self.rest, self._triangles, look, fraction)
         if self._positions is not None and self._positions.shape == self.rest.shape:
             self._drawn.move(self._body, self._positions)
 
@@ -159,7 +159,7 @@ class SeenTools:
         self._drawn = drawn
         self._names: tuple[str, ...] = ()  # of the tools, in order
         self._shapes: dict[str, tuple[Any, ...]] = {}  # of each body
-        self._heard = -np.inf
+        self._last_message = -np.inf
 
     def use(self, names: Sequence[str]) -> None:
         """Use the order of the node's tools for their labels."""
@@ -168,13 +168,13 @@ class SeenTools:
             self._clear()
 
     def take(self) -> None:
-        """Take what has come; tools of which nothing is heard any more are not drawn."""
+        """Take what has come; tools of which no message comes any more are not drawn."""
         message, now = self._markers.take(), time.monotonic()
         if message is None:
-            if now - self._heard > SILENT_AFTER:
+            if now - self._last_message > SILENT_AFTER:
                 self._clear()
             return
-        self._heard = now
+        self._last_message = now
         parts = [marker for marker in message.markers if marker.type != Marker.ARROW]
         there = {f"tool/{marker.ns}/{marker.id}" for marker in parts}
         for body in set(self._shapes) - there:

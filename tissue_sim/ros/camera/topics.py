@@ -19,7 +19,7 @@ Keep = Callable[[str, int, bytes], None]  # takes a topic, a time, ns, and a mes
 
 
 class EyeTopics:
-    """Publishers of one camera, which make only what somebody subscribes or records.
+    """Publishers of one camera, which make only what is subscribed to or recorded.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from tissue_sim.ros.node.input.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.cdr import check_position, unit_pose
 from tissue_sim.ros.shared.frames import Frames, Transform, UnknownFrame
-from tissue_sim.ros.shared.parameters import frames_of_node
+from tissue_sim.ros.shared.parameter_values import frames_of_node
 
 # Axes of a pose: those of an optical frame are x right, y down, z forward; those of a body x forward, y left, z up
 # (REP-103).
@@ -66,16 +66,16 @@ class FromTopic:
         Topic of a PoseStamped.
     axes : Transform
         Of AXES.
-    tell : Callable[[str], object]
+    warn : Callable[[str], object]
         Takes a line about a pose that can't be used.
     """
 
-    def __init__(self, node: Node, topic: str, axes: Transform, tell: Callable[[str], object]) -> None:
+    def __init__(self, node: Node, topic: str, axes: Transform, warn: Callable[[str], object]) -> None:
         self._inbox = client.NewestMessage(node, PoseStamped, topic, client.stream_qos())
-        self._node, self._axes, self._tell = node, axes, tell
+        self._node, self._axes, self._warn = node, axes, warn
         self._frames: Frames | None = None
         self._organ_frame, self._said = "", ""
-        self._given: PoseStamped | None = None  # the newest message, which is placed anew for every picture
+        self._given: PoseStamped | None = None  # the newest message, which is placed again for every picture
 
     def use(self, values: Mapping[str, Any]) -> None:
         """Use the parameters of the node, by name, for the frames that they place."""
@@ -93,7 +93,7 @@ class FromTopic:
         except (ValueError, UnknownFrame) as error:
             line = f"no pictures: the camera's pose in frame '{frame_id}' can't be used: {error}"
             if line != self._said:
-                self._tell(line)
+                self._warn(line)
             self._said = line
             return None
 

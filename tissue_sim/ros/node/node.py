@@ -47,7 +47,7 @@ from tissue_sim.ros.node.settings.live_settings import LiveSettings
 from tissue_sim.ros.node.shared.backlog import Backlog, executor_of
 from tissue_sim.ros.node.shared.duplicate_nodes import DuplicateNodes
 from tissue_sim.ros.node.shared.guarded_node import GuardedNode
-from tissue_sim.ros.node.shared.served_organ import ServedOrgan, ServedScene, told
+from tissue_sim.ros.node.shared.served_organ import ServedOrgan, ServedScene, described
 from tissue_sim.ros.node.shared.served_tool import ServedTool
 from tissue_sim.ros.node.shared.shared_parts import SharedParts
 from tissue_sim.ros.node.shared.sim_clock import SimClock
@@ -57,7 +57,8 @@ from tissue_sim.ros.node.tools.wrench_replies import WrenchReplies
 from tissue_sim.ros.shared.dds import describe_discovery
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
-from tissue_sim.ros.shared.parameters import Parameters, frames_of, frames_of_node, placed_frames, tool_of, topics_of
+from tissue_sim.ros.shared.parameter_values import frames_of, frames_of_node, placed_frames, tool_of, topics_of
+from tissue_sim.ros.shared.parameters import Parameters
 from tissue_sim.ros.shared.priority import below, prefer
 from tissue_sim.ros.shared.qos import LATCHED
 from tissue_sim.ros.shared.report import Report, Reports
@@ -190,8 +191,8 @@ class TissueNode(GuardedNode):
         simulations = self.scene.simulations
         substeps = max(int(max(one.settings.substeps, one.settings.least_substeps)) for one in simulations)
         self.get_logger().info(
-            f"{told(self.scene.names, self.scene.organs)}; model {simulations[0].variant}, {simulations[0].rate:g} Hz,"
-            f" {substeps} substeps; tools: {', '.join(self.parameters.tools)}; {describe_discovery()}"
+            f"{described(self.scene.names, self.scene.organs)}; model {simulations[0].variant}, {simulations[0].rate:g}"
+            f" Hz, {substeps} substeps; tools: {', '.join(self.parameters.tools)}; {describe_discovery()}"
         )
 
         self._ready.publish(Bool(data=True))

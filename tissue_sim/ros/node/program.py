@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import NoReturn
 
 from tissue_sim.ros.shared.shutdown_handler import Interrupted, ShutdownHandler
-from tissue_sim.unexpected_errors import catch_all, tell
+from tissue_sim.unexpected_errors import catch_all, report_error
 
 
 def run() -> NoReturn:
@@ -26,7 +26,7 @@ def run() -> NoReturn:
     except Exception as error:
         # A library that was being loaded may have turned Interrupted into an error of its own.
         if ending is None or not ending.interrupted:
-            tell(error, "tissue_node")
+            report_error(error, "tissue_node")
             code = 1
     with suppress(OSError):  # full or gone
         sys.stdout.flush()

@@ -17,14 +17,14 @@ from tissue_sim.errors import UserError, shown, stop_output
 from tissue_sim.ros.node.node import NAME, TissueNode
 from tissue_sim.ros.shared import dds
 from tissue_sim.ros.shared.executors import OLD_RCLPY, make_executor
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, Spec
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS, Spec
 from tissue_sim.ros.shared.shutdown_handler import Interrupted, ShutdownHandler
-from tissue_sim.unexpected_errors import tell, told, write_error
+from tissue_sim.unexpected_errors import described, report_error, write_error
 from tissue_sim.version import __version__
 
 RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
 PROGRAM = "tissue_node"
-# Options of rcl that people give without --ros-args before them.
+# Options of rcl that users give without --ros-args before them.
 ROS_OPTIONS = ("-p", "--param", "--params-file", "-r", "--remap", "-e", "--enclave", "--log-level")
 SPIN, AFTER_FAILURE = 0.1, 0.01  # s for an event to come; s until the next try where rclpy fails
 TURN = 0.0005  # s per turn of the GIL, a tenth of Python's own: a pose must not wait for diagnostics
@@ -53,7 +53,7 @@ def serve(arguments: list[str], ending: ShutdownHandler) -> int:
     for answer in (asked[word] for word in arguments[1:] if word in asked):
         try:
             print(answer(), flush=True)
-        except BrokenPipeError:  # piped into head: nobody reads the rest
+        except BrokenPipeError:  # piped into head: the rest is not read
             stop_output()
         return 0
     sys.setswitchinterval(TURN)
@@ -77,7 +77,7 @@ def serve(arguments: list[str], ending: ShutdownHandler) -> int:
     except Interrupted:
         return 0
     except UserError as error:
-        tell(error, PROGRAM)
+        report_error(error, PROGRAM)
         return 2
     except LoopEnded as error:
         write_error(f"{PROGRAM}: error: internal: {error}\n")
@@ -101,7 +101,7 @@ def _go_on(node: TissueNode, executor: Executor, ending: ShutdownHandler) -> Non
             ending.asked.wait(AFTER_FAILURE)
         if node.loop.ended:
             why = node.loop.failure
-            raise LoopEnded("the physics loop ended" + (f": {told(why)}" if why is not None else ""))
+            raise LoopEnded("the physics loop ended" + (f": {described(why)}" if why is not None else ""))
 
 
 def _noted(node: TissueNode, error: BaseException | None) -> None:

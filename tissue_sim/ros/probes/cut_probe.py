@@ -19,7 +19,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.probes.graph import NODE, START_TIME, first_within
-from tissue_sim.ros.probes.poke_probe import NodeReport, as_told
+from tissue_sim.ros.probes.poke_probe import NodeReport, node_report_of
 from tissue_sim.ros.probes.tool_driver import DEPTH, RADIUS, SWING, Hand
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.executors import make_executor
@@ -46,7 +46,7 @@ class Window(NamedTuple):
     """What was measured in some time of pressing."""
 
     delays: Floats  # (k,) s from each pose to its answer; PATIENCE where none came
-    told: list[NodeReport]  # of every second that begins or ends in this time, and the one before
+    reports: list[NodeReport]  # of every second that begins or ends in this time, and the one before
     answer: str = ""  # of the service
     took: float = 0.0  # s until that
 
@@ -68,7 +68,7 @@ class CutProbe(Hand):
         super().__init__(node, organ, rate)
         self._clock = node.get_clock()
         self._answered, self._answer_clock = 0, 0.0
-        self._told: list[NodeReport] = []
+        self._received: list[NodeReport] = []
         node.create_subscription(WrenchStamped, "left/servo_cf", self._on_wrench, client.stream_qos(), raw=True)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, 10)
         self._path = node.create_publisher(Path, f"/{NODE}/cut_path", RELIABLE)
@@ -140,7 +140,7 @@ class CutProbe(Hand):
     def _window(self, seconds: float, request: Trigger.Request | None) -> Window:
         """Press and measure, if there is a request until so long after its answer; reports of all that are awaited."""
         self._next_report()
-        del self._told[:-1]
+        del self._received[:-1]
         delays, asked, end = [], None, math.inf
         began = time.monotonic()
         called = began + BEFORE
@@ -154,12 +154,12 @@ class CutProbe(Hand):
                 answer, took, end = _cut_answer(asked.result()), now - called, now + seconds
             delays.append(self._delay(DEPTH + SWING * math.sin(2.0 * math.pi * (now - began) / FORCE_PERIOD)))
         self._next_report()
-        return Window(np.array(delays), list(self._told), answer, took)
+        return Window(np.array(delays), list(self._received), answer, took)
 
     def _next_report(self) -> None:
         """Press on until the node's next report."""
-        count, end = len(self._told), time.monotonic() + REPORT_TIME
-        while len(self._told) == count:
+        count, end = len(self._received), time.monotonic() + REPORT_TIME
+        while len(self._received) == count:
             if time.monotonic() > end:
                 raise UserError(f"the node sent no diagnostics for {REPORT_TIME:g} s")
             self._delay(DEPTH)
@@ -192,7 +192,7 @@ class CutProbe(Hand):
     def _on_report(self, message: Any) -> None:
         values = client.physics_status([message], NODE)
         if values is not None:
-            self._told.append(as_told(message.header.stamp, values))
+            self._received.append(node_report_of(message.header.stamp, values))
 
 
 def _cut_answer(answer: Trigger.Response) -> str:

@@ -17,7 +17,6 @@ from tissue_sim.ros.shared.domains import claim_domain
 
 NODE = "tissue_sim"
 START_TIME = 240.0  # s for the node to start, with kernels to compile
-_PLACE = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")
 
 
 def check_rclpy() -> None:
@@ -52,7 +51,7 @@ def first_within[Found](find: Callable[[], Found], seconds: float, problem: str)
 
 
 class Graph(ExitStack):
-    """Context in which this process and its children are in a ROS domain that nobody else uses.
+    """Context in which this process and its children are in a ROS domain of their own.
 
     The children end with it.
 
@@ -180,7 +179,7 @@ def ticks(node: Child) -> None:
     first_within(tells, START_TIME, "the node did not tick")
 
 
-def told(child: Child) -> str:
+def last_line(child: Child) -> str:
     """Return the last line that a process has printed, when it has ended.
 
     Parameters

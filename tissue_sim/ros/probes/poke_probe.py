@@ -44,7 +44,7 @@ class PokeFigures(NamedTuple):
 
     peaks: Floats  # N, the highest force of each whole poke
     gap: float  # s, the longest between two poses: delay of the hand itself
-    told: list[NodeReport]
+    reports: list[NodeReport]
 
 
 def depth_after(seconds: float) -> float:
@@ -93,7 +93,7 @@ class PokeProbe(Hand):
         self._wrenches.take()
         self._reports.take_all()
         found = with_priority(lambda: self._poke(int(seconds * POKES), watch), self._priority)
-        if len(found.told) < 2:
+        if len(found.reports) < 2:
             raise UserError(f"the node sent no diagnostics for {seconds:g} s")
         return found
 
@@ -114,12 +114,12 @@ class PokeProbe(Hand):
         """
         began = time.monotonic()
         while (took := time.monotonic() - began) < seconds:
-            if self.poke(SHORTEST, watch).told[-1].degraded == "none":
+            if self.poke(SHORTEST, watch).reports[-1].degraded == "none":
                 break
         return took
 
     def _poke(self, pokes: int, watch: Callable[[], object]) -> PokeFigures:
-        peaks, told, gap, watched = np.zeros(pokes + 1), [], 0.0, 0
+        peaks, reports, gap, seen = np.zeros(pokes + 1), [], 0.0, 0
         began = sent = time.monotonic()
         while (elapsed := time.monotonic() - began) < pokes / POKES:
             gap = max(gap, began + elapsed - sent)
@@ -130,23 +130,23 @@ class PokeProbe(Hand):
                 force = wrench.wrench.force
                 poke = int(elapsed * POKES)
                 peaks[poke] = max(peaks[poke], float(np.hypot(np.hypot(force.x, force.y), force.z)))
-            told += self._told()
-            if int(elapsed * POKES) > watched:
-                watched = int(elapsed * POKES)
+            reports += self._take_reports()
+            if int(elapsed * POKES) > seen:
+                seen = int(elapsed * POKES)
                 watch()
             time.sleep(self._period * (1.0 - (time.monotonic() - began) / self._period % 1.0))
-        return PokeFigures(peaks[:pokes], gap, told)
+        return PokeFigures(peaks[:pokes], gap, reports)
 
-    def _told(self) -> list[NodeReport]:
+    def _take_reports(self) -> list[NodeReport]:
         found = []
         for report in self._reports.take_all():
             values = client.physics_status([report], self._target)
             if values is not None:
-                found.append(as_told(report.header.stamp, values))
+                found.append(node_report_of(report.header.stamp, values))
         return found
 
 
-def as_told(stamp: Any, values: Mapping[str, str]) -> NodeReport:
+def node_report_of(stamp: Any, values: Mapping[str, str]) -> NodeReport:
     """Return a report of the node's physics.
 
     Parameters

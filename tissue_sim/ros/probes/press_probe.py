@@ -24,7 +24,7 @@ from tissue_sim.ros.shared.executors import make_executor
 
 LOOKED_AT = 0.05  # s at the end of a press whose wrenches are averaged
 PATIENCE = 2.0  # s for a service to answer, until it is asked again
-ANSWERED = 3  # poses outside that the node answers before a press begins: a tool first heard inside is held off
+ANSWERED = 3  # poses outside that the node answers before a press begins: a tool whose first pose is inside is held off
 
 
 class PressProbe(Hand):
@@ -38,7 +38,7 @@ class PressProbe(Hand):
         self._angles = node.create_publisher(JointState, "left/gripper/measured_js", client.stream_qos())
         self._wrenches = client.NewestMessage(node, WrenchStamped, "left/servo_cf", client.stream_qos())
         self._reports = client.NewestMessage(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
-        self._target, self._felt = target, list[tuple[float, Floats]]()  # s, and the force (3,) N that came then
+        self._target, self._answers = target, list[tuple[float, Floats]]()  # s, and the force (3,) N that came then
         self._reset = node.create_client(Trigger, f"{target}/reset")
         self._last, self._rate = np.zeros(7), 1.0  # pose of the end of the last press, and its rate, Hz
         self.gap = 0.0  # s, longest between two poses of the last press: the machine's delay of the hand
@@ -57,16 +57,16 @@ class PressProbe(Hand):
         """
         self.reset()
         self._wrenches.take_all()
-        self._felt.clear()
+        self._answers.clear()
         self._angles.publish(JointState(name=["jaw"], position=[0.0]))
         each = list(poses)
 
-        def is_heard() -> bool:
+        def is_answered() -> bool:
             self._send_and_feel(each[0])
             time.sleep(1.0 / rate)
-            return len(self._felt) >= ANSWERED
+            return len(self._answers) >= ANSWERED
 
-        first_within(is_heard, START_TIME, "no pose was answered")
+        first_within(is_answered, START_TIME, "no pose was answered")
         began, last, self.gap = time.monotonic(), -1, 0.0
         sent = began
         while (now := int((time.monotonic() - began) * rate)) < len(each):
@@ -76,7 +76,7 @@ class PressProbe(Hand):
                 self.gap = max(self.gap, sent - before)
             time.sleep(max(0.0, began + (last + 1) / rate - time.monotonic()))
         self._last, self._rate = each[-1], rate
-        return force_in_the_end(self._felt)
+        return force_in_the_end(self._answers)
 
     def hold_on(self, ticks: int) -> Floats:
         """Hold the last pose of a press until the loop has done so many more ticks; returns the force (3,) N then.
@@ -84,18 +84,18 @@ class PressProbe(Hand):
         Raises UserError when the loop never does them.
         """
         self._reports.take_all()
-        told: list[int] = []
+        done: list[int] = []
 
         def is_over() -> bool:
             self._send_and_feel(self._last)
             time.sleep(1.0 / self._rate)
             values = client.physics_status(self._reports.take_all(), self._target)
             if values is not None:
-                told.append(int(values["tick"]))
-            return len(told) > 0 and told[-1] >= told[0] + ticks
+                done.append(int(values["tick"]))
+            return len(done) > 0 and done[-1] >= done[0] + ticks
 
         first_within(is_over, START_TIME, f"the loop did not do {ticks} ticks")
-        return force_in_the_end(self._felt)
+        return force_in_the_end(self._answers)
 
     def _send_and_feel(self, pose: Floats) -> None:
         """Send a pose (7,), and note the newest wrench that came."""
@@ -103,7 +103,7 @@ class PressProbe(Hand):
         message = self._wrenches.take()
         if message is not None:
             force = message.wrench.force
-            self._felt.append((time.monotonic(), np.array([force.x, force.y, force.z])))
+            self._answers.append((time.monotonic(), np.array([force.x, force.y, force.z])))
 
     def reset(self) -> None:
         """Bring the organ back to rest, without tools; raise UserError when the node doesn't answer."""
@@ -117,14 +117,14 @@ class PressProbe(Hand):
         raise UserError("the node doesn't answer the reset request")
 
 
-def force_in_the_end(felt: Sequence[tuple[float, Floats]]) -> Floats:
+def force_in_the_end(answers: Sequence[tuple[float, Floats]]) -> Floats:
     """Return the mean force (3,) N of the last LOOKED_AT s of wrenches that came, s and N; zero where none did.
 
     It counts by time, not by their number: on a busy machine few come, and earlier ones would be of another depth.
     """
-    if not felt:
+    if not answers:
         return np.zeros(3)
-    return np.asarray(np.mean([force for at, force in felt if at >= felt[-1][0] - LOOKED_AT], axis=0))
+    return np.asarray(np.mean([force for at, force in answers if at >= answers[-1][0] - LOOKED_AT], axis=0))
 
 
 @contextmanager

@@ -53,14 +53,14 @@ def together(trips: list[Trip]) -> Trip:
     return Trip(np.concatenate([trip.seconds for trip in trips]), sum(trip.lost for trip in trips))
 
 
-def first_change(sent: float, felt: Sequence[tuple[float, Floats]]) -> float | None:
+def first_change(sent: float, answers: Sequence[tuple[float, Floats]]) -> float | None:
     """Return the time, s, from a pose to the first wrench that was computed with it; None where there is none.
 
-    felt: when wrenches came, s, and their forces (3,) N, from a while at rest before the pose until the force has
+    answers: when wrenches came, s, and their forces (3,) N, from a while at rest before the pose until the force has
     changed because of it.
     """
-    before = np.array([force for at, force in felt if at < sent])
-    after = [(at, force) for at, force in felt if at >= sent]
+    before = np.array([force for at, force in answers if at < sent])
+    after = [(at, force) for at, force in answers if at >= sent]
     if len(before) < 2 or not after:
         return None
     rest = before[-20:]
@@ -94,7 +94,7 @@ class Probe(Hand):
         super().__init__(node, organ, rate)
         self._target = target
         self._answered, self._answer_clock = 0, 0.0
-        self._felt: list[tuple[float, bytes]] = []  # since the last step
+        self._answers: list[tuple[float, bytes]] = []  # since the last step
         self._rng = np.random.default_rng(1)
         self._report: dict[str, str] = {}
         newest = client.stream_qos()
@@ -136,8 +136,8 @@ class Probe(Hand):
         return Trip(np.array(took), lost)
 
     def _step(self, before: float, after: float, period: float) -> float | None:
-        """Send poses at one depth and then at another; return the time, s, until that is felt."""
-        self._felt.clear()
+        """Send poses at one depth and then at another; return the time, s, until the force answers."""
+        self._answers.clear()
         # Poses must not always come at the same moment of a tick.
         deadline, sent = time.monotonic() + period * self._rng.random(), 0.0
         counts = max(3, round(AT_REST / period)), max(2, round(AFTER / period))
@@ -149,8 +149,8 @@ class Probe(Hand):
                 self.send(depth)
                 deadline += period
         self._spin(deadline - time.monotonic())
-        felt = [(at, np.array(parse_stamped(raw, N_WRENCH).values[:3])) for at, raw in self._felt]
-        return first_change(sent, felt)
+        answers = [(at, np.array(parse_stamped(raw, N_WRENCH).values[:3])) for at, raw in self._answers]
+        return first_change(sent, answers)
 
     def echoes(self, seconds: float, rate: float) -> Trip:
         """Measure from a pose to the same bytes from the echo; the node gets no poses, and its force fades.
@@ -216,7 +216,7 @@ class Probe(Hand):
 
     def _on_wrench(self, raw: bytes) -> None:
         self._on_answer(raw)
-        self._felt.append((self._answer_clock, raw))
+        self._answers.append((self._answer_clock, raw))
 
     def _on_answer(self, _: bytes) -> None:
         self._answer_clock = time.monotonic()

@@ -50,8 +50,8 @@ def resident(process: int) -> tuple[float, float]:
     """
     try:
         lines = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace").splitlines()
-        told = dict(line.split(":", 1) for line in lines)
-        own, shared = (int(told[name].split()[0]) * 1024e-6 for name in ("RssAnon", "RssShmem"))
+        fields = dict(line.split(":", 1) for line in lines)
+        own, shared = (int(fields[name].split()[0]) * 1024e-6 for name in ("RssAnon", "RssShmem"))
     except (OSError, KeyError):
         raise UserError(f"memory of process {process} can't be read: it has ended") from None
     return own, shared
@@ -65,7 +65,7 @@ class Watch:
     node : Node
         That rclpy node.
     target : str
-        Name of the watched node.
+        Name of the monitored node.
     process : int
         Number of its process.
     """
@@ -108,14 +108,14 @@ class Watch:
         self.hear()
         memory = resident(self._process)
         first_within(lambda: self.values or (self.hear() and self.values), PATIENCE, "the node sent no diagnostics")
-        told = self.values
+        values = self.values
         return Sample(
             time.monotonic() - self._began,
             *memory,
-            int(told["tick"]),
-            int(told["overruns"]),
-            float(told["late_p99_us"]),
-            int(told["dropped_ticks"]),
+            int(values["tick"]),
+            int(values["overruns"]),
+            float(values["late_p99_us"]),
+            int(values["dropped_ticks"]),
         )
 
     def problems(self) -> dict[str, int]:

@@ -172,12 +172,12 @@ def node_beside(node: Node, what: str) -> Node:
     )
 
 
-def wait_until(ask: Callable[[], Any], longest: float, stop: object = False) -> Any:
+def wait_until[Answer](ask: Callable[[], Answer], longest: float, stop: object = False) -> Answer:
     """Ask until the answer is neither None nor False, a condition is true, or time is over.
 
     Parameters
     ----------
-    ask : Callable[[], Any]
+    ask : Callable[[], Answer]
         Gives an answer.
     longest : float, s
         That time.
@@ -186,13 +186,31 @@ def wait_until(ask: Callable[[], Any], longest: float, stop: object = False) -> 
 
     Returns
     -------
-    Any
+    Answer
         the last answer
     """
     end = time.monotonic() + longest
     while (answer := ask()) in (None, False) and not stop and time.monotonic() < end:
         time.sleep(0.02)
     return answer
+
+
+def repeat(stop: Stop, turn: Callable[[], float]) -> None:
+    """Call a function periodically until a signal comes.
+
+    Parameters
+    ----------
+    stop : Stop
+        Whether it has come.
+    turn : Callable[[], float]
+        The function; it returns the time, s, from the time when it was due until the next call.
+    """
+    due = time.monotonic()
+    while not stop:
+        period = turn()
+        now = time.monotonic()
+        due = max(due + period, now + 0.001)
+        time.sleep(due - now)
 
 
 def stream_qos() -> QoSProfile:

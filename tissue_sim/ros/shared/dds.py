@@ -63,7 +63,7 @@ def limit_to_this_machine(environment: MutableMapping[str, str] = os.environ) ->
 
 
 def is_local(environment: Mapping[str, str] = os.environ) -> bool:
-    """Return whether nobody beyond this machine is to be reached."""
+    """Return whether no other machine is to be reached."""
     if environment.get(ONLY_HERE) == "1":
         return True  # in ROS it overrides the other two
     return environment.get(REACH) == "LOCALHOST" and not environment.get(PEERS) and not environment.get(SERVER)
@@ -84,7 +84,7 @@ def use_shipped_profile(environment: MutableMapping[str, str] = os.environ) -> N
 
 
 def describe_discovery(environment: Mapping[str, str] = os.environ) -> str:
-    """Return how far a program with this environment is heard, for a log.
+    """Return where a program with this environment is discoverable, for a log.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ class Loop:
         self.joined_box = make_joined_box(len(self.simulations[0].shapes.kind))
         self._pairs, self._respiration = handle(self.joined_box.pairs), handle(self.joined_box.respiration)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
-        self.ended = False  # though nobody has asked for that
+        self.ended = False  # without having been stopped
         self.failure: BaseException | None = None  # error that ended it
         self._bell = ctypes.c_void_p(self.words.bell.ctypes.data)
         self._answered = ctypes.c_void_p(self.words.answered.ctypes.data)
@@ -53,7 +53,7 @@ class Loop:
         self._asked, self._waiting = field_of(control, "asked"), field_of(control, "waiting")
         self._napping, self._standing = field_of(control, "napping"), field_of(control, "standing")
         self._looked_up, self._sim_time = field_of(control, "looked_up"), field_of(control, "sim_time")
-        self._snapshot_lock = threading.Lock()  # held while somebody reads the requested states
+        self._snapshot_lock = threading.Lock()  # held while a thread reads the requested states
         for semaphore in (self._bell, self._answered):
             _libc.sem_init(semaphore, 0, 0)
         # Separate settings: those of a simulation change between ticks, when a parameter does.
@@ -177,15 +177,15 @@ class Loop:
         """Number of resets requested."""
         return int(self.words.control.resets)
 
-    def post_respiration(self, share: float) -> int:
+    def post_respiration(self, fraction: float) -> int:
         """Post where the breath is to be; return its sequence number.
 
         Parameters
         ----------
-        share : float
+        fraction : float
             Fraction of its way.
         """
-        return int(mb.put(self._respiration, 0, np.array([share]).view(np.int64)))
+        return int(mb.put(self._respiration, 0, np.array([fraction]).view(np.int64)))
 
     def post_organ_contacts(self, found: OrganContactSet) -> int:
         """Post where joined organs touch each other; return its sequence number.
@@ -289,7 +289,7 @@ class Loop:
 
     @contextmanager
     def snapshots(self, timeout: float = 1.0) -> Iterator[None]:
-        """Provide the whole state after one tick in the boxes of all organs, whoever else requests it.
+        """Provide the whole state after one tick in the boxes of all organs, whether or not another thread requests it.
 
         Parameters
         ----------

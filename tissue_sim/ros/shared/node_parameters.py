@@ -12,9 +12,9 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
 from tissue_sim.ros.shared.client import client_node, node_beside, wait_until
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOLD, TOOL_SPECS
+from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, ORGANS, TOOL_SPECS
 
-NODE_NAMES = ("tools", TOLD, *(spec.name for spec in NODE_SPECS))
+NODE_NAMES = ("tools", ORGANS, *(spec.name for spec in NODE_SPECS))
 ASK_AGAIN = 1.0  # s; a server drops the answer to a client that it has not discovered completely
 
 

@@ -36,7 +36,7 @@ class Organs:
         self.loop = loop
         self.each = tuple(Physics(loop, organ) for organ in range(len(loop.simulations)))
         self.n_bodies = self.each[0].n_bodies
-        self._felt = handle(loop.joined_box.felt)
+        self._output = handle(loop.joined_box.felt)
         self._went_on = -math.inf  # monotonic s, when ticks went on; infinite while they stand
 
     # in ----------------------------------------------------------------------------------------
@@ -114,13 +114,13 @@ class Organs:
             return -1, np.zeros((self.n_bodies, 6))
         now = time.monotonic()
         self._went_on = min(self._went_on, now)
-        tick, felt = self._newest()
+        tick, output = self._newest()
         returned = min(1.0, (now - self._went_on) / RETURN)
-        return (tick, felt) if returned == 1.0 else (-1, returned * felt)
+        return (tick, output) if returned == 1.0 else (-1, returned * output)
 
     def _newest(self) -> tuple[int, Floats]:
         words = np.zeros(1 + 6 * self.n_bodies, dtype=np.int64)
-        mb.take(self._felt, 0, 0, words)
+        mb.take(self._output, 0, 0, words)
         return int(words[0]), words[1:].view(np.float64).reshape(self.n_bodies, 6)
 
     def taken(self) -> Longs:

@@ -229,8 +229,8 @@ class Physics:
         pressed, held = state.contact_pressed[0, :points], state.contact_held[0, :points]
         touching = np.flatnonzero(pressed > 0.0)
         impulse = np.sqrt(pressed[touching] ** 2 + np.einsum("ij,ij->i", held[touching], held[touching]))
-        shares = contacts.weight[touching] * impulse[:, None]
-        np.add.at(forces, contacts.node[touching], shares)
+        parts = contacts.weight[touching] * impulse[:, None]
+        np.add.at(forces, contacts.node[touching], parts)
         return forces * (max(status.substeps, 1) / self.tick_time)
 
     def moving(self) -> Mask:

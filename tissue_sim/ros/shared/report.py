@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from tissue_sim.unexpected_errors import place_of, told
+from tissue_sim.unexpected_errors import described, place_of
 
 MOST_LINES = 8  # lines kept about one part's troubles
 STARVED = "the physics loop hangs, or gets no processor time: no forces until it continues"
@@ -114,7 +114,7 @@ class UnexpectedErrors:
         error : BaseException
             The error.
         """
-        place, line = place_of(error), f"{self._part} failed: {told(error)}"
+        place, line = place_of(error), f"{self._part} failed: {described(error)}"
         with self._lock:
             self._counts[place] += 1
             is_new = self._is_new(place, line)
@@ -123,7 +123,7 @@ class UnexpectedErrors:
         return line
 
     def report(self, report: Report) -> None:
-        """Add how much went wrong, and where.
+        """Add the number of failures, and where they occurred.
 
         Parameters
         ----------

@@ -31,8 +31,8 @@ class ShutdownHandler:
     """
 
     def __init__(self) -> None:
-        # Set by the watching thread alone: a handler would wait forever where it interrupts whoever holds the event's
-        # lock, as the handler of another signal does.
+        # Set by the watching thread alone: a handler would wait forever where it interrupts the thread that holds the
+        # event's lock, as the handler of another signal does.
         self.asked = threading.Event()
         self._signalled = False
         self._starting, self._raised = True, False

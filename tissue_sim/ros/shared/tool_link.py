@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile
 from tissue_sim.contact.tools import Tool
 from tissue_sim.ros.shared.frames import Transform
 from tissue_sim.ros.shared.messages import NumbersTemplate
-from tissue_sim.ros.shared.parameters import frames_of, tool_of, topics_of, usual_topics
+from tissue_sim.ros.shared.parameter_values import frames_of, tool_of, topics_of, usual_topics
 from tissue_sim.ros.shared.qos import RELIABLE, STREAM
 from tissue_sim.ros.shared.tool_messages import POSE_TYPES, ToolTopics
 
@@ -48,7 +48,7 @@ class ToolLink:
         return cls(ToolTopics(usual_topics(name), frame_id), Transform(), Tool(name))
 
     @classmethod
-    def told(cls, values: Mapping[str, Any], name: str, target: str) -> ToolLink | None:
+    def from_parameters(cls, values: Mapping[str, Any], name: str, target: str) -> ToolLink | None:
         """Return the link by a node's parameters; None when it has no tool of that name.
 
         Parameters

@@ -67,17 +67,17 @@ def write(kind: str, node: str) -> int:
         sys.stderr.write(f"/{node} doesn't answer: frame {FRAME} and tools {', '.join(TOOLS)} are assumed\n")
         print(fitted(kind, node, tools={tool: namespace + topic for tool, topic in TOOLS.items()}), end="")
         return 0
-    given = {tool: _told(values, tool, node) for tool in values["tools"]}
+    given = {tool: _link_line(values, tool, node) for tool in values["tools"]}
     absolute = {tool: topic if topic.startswith("/") else f"{namespace}/{topic}" for tool, topic in given.items()}
     print(fitted(kind, node, values["frame_id"], absolute, list(values["organs"])), end="")
     return 0
 
 
-def _told(values: dict[str, Any], tool: str, node: str) -> str:
+def _link_line(values: dict[str, Any], tool: str, node: str) -> str:
     """Return the topic of a tool's wrenches."""
     from tissue_sim.ros.shared.tool_link import ToolLink
 
-    link = ToolLink.told(values, tool, node)
+    link = ToolLink.from_parameters(values, tool, node)
     assert link is not None  # it is among the node's tools
     return link.topics.names["servo_cf"]
 

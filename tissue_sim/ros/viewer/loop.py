@@ -16,7 +16,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.rendering.organ_view import FIELD_OF_VIEW, camera_for, light
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.node_parameters import NodeParameters
-from tissue_sim.ros.shared.parameters import TOLD
+from tissue_sim.ros.shared.parameter_specs import ORGANS
 from tissue_sim.ros.viewer.pace import Pace
 from tissue_sim.ros.viewer.panel import SOLID, TRANSLUCENT, Panel, detail, headline
 from tissue_sim.ros.viewer.scene import LigamentView
@@ -61,7 +61,7 @@ class Viewer:
         self.tools = ToolsView(server, node, target, tools, patience)
         self._values: dict[str, str] = {}
         self._headline, self._detail = "", ""
-        self._heard = -np.inf
+        self._last_message = -np.inf
         self._rest: Floats | None = None  # of all organs, (n, 3) m
         self._seen_by: set[int] = set()  # pages whose cameras see all of these
         self._lines: client.NewestMessage | None = None  # of a scene's ligaments
@@ -73,14 +73,14 @@ class Viewer:
         server.initial_camera.near = 0.02
 
     def update(self) -> bool:
-        """Take what has come; draw it when somebody looks; return whether somebody does."""
+        """Take what has come; draw it when a page is open; return whether one is."""
         now, watchers = time.monotonic(), self._server.get_clients()
         if sum(one.take_mesh() for one in self.organs):  # of all of them
             self._look()
             self._parameters.ask()  # it may be another node of that name
-        told = self._parameters.poll()
-        if told is not None:
-            self._name(tuple(told.get(TOLD, ())) or ("",))
+        parameters = self._parameters.poll()
+        if parameters is not None:
+            self._name(tuple(parameters.get(ORGANS, ())) or ("",))
         self._take_report()
         self._services.poll(self._panel.wishes, self._tell)
         for one in self.organs:
@@ -93,8 +93,8 @@ class Viewer:
                 one.draw(eye, self._panel.opacity.value)
             self._draw_ligaments()
             self.tools.take(self._tool_markers.take(), now)
-            if told is not None:
-                self.tools.use(told)
+            if parameters is not None:
+                self.tools.use(parameters)
             self.tools.update(now, watchers, *self._points())
         return bool(watchers)
 
@@ -165,15 +165,15 @@ class Viewer:
         status = client.newest_status(self._reports.take_all(), self._target)
         now = time.monotonic()
         if status is not None:
-            if now - self._heard >= SILENT_AFTER:
+            if now - self._last_message >= SILENT_AFTER:
                 self._parameters.ask()  # it may serve other organs by now
-            before, self._heard = self._values.get("registrations"), now
+            before, self._last_message = self._values.get("registrations"), now
             self._values = {item.key: item.value for item in status.values}
             if self._values.get("registrations") != before:
                 self._parameters.ask()  # the organ is elsewhere in the frame of the tools
             level = int.from_bytes(status.level, "little")
             self._headline, self._detail = headline(self._target, level, status.message), detail(level, status.message)
-        if now - self._heard < SILENT_AFTER:
+        if now - self._last_message < SILENT_AFTER:
             self._panel.say(self._headline, self._values, self._detail)
         elif all(one.view is None for one in self.organs):
             self._panel.say(f"<b>Waiting for the mesh of /{self._target}.</b> Start tissue_node.", {})

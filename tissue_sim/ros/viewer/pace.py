@@ -41,7 +41,7 @@ class Pace:
             began = time.monotonic()
             try:
                 page.local_storage.get_item("pace", timeout=PATIENCE)
-            except TimeoutError:  # nobody sees it
+            except TimeoutError:  # no page shows it
                 self._took.pop(number, None)
                 continue
             except RuntimeError:  # disconnected, or it keeps no storage, but answers

@@ -58,8 +58,8 @@ class ForcePlot:
             padding=(10, 12, 0, 0),  # px: half of the labels at the ends lies beyond the axes
         )
 
-    def update(self, now: float, forces: Mapping[str, float | None], watched: bool) -> None:
-        """Note forces of a moment, and draw when it is time and somebody looks.
+    def update(self, now: float, forces: Mapping[str, float | None], visible: bool) -> None:
+        """Note forces of a moment, and draw when it is time and a page is open.
 
         Parameters
         ----------
@@ -67,11 +67,11 @@ class ForcePlot:
             The moment.
         forces : Mapping[str, float | None], N
             Force of each tool.
-        watched : bool
-            Whether somebody looks.
+        visible : bool
+            Whether a page is open.
         """
         self._history.add(now, forces)
-        if not watched or now - self._drawn < DRAW_EVERY:
+        if not visible or now - self._drawn < DRAW_EVERY:
             return
         self._drawn = now
         columns = self._history.columns(now)

@@ -70,7 +70,7 @@ class LigamentView:
         self._lines: Any = None
 
     def show(self, ends: Floats) -> None:
-        """Draw lines between their ends; a different number of them is created anew.
+        """Draw lines between their ends; a different number of them is created again.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class SkeletonView:
         self._handles: list[Any] = []
 
     def show(self, atoms: Floats, parent: Longs) -> None:
-        """Draw atoms, each joined with its parent; a different skeleton is created anew.
+        """Draw atoms, each joined with its parent; a different skeleton is created again.
 
         Parameters
         ----------

@@ -31,7 +31,7 @@ class ToolView:
 
     def __init__(self, server: viser.ViserServer, name: str, index: int) -> None:
         self.name = name
-        self.force: float | None = None  # N; None while nobody moves it
+        self.force: float | None = None  # N; None while it isn't moved
         self._scene, self._colour = server.scene, TOOL_COLOURS[index % len(TOOL_COLOURS)]
         self._shapes: dict[int, tuple[Any, ...]] = {}
         self._reaches: dict[int, float] = {}
@@ -102,12 +102,12 @@ class ToolView:
             self._label.text = f"{self.name} {self.force:.2f} N"
 
     def drag(self, callback: Callable[[Any], Any] | None) -> None:
-        """Call back when somebody drags the tool with the mouse.
+        """Call back when a user drags the tool with the mouse.
 
         Parameters
         ----------
         callback : Callable[[Any], Any] | None
-            The callback; None: nobody may drag it.
+            The callback; None: it can't be dragged.
         """
         for part in self._parts.values():
             if self._on_drag is not None:

@@ -57,8 +57,8 @@ class ToolsView:
         self.views: list[ToolView] = []
         self.pokes: list[Poke] = []
         self._plot: ForcePlot | None = None
-        self._told: Mapping[str, Any] | None = None
-        self._heard = -np.inf
+        self._parameters: Mapping[str, Any] | None = None
+        self._last_message = -np.inf
         if names is not None:
             self._make(names)
 
@@ -73,28 +73,28 @@ class ToolsView:
             The present time.
         """
         if message is None:
-            if now - self._heard > SILENT_AFTER:
+            if now - self._last_message > SILENT_AFTER:
                 for view in self.views:
                     view.hide()
             return
-        self._heard = now
+        self._last_message = now
         names = tuple(dict.fromkeys(marker.ns for marker in message.markers))
         if self._follows and names != self._names:
             self._make(names)
         for view in self.views:
             view.show([marker for marker in message.markers if marker.ns == view.name])
 
-    def use(self, told: Mapping[str, Any]) -> None:
+    def use(self, parameters: Mapping[str, Any]) -> None:
         """Use the links to the tools in the node's parameters.
 
         Parameters
         ----------
-        told : Mapping[str, Any]
+        parameters : Mapping[str, Any]
             The parameters.
         """
-        self._told = told
+        self._parameters = parameters
         for poke in self.pokes:
-            poke.use(ToolLink.told(told, poke.name, self._target))
+            poke.use(ToolLink.from_parameters(parameters, poke.name, self._target))
 
     def update(self, now: float, watchers: Collection[int], points: Floats | None, frame_id: str) -> None:
         """Apply the requests of the page.
@@ -130,5 +130,5 @@ class ToolsView:
             Poke(self._server, self._node, view, index, self._patience) for index, view in enumerate(self.views)
         ]
         self._plot = ForcePlot(self._server, names) if names else None
-        if self._told is not None:
-            self.use(self._told)
+        if self._parameters is not None:
+            self.use(self._parameters)

@@ -7,7 +7,6 @@ import errno
 import os
 import socket
 import sys
-import time
 
 from tissue_sim import progress
 from tissue_sim.errors import UserError
@@ -83,12 +82,7 @@ def run(args: argparse.Namespace) -> int:
         # Short turns at the GIL: the poses of a held tool must not wait for a picture.
         sys.setswitchinterval(0.001)
         try:
-            due = time.monotonic()
-            while not stop:
-                period = max(FRAME_TIME, viewer.picture_time) if viewer.update() else IDLE_TIME
-                now = time.monotonic()
-                due = max(due + period, now + 0.001)
-                time.sleep(due - now)
+            client.repeat(stop, lambda: max(FRAME_TIME, viewer.picture_time) if viewer.update() else IDLE_TIME)
         finally:
             viewer.close()
     return 0

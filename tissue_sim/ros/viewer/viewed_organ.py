@@ -74,7 +74,7 @@ class ViewedOrgan:
             self._drawn = None
 
     def draw(self, eye: Floats | None, opacity: float) -> None:
-        """Draw what has changed; surfaces only while somebody looks.
+        """Draw what has changed; surfaces only while a page is open.
 
         Parameters
         ----------

@@ -53,14 +53,14 @@ def scene(monkeypatch):
     top = organ.surface_positions[np.argmax(organ.surface_positions[:, 2])]
     warned, port = [], Port(top + (0.0, 0.0, 0.006))
     places, bodies = port.newest.placed.copy(), BodyStatus.rows(np.zeros(BodyStatus.words(), dtype=np.int64))
-    told = SimpleNamespace(bodies=bodies, body_pose=places, status=SimpleNamespace(tick=1))
-    monkeypatch.setattr(physics, "results", lambda: copy.deepcopy(told))
+    results = SimpleNamespace(bodies=bodies, body_pose=places, status=SimpleNamespace(tick=1))
+    monkeypatch.setattr(physics, "results", lambda: copy.deepcopy(results))
     monkeypatch.setattr(physics, "positions", lambda out: (np.copyto(out, organ.rest_positions) or 1, np.zeros(3)))
     recorder = SimpleNamespace(contacts=lambda *_: None, together=threading.RLock())
     search = ContactSearch(finder, ServedOrgan("", physics), [port], recorder)
     worker = ContactWorker([search], None, [port], threading.Event(), warned.append)
     middle = organ.surface_positions.mean(axis=0)
-    made = SimpleNamespace(worker=worker, finder=finder, physics=physics, told=told, middle=middle, warned=warned)
+    made = SimpleNamespace(worker=worker, finder=finder, physics=physics, results=results, middle=middle, warned=warned)
     made.held_off = port.held_off
     yield made
     worker.stop()
@@ -72,9 +72,9 @@ def report_of(worker):
     return report
 
 
-def test_a_tool_that_appears_inside_is_held_off_and_told_each_time(scene, monkeypatch):
-    """So is one that was released, and appears there anew; but none that has pressed is taken for such a one."""
-    body, places, taken = scene.told.bodies[0], scene.told.body_pose, []
+def test_a_tool_that_appears_inside_is_held_off_and_reported_each_time(scene, monkeypatch):
+    """So is one that was released, and appears there again; but none that has pressed is taken for such a one."""
+    body, places, taken = scene.results.bodies[0], scene.results.body_pose, []
     monkeypatch.setattr(scene.physics, "post_contacts", lambda found: taken.append(int(found.engaged[0])) or len(taken))
     scene.worker.start()
     wait_for(lambda: Engaged.YES in taken)
@@ -93,7 +93,7 @@ def test_a_tool_that_appears_inside_is_held_off_and_told_each_time(scene, monkey
     assert len(scene.held_off) == 2
 
 
-def test_a_search_that_fails_is_told_once_and_forgotten_when_one_succeeds(scene, monkeypatch):
+def test_a_search_that_fails_is_reported_once_and_forgotten_when_one_succeeds(scene, monkeypatch):
     find, fails, calls = scene.finder.find, [True], []
 
     def sometimes(*words):

@@ -105,7 +105,7 @@ def test_the_delay_is_how_old_messages_are_when_they_come(scene):
     assert scene.freshness.delay == pytest.approx(0.0, abs=1e-5)
 
 
-def test_poses_that_are_stale_before_the_next_are_told_by_their_gap(scene):
+def test_poses_that_are_stale_before_the_next_are_reported_by_their_gap(scene):
     def come(gap, count=9):
         for _ in range(count):
             scene.clock.time += gap
@@ -118,7 +118,7 @@ def test_poses_that_are_stale_before_the_next_are_told_by_their_gap(scene):
     come(0.6, count=1)
     assert scene.freshness.too_slow == pytest.approx(1.0 / 16.0), "a pause does not count for more than one"
     come(2.0, count=1)
-    assert scene.freshness.too_slow == 0.0, "a stream that begins anew"
+    assert scene.freshness.too_slow == 0.0, "a stream that begins again"
     come(0.3)
     assert scene.freshness.too_slow == pytest.approx(0.3)
     scene.clock.time += 2.0

@@ -8,7 +8,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 
 from helpers.ros.clients import LATCHED, Client
-from helpers.ros.processes import UNHURRIED, press_until_felt, running_node
+from helpers.ros.processes import UNHURRIED, press_until_contact, running_node
 from tissue_sim.ros.node.output.contact_points import COLUMNS
 from tissue_sim.ros.shared.client import cloud_array
 
@@ -41,10 +41,10 @@ def pressed(client):
 
     def move(position):
         ask(client, position)
-        if client.wrenches:  # press_until_felt looks along the organ's axes
+        if client.wrenches:  # press_until_contact looks along the organ's axes
             client.wrenches[-1][1][:3] = TURN.apply(client.wrenches[-1][1][:3])
 
-    position = press_until_felt(client, move, DEEPEST)
+    position = press_until_contact(client, move, DEEPEST)
 
     def is_steady():
         ask(client, position)
@@ -63,19 +63,19 @@ def test_contacts_cost_nothing_until_somebody_subscribes_and_add_up_to_the_wrenc
     of_cloud = client.node.create_subscription(PointCloud2, "/tissue_sim/left/contacts", clouds.append, 10)
     of_wrench = client.node.create_subscription(WrenchStamped, "/tissue_sim/left/wrench", wrenches.append, 10)
 
-    def is_told():
+    def is_reported():
         ask(client, pressed)
         return len(clouds) > 3 and len(wrenches) > 3 and len(clouds[-1].data) > 0
 
-    assert client.spin_until(is_told)
+    assert client.spin_until(is_reported)
     cloud, wrench = clouds[-1], wrenches[-1].wrench
     assert cloud.header.frame_id == wrenches[-1].header.frame_id == "organ"
     assert tuple(field.name for field in cloud.fields) == COLUMNS
     points = cloud_array(cloud).astype(np.float64)
     places, normals, forces = points[:, :3], points[:, 3:6], points[:, 6:9]
-    felt = np.array([wrench.force.x, wrench.force.y, wrench.force.z])
-    np.testing.assert_allclose(TURN.inv().apply(felt), client.wrenches[-1][1][:3], atol=0.02 * np.linalg.norm(felt))
-    np.testing.assert_allclose(forces.sum(axis=0), felt, atol=0.03 * np.linalg.norm(felt))
+    force = np.array([wrench.force.x, wrench.force.y, wrench.force.z])
+    np.testing.assert_allclose(TURN.inv().apply(force), client.wrenches[-1][1][:3], atol=0.02 * np.linalg.norm(force))
+    np.testing.assert_allclose(forces.sum(axis=0), force, atol=0.03 * np.linalg.norm(force))
     to_middle = pressed - places
     assert np.linalg.norm(to_middle, axis=1) == pytest.approx(RADIUS, abs=0.002), "less what gives way between nodes"
     to_middle /= np.linalg.norm(to_middle, axis=1)[:, None]
@@ -121,6 +121,6 @@ def test_a_tool_that_is_disabled_lets_go_and_is_taken_up_again(client, node, pre
 
 
 def test_who_comes_late_hears_that_the_node_is_ready(client):
-    heard = []
-    client.node.create_subscription(Bool, "/tissue_sim/ready", heard.append, LATCHED)
-    assert client.spin_until(lambda: heard == [Bool(data=True)])
+    received = []
+    client.node.create_subscription(Bool, "/tissue_sim/ready", received.append, LATCHED)
+    assert client.spin_until(lambda: received == [Bool(data=True)])

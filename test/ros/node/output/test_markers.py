@@ -15,10 +15,10 @@ WRENCH = np.zeros((2, 6))
 WRENCH[0, :3] = (0.0, 0.0, 2.0)
 
 
-def message_of(organ, positions, share=None):
+def message_of(organ, positions, fraction=None):
     """What a viewer gets, and the same written by ROS."""
-    template = OrganMarkers("organ", {"": ShownOrgan(organ)}, 2, coloured=share is not None)
-    raw = template.message(3_000_000_007, positions, CENTRE, WRENCH, share)
+    template = OrganMarkers("organ", {"": ShownOrgan(organ)}, 2, coloured=fraction is not None)
+    raw = template.message(3_000_000_007, positions, CENTRE, WRENCH, fraction)
     read = deserialize_message(raw, MarkerArray)
     assert len(serialize_message(read)) == len(raw), "nothing but what the markers say"
     return read.markers
@@ -65,19 +65,19 @@ def test_all_are_deleted_in_the_end():
 
 def test_corners_have_the_colours_of_their_nodes():
     organ = shipped()
-    share = np.random.default_rng(4).uniform(-0.0, 1.5, size=len(organ.rest_positions))
-    surface = message_of(organ, organ.rest_positions, share)[0]
+    fraction = np.random.default_rng(4).uniform(-0.0, 1.5, size=len(organ.rest_positions))
+    surface = message_of(organ, organ.rest_positions, fraction)[0]
     shown = np.array([(c.r, c.g, c.b, c.a) for c in surface.colors])
     nodes = organ.surface_triangles.ravel()
-    assert np.array_equal(shown, SHADES[(np.minimum(share, 1.0) * (len(SHADES) - 1)).astype(int)][nodes])
+    assert np.array_equal(shown, SHADES[(np.minimum(fraction, 1.0) * (len(SHADES) - 1)).astype(int)][nodes])
 
 
 def test_displacement_is_the_distance_from_rest():
     organ = shipped()
-    share = np.zeros(len(organ.rest_positions))
-    write_displacement(share, moved(organ), organ.rest_positions, 0.01)
+    fraction = np.zeros(len(organ.rest_positions))
+    write_displacement(fraction, moved(organ), organ.rest_positions, 0.01)
     twin = np.linalg.norm(moved(organ) - organ.rest_positions, axis=1) / 0.01
-    assert np.abs(share - twin).max() < 1e-12
+    assert np.abs(fraction - twin).max() < 1e-12
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])

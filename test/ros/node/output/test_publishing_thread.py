@@ -57,15 +57,15 @@ class Presenter:
 
 @pytest.fixture(params=[60.0, 240.0])
 def scene(request, monkeypatch):
-    """An outlet that isn't started, with what it serves; reports that it told."""
+    """An outlet that isn't started, with what it serves; the reports it made."""
     monkeypatch.setattr(outlet, "REPORT_EVERY", 0.1)
-    parts = SimpleNamespace(output=Output(), presenter=Presenter(), logger=Logger(), told=[])
+    parts = SimpleNamespace(output=Output(), presenter=Presenter(), logger=Logger(), reports=[])
     live = SimpleNamespace(marker_rate=request.param, helps=lambda _: False, level=0)
 
     def tell():
         report = Report()
         parts.outlet.report(report)
-        parts.told.append(report)
+        parts.reports.append(report)
 
     parts.outlet = PublishingThread(
         SharedParts(
@@ -86,23 +86,23 @@ def scene(request, monkeypatch):
 
 def test_forces_fade_on_although_pictures_fail(scene):
     scene.outlet.start()
-    wait_for(lambda: len(scene.told) >= 2)
+    wait_for(lambda: len(scene.reports) >= 2)
     turns = scene.output.turns
     wait_for(lambda: scene.output.turns > turns + 50)
     lines = [
         "outlet failed: ValueError: its position is 1e+09 m away; positions are in metres",
         "outlet failed: ValueError: its force is 1e+12 N; forces are in newtons",
     ]
-    assert [line.partition(" (")[0] for line in scene.told[-1].failures] == lines
-    assert scene.told[-1].problems["outlet_failures"] > scene.told[0].problems["outlet_failures"] >= 1
+    assert [line.partition(" (")[0] for line in scene.reports[-1].failures] == lines
+    assert scene.reports[-1].problems["outlet_failures"] > scene.reports[0].problems["outlet_failures"] >= 1
     assert {line.partition(" (")[0] for line in scene.logger.warned} == set(lines)
     assert all("(tissue_sim/ros/shared/cdr.py:" in line for line in scene.logger.warned), "where that was"
-    wait_for(lambda: len(scene.told) >= 4)
+    wait_for(lambda: len(scene.reports) >= 4)
     assert len(scene.logger.warned) == 2, "not one for every picture, nor for every report"
     scene.presenter.fails = False
-    told = len(scene.told)
-    wait_for(lambda: len(scene.told) >= told + 3)
-    assert scene.told[-1].failures == []
+    count = len(scene.reports)
+    wait_for(lambda: len(scene.reports) >= count + 3)
+    assert scene.reports[-1].failures == []
 
 
 def test_nothing_fails_in_a_report_of_what_works(scene):

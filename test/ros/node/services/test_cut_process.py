@@ -81,7 +81,7 @@ def test_what_is_refused_has_the_same_words(process, before):
     assert str(found.value) == str(expected.value)
 
 
-def test_a_fault_in_it_is_told_and_it_goes_on(process, before):
+def test_a_fault_in_it_is_reported_and_it_goes_on(process, before):
     frequency, before.frequency = before.frequency, None
     with pytest.raises(RuntimeError, match=r"the process that makes cuts failed: Traceback[^$]*TypeError"):
         process.cut(before, (EDGE, DOWN, DEPTH))
@@ -89,7 +89,7 @@ def test_a_fault_in_it_is_told_and_it_goes_on(process, before):
     assert process.cut(before, (EDGE, DOWN, DEPTH)).simulation.cuts
 
 
-def test_after_it_was_killed_one_is_told_and_the_next_cut_starts_it_again(process, before, monkeypatch):
+def test_after_it_was_killed_one_is_reported_and_the_next_cut_starts_it_again(process, before, monkeypatch):
     child = process.start()
     child.kill()
     monkeypatch.setattr(process, "start", lambda: child)  # it was still there when it was asked

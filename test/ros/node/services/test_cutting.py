@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from std_srvs.srv import SetBool
 
-from helpers.ros.processes import UNHURRIED, press_until_felt, running_node, shipped
+from helpers.ros.processes import UNHURRIED, press_until_contact, running_node, shipped
 from helpers.ros.surgeon import DEPTH, EDGE, Surgeon
 from tissue_sim.cli import main
 from tissue_sim.model.simulation import Simulation
@@ -41,7 +41,7 @@ def client(only_client):
 def test_a_cut_opens_what_is_shown_repeats_in_its_bag_and_a_reset_heals_it(client, capsys):
     uncut = shipped()
     bag = client.record(True).message
-    inside = press_until_felt(client, client.ask)
+    inside = press_until_contact(client, client.ask)
     answer = client.cut(hand=inside)
     assert answer.success, answer.message
     assert "cells divided" in answer.message
@@ -65,7 +65,7 @@ def test_a_cut_opens_what_is_shown_repeats_in_its_bag_and_a_reset_heals_it(clien
     assert (values["x_m"], values["y_m"], values["z_m"]) == pytest.approx(report.centre, abs=1e-6)
 
     client.contacts.clear()
-    press_until_felt(client, client.ask)
+    press_until_contact(client, client.ask)
     assert client.spin_until(lambda: any(cloud.width > 0 for cloud in client.contacts)), "of a state with more nodes"
     assert client.reset().success
     assert client.spin_until(lambda: client.versions[-1].data == 2)
@@ -80,7 +80,7 @@ def test_a_cut_opens_what_is_shown_repeats_in_its_bag_and_a_reset_heals_it(clien
 def test_a_bag_that_begins_after_a_cut_repeats(client, capsys):
     assert client.cut().success
     bag = client.record(True).message
-    press_until_felt(client, client.ask)
+    press_until_contact(client, client.ask)
     deeper = client.cut(depth=DEPTH + 0.003)
     assert deeper.success, deeper.message
     client.spin(0.3)

@@ -7,7 +7,7 @@ import pytest
 from std_srvs.srv import SetBool, Trigger
 
 from helpers.ros.clients import Client
-from helpers.ros.processes import UNHURRIED, press_until_felt, running_node
+from helpers.ros.processes import UNHURRIED, press_until_contact, running_node
 from tissue_sim.cli import main
 from tissue_sim.ros.node.services.pausing import Pausing
 
@@ -52,7 +52,7 @@ def tick(client):
 def test_a_pause_leaves_no_force_a_step_takes_its_ticks_and_a_bag_repeats_both(client, node, capsys):
     assert "not paused" in step(client, 1).message
     bag = client.record(True).message
-    inside = press_until_felt(client, client.ask)
+    inside = press_until_contact(client, client.ask)
     assert pause(client, True).success
     assert pause(client, True).success, "it is already"
     client.wrenches.clear()
@@ -93,7 +93,7 @@ def test_a_pause_leaves_no_force_a_step_takes_its_ticks_and_a_bag_repeats_both(c
 
     client.wrenches.clear()
     assert pause(client, False).success
-    inside = press_until_felt(client, client.ask)
+    inside = press_until_contact(client, client.ask)
     assert tick(client) > before + taken + 1
     assert client.kick(lambda: client.ask(inside)) < MOST_KICK
     assert client.record(False).success
@@ -117,7 +117,7 @@ def test_a_long_step_leaves_the_node_to_others_and_ends_when_it_goes_on(client):
 
 
 def test_a_pose_after_a_pause_is_resisted_without_a_kick(client):
-    inside = press_until_felt(client, client.ask)
+    inside = press_until_contact(client, client.ask)
     assert client.spin_until(lambda: client.ask(inside) or client.hand_force() > 0.02)
     assert pause(client, True).success
     # Wrenches from before the pause may still be on their way.
@@ -127,11 +127,11 @@ def test_a_pose_after_a_pause_is_resisted_without_a_kick(client):
     client.wrenches.clear()
     assert pause(client, False).success
 
-    def is_felt():
+    def has_force():
         client.ask(inside)
         return client.hand_force() > 0.02
 
-    assert client.spin_until(is_felt), "it was inside all the while, and is not held off"
+    assert client.spin_until(has_force), "it was inside all the while, and is not held off"
     assert client.kick(lambda: client.ask(inside)) < MOST_KICK
 
 

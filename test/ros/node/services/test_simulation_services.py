@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import helpers.ros
 from helpers.ros.clients import Client
-from helpers.ros.processes import UNHURRIED, press_until_felt, running_node, shipped
+from helpers.ros.processes import UNHURRIED, press_until_contact, running_node, shipped
 from tissue_sim.ros.node.shared.guarded_node import failed
 
 pytestmark = pytest.mark.extended
@@ -177,7 +177,7 @@ def test_states_and_steps(call):
 
 def test_a_reset_brings_the_organ_back_and_refuses_what_it_cannot_reset(call):
     result, scopes = call.msg.Result, call.srv.ResetSimulation.Request
-    press_until_felt(call.client, call.client.ask)
+    press_until_contact(call.client, call.client.ask)
     assert call.client.spin_until(lambda: call.client.moved() > 5e-4)
     for scope in (scopes.SCOPE_DEFAULT, scopes.SCOPE_TIME, scopes.SCOPE_SPAWNED, scopes.SCOPE_ALL, 3):
         assert call.code("reset_simulation", scope=scope) == result.RESULT_FEATURE_UNSUPPORTED

@@ -300,18 +300,18 @@ def test_node_with_an_impossible_load_degrades_in_order(client, node, large):
         client.send_force(0.1 * inward)
         client.spin(0.02)
 
-    def is_told():
+    def is_reported():
         push()
         return client.diagnostics["degraded"] == "rate" and "degraded: markers at 10 Hz, " in client.message
 
-    assert client.spin_until(is_told), node.text()
+    assert client.spin_until(is_reported), node.text()
     assert client.level == DiagnosticStatus.WARN
 
-    def told():
+    def so_far():
         return [line for line in node.text().splitlines() if "the machine is too slow" in line]
 
-    wait_for(lambda: len(told()) >= 2, node.text)
-    lines = told()
+    wait_for(lambda: len(so_far()) >= 2, node.text)
+    lines = so_far()
     assert "markers at 10 Hz (" in lines[0]
     assert "markers at 10 Hz, 2000 Hz (" in lines[1]
     assert node.stop() == 0, node.text()

@@ -21,14 +21,14 @@ def port(most=5.0, clamp=10.0, delay=0.0, scale=1.0):
 
 def moved(device, way, count, wrench=PUSH):
     """What a device feels that moves by so much between poses."""
-    return np.array([device.felt(step * way, wrench) for step in range(count)])
+    return np.array([device.passive_wrench(step * way, wrench) for step in range(count)])
 
 
 def test_force_that_a_device_follows_is_damped():
-    felt = moved(port(), OUT, 10)
-    np.testing.assert_array_equal(felt[:2], [PUSH, PUSH])
-    assert np.all(felt[3:, 0] == pytest.approx(1.0 - 5.0 * 0.1)), "as much as may be added, at 0.1 m/s"
-    np.testing.assert_array_equal(felt[:, 1:], np.tile(PUSH[1:], (10, 1)))
+    wrenches = moved(port(), OUT, 10)
+    np.testing.assert_array_equal(wrenches[:2], [PUSH, PUSH])
+    assert np.all(wrenches[3:, 0] == pytest.approx(1.0 - 5.0 * 0.1)), "as much as may be added, at 0.1 m/s"
+    np.testing.assert_array_equal(wrenches[:, 1:], np.tile(PUSH[1:], (10, 1)))
 
 
 def test_force_that_a_device_presses_against_is_not():
@@ -40,30 +40,30 @@ def test_force_that_a_device_presses_against_is_not():
 def test_what_a_device_has_put_in_may_come_back():
     device = port()
     moved(device, -OUT, 11)
-    back = np.array([device.felt(-1e-3 * np.array([1.0, 0.0, 0.0]) + step * OUT, PUSH) for step in range(20)])
+    back = np.array([device.passive_wrench(-1e-3 * np.array([1.0, 0.0, 0.0]) + step * OUT, PUSH) for step in range(20)])
     assert back[:10, 0] == pytest.approx(1.0, abs=1e-9)
     assert back[-1, 0] < 1.0
 
 
 def test_device_that_is_driven_gets_no_more_than_some_periods_give():
     """However much damping that takes."""
-    felt = moved(port(most=1e9), OUT, 200)
-    got = np.cumsum(felt[:-1, 0] * OUT[0])
+    wrenches = moved(port(most=1e9), OUT, 200)
+    got = np.cumsum(wrenches[:-1, 0] * OUT[0])
     assert got.max() <= 4.0 * PUSH[0] * OUT[0]
     assert moved(port(most=0.0), OUT, 200)[:, 0].sum() * OUT[0] > 40.0 * got.max(), "as it would be without"
 
 
 def test_forces_count_when_they_act():
     """With 10 ms there and back, and a tick: the first ten periods of a motion are under no force."""
-    felt = moved(port(delay=5e-3), OUT, 30)
-    assert np.all(felt[:11, 0] == 1.0)
-    assert np.all(felt[13:, 0] < 1.0)
+    wrenches = moved(port(delay=5e-3), OUT, 30)
+    assert np.all(wrenches[:11, 0] == 1.0)
+    assert np.all(wrenches[13:, 0] < 1.0)
 
 
 def test_clamp_holds_and_scale_counts():
     jump = np.array([0.01, 0.0, 0.0])
-    felt = moved(port(most=50.0, clamp=2.0), jump, 10)
-    assert np.linalg.norm(felt[:, :3], axis=1).max() <= 2.0 * (1.0 + 1e-12)
+    wrenches = moved(port(most=50.0, clamp=2.0), jump, 10)
+    assert np.linalg.norm(wrenches[:, :3], axis=1).max() <= 2.0 * (1.0 + 1e-12)
     scaled = moved(port(scale=0.1), 0.1 * OUT, 10)
     np.testing.assert_allclose(scaled, moved(port(), OUT, 10), rtol=1e-9)
 
@@ -73,10 +73,10 @@ def test_without_damping_and_without_numbers_nothing_changes():
     assert moved(device, OUT, 10).tolist() == np.tile(PUSH, (10, 1)).tolist()
     bad = np.full(6, np.nan)
     device = port()
-    assert device.felt(OUT, bad) is bad
+    assert device.passive_wrench(OUT, bad) is bad
     assert np.isfinite(moved(device, OUT, 10)).all()
     device.forget()
-    np.testing.assert_array_equal(device.felt(OUT, PUSH), PUSH)
+    np.testing.assert_array_equal(device.passive_wrench(OUT, PUSH), PUSH)
 
 
 def test_a_damped_force_stands_until_the_next_pose_is_overdue_or_the_last_one_stale():

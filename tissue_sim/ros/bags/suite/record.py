@@ -67,7 +67,7 @@ def record(scene: Scene, organ: Organ, organ_file: Path, target: Path) -> dict[s
     shutil.rmtree(folder, ignore_errors=True)
     values = {"use_sim_time": "true", "record": "true", "record_folder": json.dumps(str(folder))}
     # Paths as they are given: a bag holds its parameters, and a relative path is the same on every machine.
-    values |= {"organ_file": json.dumps(str(organ_file))} | RATES | scene.told()
+    values |= {"organ_file": json.dumps(str(organ_file))} | RATES | scene.as_parameters()
     words = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
     node = Child("node", [sys.executable, "-m", "tissue_sim.ros.node.program", "--ros-args", *words], os.environ)
     try:
@@ -97,7 +97,7 @@ class _Sender:
 
     def play(self, organ: Organ) -> dict[str, int]:
         """Send all steps; return what was refused."""
-        self._wait_for(self._is_heard)
+        self._wait_for(self._is_connected)
         self._wait_for(self._reports.take)  # it ticks, so its kernels are compiled
         time.sleep(QUIET)
         self._tell_time()
@@ -143,9 +143,11 @@ class _Sender:
             raise UserError(f"the organ was not cut: {answer.result().message}")
         return due
 
-    def _is_heard(self) -> bool:
+    def _is_connected(self) -> bool:
         publishers = [self._poses, self._clock, *self._forces]
-        return all(tool.heard for tool in self._tools) and all(one.get_subscription_count() for one in publishers)
+        return all(tool.has_subscribers for tool in self._tools) and all(
+            one.get_subscription_count() for one in publishers
+        )
 
     def _wait_for(self, ask: Callable[[], Any]) -> Any:
         end = time.monotonic() + PATIENCE

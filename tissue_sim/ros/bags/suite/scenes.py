@@ -69,7 +69,7 @@ class Scene:
             return [Tool(name, shape="gripper", length=0.06, mesh="config/jaws/flat.obj") for name in self.tools]
         return [Tool(name, radius=self.radius) for name in self.tools]
 
-    def told(self) -> dict[str, str]:
+    def as_parameters(self) -> dict[str, str]:
         """Return the node's parameters."""
         values = {"tools": f"[{', '.join(self.tools)}]"}
         for tool in self.made_tools():
@@ -93,8 +93,8 @@ def _pose(place: Floats, way: Floats) -> Floats:
 def _along(ways: Mapping[int, tuple[Floats, Floats, Floats]], seconds: float) -> Steps:
     """Yield steps that move tools from a place to another, looking a way, in some s, with no speed at both ends."""
     count = max(1, round(seconds / STEP))
-    for share in minimum_jerk(np.arange(1, count + 1) / count):
-        yield Step({tool: _pose(a + share * (b - a), way) for tool, (a, b, way) in ways.items()})
+    for fraction in minimum_jerk(np.arange(1, count + 1) / count):
+        yield Step({tool: _pose(a + fraction * (b - a), way) for tool, (a, b, way) in ways.items()})
 
 
 def _nothing(seconds: float) -> Steps:
@@ -167,8 +167,8 @@ def _pushed(total: float, points: int) -> Callable[[Organ, Sequence[Tool]], Step
         yield from _nothing(2 * STEP)
         up = minimum_jerk(np.linspace(0.0, 1.0, round(0.3 / STEP)))
         every = max(1, points // 4)  # steps between two forces of a tool: a bag of ten tools is no larger for it
-        for index, share in enumerate([*up, *np.ones(round(0.8 / STEP)), *up[::-1]]):
-            force = -share * total / points * normal
+        for index, fraction in enumerate([*up, *np.ones(round(0.8 / STEP)), *up[::-1]]):
+            force = -fraction * total / points * normal
             yield Step(forces=dict.fromkeys(range(points), force) if index % every == 0 else {})
         yield Step(forces=dict.fromkeys(range(points), np.zeros(3)))
         yield from _nothing(LEFT_ALONE)
@@ -184,8 +184,8 @@ def _fly(organ: Organ, tools: Sequence[Tool]) -> Steps:
     for a, b in ((start, end), (end, start)):
         yield from _along({0: (a, a, touch.way)}, 0.1)
         count = round(np.linalg.norm(end - start) / 1.5 / STEP)
-        for share in np.arange(1, count + 1) / count:
-            yield Step({0: _pose(a + share * (b - a), touch.way)})
+        for fraction in np.arange(1, count + 1) / count:
+            yield Step({0: _pose(a + fraction * (b - a), touch.way)})
         yield from _along({0: (b, b, touch.way)}, 0.5)
     yield from _nothing(LEFT_ALONE)
 
@@ -232,7 +232,7 @@ def _cut_and_spread(organ: Organ, tools: Sequence[Tool]) -> Steps:
 
 
 def _split_and_spread(organ: Organ, tools: Sequence[Tool]) -> Steps:
-    """Split the lower pole, spread both halves with a gripper on each, and let go."""
+    """Split the lower pole, spread both halves with a gripper on each, and release them."""
     points = organ.surface_positions
     out, aside, front = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
     out, aside = -out * np.sign(out[2]), aside * np.sign(aside[0])
@@ -248,8 +248,8 @@ def _split_and_spread(organ: Organ, tools: Sequence[Tool]) -> Steps:
     legs = (0.006, 0.04, wide), (0.006, 0.0, wide), (0.004, 0.0, tight), (SPREAD, 0.0, tight), (SPREAD, 0.05, 0.05)
     for (start, goal), seconds in zip(pairwise(legs), (0.16, 0.24, 0.32, 0.2), strict=True):
         count = round(0.5 * seconds / STEP)  # every other step: contact of jaws makes large bags
-        for share in minimum_jerk(np.arange(1, count + 1) / count):
-            beside, outside, gap = np.array(start) + share * np.subtract(goal, start)
+        for fraction in minimum_jerk(np.arange(1, count + 1) / count):
+            beside, outside, gap = np.array(start) + fraction * np.subtract(goal, start)
             sides = {0: -1.0, 1: 1.0}
             places = {
                 tool: middle + side * (quarter + beside) * aside + (end - POLE + outside) * out

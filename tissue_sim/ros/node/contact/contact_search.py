@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.contact.finder import MARGIN, ContactFinder, Sought, reach_margins, ways
+from tissue_sim.contact.finder import MARGIN, ContactFinder, Sought
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
+from tissue_sim.contact.reach_margins import reach_margins, ways
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.model.data.contact_set import Engaged
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
@@ -67,7 +68,7 @@ class ContactSearch:
         n_bodies = len(self._port_of)
         self._positions = np.zeros((len(served.physics.simulation.model.rest), 3))
         self._extents = finder.tools.shapes.extent
-        self._told = np.full(n_bodies, -1)  # life, by `releases`, in which a held-off body was reported
+        self._reported = np.full(n_bodies, -1)  # life, by `releases`, in which a held-off body was reported
         self._last_goals = np.zeros((n_bodies, 7))
         self._last_time = time.monotonic()
         self._last_key: tuple[object, ...] = ()
@@ -150,8 +151,8 @@ class ContactSearch:
         tick, carried = self._physics.positions(self._positions)
         goals = now.poses.copy()
         goals[:, :3] -= carried
-        share = 2.0 / (rate * max(begun - self._last_time, 1e-4))
-        margins = np.where(looked, reach_margins(places, goals, self._last_goals, share, self._extents), 0.0)
+        fraction = 2.0 / (rate * max(begun - self._last_time, 1e-4))
+        margins = np.where(looked, reach_margins(places, goals, self._last_goals, fraction, self._extents), 0.0)
         self.is_behind = bool(np.any(ways(places, goals, self._extents)[looked] > 0.5 * MARGIN))
         self._last_goals, self._last_time = goals, begun
         engaged = np.where(looked, Engaged.YES.value, Engaged.NO.value)
@@ -174,9 +175,9 @@ class ContactSearch:
         """Notify ports of bodies that nothing resists: each time that one was outside before, stopped or was reset."""
         outside = (engaged == Engaged.YES) | (engaged == Engaged.CUTS)
         held_off = ~outside & ((engaged == Engaged.HELD_OFF) | bodies.held_off.astype(bool))
-        is_new = held_off & (self._told != bodies.releases)
-        self._told[is_new] = bodies.releases[is_new]
-        self._told[outside] = -1
+        is_new = held_off & (self._reported != bodies.releases)
+        self._reported[is_new] = bodies.releases[is_new]
+        self._reported[outside] = -1
         for port in {id(port): port for port, new in zip(self._port_of, is_new.tolist(), strict=True) if new}.values():
             port.note_inactive(self._organ)
 

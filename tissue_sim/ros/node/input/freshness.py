@@ -19,8 +19,8 @@ class Freshness:
     """Arrival of the newest pose, or force, of a tool, by simulated time, and what follows from that.
 
     While /clock stands nothing counts, so that no tool acts on the organ at once when it goes on; a clock that jumps
-    back, or is exchanged, begins anew. While the loop is held, what is fresh stays so: contacts are found for the ticks
-    that it is given.
+    back, or is exchanged, begins again. While the loop is held, what is fresh stays so: contacts are found for the
+    ticks that it is given.
     """
 
     def __init__(self, clock: SimClock, organs: Organs) -> None:
@@ -66,7 +66,7 @@ class Freshness:
 
     @property
     def last_stamp(self) -> int:
-        """Earliest stamp, ns, of the next message; 0 for a stream that begins anew, with any stamp."""
+        """Earliest stamp, ns, of the next message; 0 for a stream that begins again, with any stamp."""
         return self._stamp if self.counts and not self._organs.loop.standing else 0
 
     @property

@@ -16,7 +16,7 @@ from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.qos import STREAM
 from tissue_sim.ros.shared.report import Report
 
-PAUSE = 1.0  # s without a message after which a stream may begin anew, with any stamp
+PAUSE = 1.0  # s without a message after which a stream may begin again, with any stamp
 
 
 class RespirationInput:
@@ -28,10 +28,10 @@ class RespirationInput:
     def __init__(self, node: Node, loop: Loop, recorder: JoinedRecorder, clock: SimClock) -> None:
         self._loop, self._recorder, self._clock, self._log = loop, recorder, clock, node.get_logger()
         self._stamp, self._came, self._warned = 0, -math.inf, -math.inf
-        self.share, self.taken = 0.0, 0
+        self.fraction, self.taken = 0.0, 0
         self.refused: Counter[str] = Counter()
         clock.jumped.append(self._forget)
-        self._subscription = node.create_subscription(JointState, "~/respiration", self._on_share, STREAM)
+        self._subscription = node.create_subscription(JointState, "~/respiration", self._on_fraction, STREAM)
 
     def report(self, report: Report) -> None:
         """Add where the breath is to be, and what was refused.
@@ -41,10 +41,10 @@ class RespirationInput:
         report : Report
             The report; updated.
         """
-        report.values |= {"respiration": self.share, "respirations": self.taken}
+        report.values |= {"respiration": self.fraction, "respirations": self.taken}
         report.problems |= {f"respiration.refused.{why}": count for why, count in sorted(self.refused.items())}
 
-    def _on_share(self, message: JointState) -> None:
+    def _on_fraction(self, message: JointState) -> None:
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         if why := self._wrong(message, stamp):
             name, line = why
@@ -54,18 +54,18 @@ class RespirationInput:
                 self._log.warning(f"a message on ~/respiration was refused: {line}")
             return
         self._stamp, self._came = stamp, self._clock.now()
-        self.share, self.taken = float(message.position[0]), self.taken + 1
+        self.fraction, self.taken = float(message.position[0]), self.taken + 1
         with self._recorder.together:
-            self._recorder.respiration(self._loop.post_respiration(self.share), self.share)
+            self._recorder.respiration(self._loop.post_respiration(self.fraction), self.fraction)
         self._loop.wake()
 
     def _wrong(self, message: JointState, stamp: int) -> tuple[str, str] | None:
         """Return a short name and a line for what can't be used."""
         if not message.position:
             return "no_position", "it contains no position"
-        share = message.position[0]
-        if not math.isfinite(share) or not 0.0 <= share <= 1.0:
-            return "no_share", f"its position is {share:g}; expected: 0, exhaled, to 1, inhaled"
+        fraction = message.position[0]
+        if not math.isfinite(fraction) or not 0.0 <= fraction <= 1.0:
+            return "no_share", f"its position is {fraction:g}; expected: 0, exhaled, to 1, inhaled"
         if stamp == 0:
             return "no_stamp", "its stamp is 0, which marks invalid data; set header.stamp to the time of measurement"
         if self._clock.now() - self._came < PAUSE and stamp < self._stamp:

@@ -1,10 +1,9 @@
-"""Contact points of each tool as point clouds: collected only while somebody subscribes."""
+"""Contact points of each tool as point clouds: collected only while there are subscribers."""
 
 from __future__ import annotations
 
 import math
 import time
-from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -45,7 +44,7 @@ class ContactPoints:
         self.gathered = 0  # times that the loop was asked for its state
 
     def present(self) -> None:
-        """Publish the points of tools that somebody subscribes to, if anything has moved."""
+        """Publish the points of tools that have subscribers, if anything has moved."""
         wanted = [one.get_subscription_count() for one in self._publishers]
         if not any(wanted):
             return
@@ -122,7 +121,7 @@ def warm_up(shapes: Shapes) -> None:
 
 
 @kernel
-def write_normals(shapes: Shapes, bodies: Any, poses: Any, places: Any, normals: Any) -> None:
+def write_normals(shapes: Shapes, bodies: Longs, poses: Floats, places: Floats, normals: Floats) -> None:
     """Write the outward normals (k, 3) of bodies (k,) at places (k, 3) m near their surfaces; poses (B, 7) of all."""
     origin, r = np.zeros(3), np.zeros(9)
     for index in range(len(bodies)):

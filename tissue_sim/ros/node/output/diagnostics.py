@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -54,8 +53,8 @@ class Diagnostics:
             status.level, status.message = DiagnosticStatus.WARN, "; ".join(lines)
         if report.failures:
             status.level, status.message = DiagnosticStatus.ERROR, report.failures[0]
-        told = {**report.values, **report.problems}
-        status.values = [KeyValue(key=key, value=_text(value)) for key, value in told.items()]
+        values = {**report.values, **report.problems}
+        status.values = [KeyValue(key=key, value=_text(value)) for key, value in values.items()]
         return status
 
 
@@ -117,7 +116,7 @@ class LoopReport:
                 f"simulated time was {1e3 * timing.behind:.1f} ms behind,"
                 f" real-time factor {timing.real_time_factor:.3f}"
             )
-        if timing.late_share > MOST_LATE:
+        if timing.late_fraction > MOST_LATE:
             report.warnings.append(f"{timing.late_ticks} ticks were late by more than a period")
         if not self._organs.loop.alive:
             report.failures.append("the physics loop has ended")
@@ -161,7 +160,7 @@ def _add_all(report: Report, results: Sequence[Results]) -> None:
     }
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4f}" if abs(value) < 10.0 else f"{value:.1f}"
     return str(value)

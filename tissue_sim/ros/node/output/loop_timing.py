@@ -41,7 +41,7 @@ class Timing:
         return float(self.busy.sum()) / self.seconds
 
     @property
-    def late_share(self) -> float:
+    def late_fraction(self) -> float:
         """Fraction of the ticks that began more than a period late."""
         return self.late_ticks / max(self.ticks, 1)
 

@@ -200,16 +200,16 @@ class OrganMarkers:
         self._drawn = Drawn(np.concatenate(drawn).astype(np.int64), ends)
         markers += [force_arrow(frame_id, "contacts", tool) for tool in range(n_tools)]
         self._bytes = MarkerBytes(markers)
-        # Compiled here, or while somebody waits for the first message.
+        # Compiled here, or else while a subscriber waits for the first message.
         rest = np.concatenate([shown.rest for shown in organs.values()])
         all_finite(rest)
-        share = np.zeros(len(rest)) if coloured else None
-        if share is not None:
-            write_displacement(share, rest, rest, 1.0)
-        self.message(0, rest, np.zeros((n_tools, 3)), np.zeros((n_tools, 6)), share)
+        fraction = np.zeros(len(rest)) if coloured else None
+        if fraction is not None:
+            write_displacement(fraction, rest, rest, 1.0)
+        self.message(0, rest, np.zeros((n_tools, 3)), np.zeros((n_tools, 6)), fraction)
 
     def message(
-        self, stamp: int, positions: Floats, centre: Floats, wrench: Floats, share: Floats | None = None
+        self, stamp: int, positions: Floats, centre: Floats, wrench: Floats, fraction: Floats | None = None
     ) -> bytes:
         """Return the message.
 
@@ -223,14 +223,14 @@ class OrganMarkers:
             Where each tool touches.
         wrench : Floats, shape (T, 6), N and N m
             What each tool feels; a tool without force has its arrow deleted.
-        share : Floats | None, shape (n,), optional
+        fraction : Floats | None, shape (n,), optional
             Each row's place on the colour scale, 0 to 1, if they are coloured.
         """
         made = self._bytes
         write_organs(made.template, stamp, positions, self._drawn, centre, wrench)
-        if share is not None:
+        if fraction is not None:
             for marker, corners in self._surfaces:
-                write_colours(made.colours[marker], corners, share, SHADES)
+                write_colours(made.colours[marker], corners, fraction, SHADES)
         return made.message()
 
     def deletion(self) -> bytes:
@@ -285,21 +285,21 @@ def write_force(template: Template, index: int, start: Floats, force: Floats) ->
 
 
 @kernel
-def write_colours(colours: Singles, corners: Longs, share: Floats, scale: Singles) -> None:
-    """Write the colour (4,) of each corner from a scale (m, 4) and each node's place on it, share (n,)."""
+def write_colours(colours: Singles, corners: Longs, fraction: Floats, scale: Singles) -> None:
+    """Write the colour (4,) of each corner from a scale (m, 4) and each node's place on it, fraction (n,)."""
     for index in range(len(corners)):
-        place = int(min(share[corners[index]], 1.0) * (len(scale) - 1))
+        place = int(min(fraction[corners[index]], 1.0) * (len(scale) - 1))
         for channel in range(4):
             colours[index, channel] = scale[place, channel]
 
 
 @kernel
-def write_displacement(share: Floats, positions: Floats, rest: Floats, full: float) -> None:
+def write_displacement(fraction: Floats, positions: Floats, rest: Floats, full: float) -> None:
     """Write how far each position is from rest, as a fraction.
 
     Parameters
     ----------
-    share : Floats, shape (n,)
+    fraction : Floats, shape (n,)
         The fractions; updated.
     positions : Floats, shape (n, 3), m
         The positions.
@@ -312,7 +312,7 @@ def write_displacement(share: Floats, positions: Floats, rest: Floats, full: flo
         square = 0.0
         for axis in range(3):
             square += (positions[node, axis] - rest[node, axis]) ** 2
-        share[node] = math.sqrt(square) / full
+        fraction[node] = math.sqrt(square) / full
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Publishing of organs at the marker rate: markers, surface, skeleton; only what somebody subscribes to."""
+"""Publishing of organs at the marker rate: markers, surface, skeleton; only what has subscribers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tissue_sim.ros.node.shared.served_organ import ServedOrgan
 from tissue_sim.ros.node.tools.tool_port import ToolPort
 from tissue_sim.ros.shared.messages import CloudTemplate, inclusion_mesh, rest_mesh
 from tissue_sim.ros.shared.organs import Organs
-from tissue_sim.ros.shared.parameters import Values
+from tissue_sim.ros.shared.parameter_values import Values
 from tissue_sim.ros.shared.qos import LATCHED, STREAM
 from tissue_sim.ros.shared.report import Report
 
@@ -139,7 +139,7 @@ class OrganPublisher:
 
 
 class ScenePublisher:
-    """Publisher of the markers of a scene's organs as one array, and of its ligaments, while somebody subscribes."""
+    """Publisher of the markers of a scene's organs as one array, and of its ligaments, while there are subscribers."""
 
     def __init__(
         self,

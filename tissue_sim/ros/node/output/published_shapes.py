@@ -26,17 +26,17 @@ class ContactForces(Protocol):
 class Touches:
     """Where tools are, and what they feel of one organ or of all."""
 
-    def __init__(self, ports: Sequence[ToolPort], felt_of: ContactForces) -> None:
-        self._ports, self._felt_of = list(ports), felt_of
-        self._tips, self._felt = np.zeros((len(ports), 3)), np.zeros((len(ports), 6))
+    def __init__(self, ports: Sequence[ToolPort], forces: ContactForces) -> None:
+        self._ports, self._forces = list(ports), forces
+        self._tips, self._wrenches = np.zeros((len(ports), 3)), np.zeros((len(ports), 6))
 
     def now(self) -> tuple[Floats, Floats]:
         """Return each tool's origin, (T, 3) m, and its wrench, (T, 6) N, N m; the next call overwrites them."""
-        _, wrenches = self._felt_of.wrenches()
+        _, wrenches = self._forces.wrenches()
         for index, port in enumerate(self._ports):
             self._tips[index] = port.newest.pose[:3]
-            self._felt[index] = port.wrench(wrenches)
-        return self._tips, self._felt
+            self._wrenches[index] = port.wrench(wrenches)
+        return self._tips, self._wrenches
 
 
 class PublishedShapes:
@@ -67,7 +67,7 @@ class PublishedShapes:
         ends = np.cumsum([organ.n_rows for organ in self.organs]).tolist()
         self._parts = [slice(first, last) for first, last in zip([0, *ends[:-1]], ends, strict=True)]
         self.positions = self._rest.copy()  # where breathing has moved them
-        self._own, self._share = self._rest.copy(), np.zeros(len(self._rest))
+        self._own, self._fraction = self._rest.copy(), np.zeros(len(self._rest))
         self._nodes = [organ.organ.rest_positions for organ in self.organs]
         named = dict(zip(self._names, self.organs, strict=True))
         self._new_markers = partial(OrganMarkers, self._frame_id, named, self._n_tools)
@@ -116,22 +116,22 @@ class PublishedShapes:
             return self._plain.message(stamp, self.positions, tips, wrenches)
         if self._coloured is None:
             self._coloured = self._new_markers(coloured=True)
-        return self._coloured.message(stamp, self.positions, tips, wrenches, self._shares(colour))
+        return self._coloured.message(stamp, self.positions, tips, wrenches, self._fractions(colour))
 
     def deletion(self) -> bytes:
         """Return the same markers, all deleted: for the shutdown."""
         return self._plain.deletion()
 
-    def _shares(self, colour: str) -> Floats:
+    def _fractions(self, colour: str) -> Floats:
         """Return each row's place on the colour scale, 0 to 1."""
         if colour == "displacement":  # without the motion of the breath
-            write_displacement(self._share, self._own, self._rest, FULL_DISPLACEMENT)
-            return self._share
+            write_displacement(self._fraction, self._own, self._rest, FULL_DISPLACEMENT)
+            return self._fraction
         for one, part, organ in zip(self._physics, self._parts, self.organs, strict=True):
             if colour == "force":
-                share = one.contact_forces() / FULL_FORCE
+                fraction = one.contact_forces() / FULL_FORCE
             else:
-                share = np.where(one.moving(), MOVING, 0.0)
-            if len(share) == organ.organ.n_nodes:  # another one where the organ has just been cut
-                organ.fill(self._share[part], share)
-        return self._share
+                fraction = np.where(one.moving(), MOVING, 0.0)
+            if len(fraction) == organ.organ.n_nodes:  # another one where the organ has just been cut
+                organ.fill(self._fraction[part], fraction)
+        return self._fraction

@@ -37,7 +37,7 @@ class PublishingThread:
         Functions that publish markers.
     live : LiveSettings
         Settings while the node runs.
-    tell : Callable[[], None]
+    publish_report : Callable[[], None]
         Publishes the report.
     """
 
@@ -47,10 +47,10 @@ class PublishingThread:
         ports: Sequence[ToolPort],
         show: Sequence[Callable[[], None]],
         live: LiveSettings,
-        tell: Callable[[], None],
+        publish_report: Callable[[], None],
     ) -> None:
         self._organs, self._sim_clock, self._backlog = parts.organs, parts.clock, parts.backlog
-        self._ports, self._show, self._live, self._tell = list(ports), list(show), live, tell
+        self._ports, self._show, self._live, self._publish_report = list(ports), list(show), live, publish_report
         self._logger = parts.node.get_logger()
         self._trouble = RepeatedFailure("outlet", self._logger.warning)
         self._load = TimingReader(parts.organs)
@@ -110,7 +110,7 @@ class PublishingThread:
         if now >= self._next_report:
             self._next_report = max(self._next_report + REPORT_EVERY, now)
             with noted():
-                self._tell()
+                self._publish_report()
                 self._trouble.succeeded()  # unless it goes on failing
         if now >= self._next_return:
             self._next_return = now + GIVE_BACK_EVERY
@@ -129,7 +129,7 @@ class PublishingThread:
         self._sim_clock.watch()
         timing, ladder = self._load.read(), self._ladder
         was_stuck = ladder.stuck
-        look = degrade.Look(timing.load, timing.late_share, timing.dropped_ticks)
+        look = degrade.Look(timing.load, timing.late_fraction, timing.dropped_ticks)
         if ladder.look(now, look, self._live.helps):
             self._degrade(ladder.level, look.words)
         elif ladder.stuck and not was_stuck:

@@ -56,7 +56,7 @@ class ToolMarkers:
         stamp : int, ns
             Its time.
         placed : Sequence[Floats | None], shape (b, 7) each, m and quaternion xyzw
-            Poses of each tool's bodies, or None where nobody moves it.
+            Poses of each tool's bodies, or None where it isn't moved.
         tips : Floats, shape (T, 3), m
             Starts of the arrows.
         forces : Floats, shape (T, 3), N
@@ -70,8 +70,8 @@ class ToolMarkers:
                     pose, shown = poses[member], self._bytes.poses[index]
                     shown[:3] = pose[:3] + Rotation.from_quat(pose[3:]).apply(place)
                     shown[3:] = pose[3:]
-            felt = forces[tool] if poses is not None else np.zeros(3)
-            self._bytes.draw_force(self._arrows[tool], tips[tool], felt)
+            force = forces[tool] if poses is not None else np.zeros(3)
+            self._bytes.draw_force(self._arrows[tool], tips[tool], force)
         return self._bytes.message()
 
     def deletion(self) -> bytes:

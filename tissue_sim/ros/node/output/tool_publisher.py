@@ -42,7 +42,7 @@ class ToolPublisher:
         self._sent = -math.inf
 
     def present(self) -> None:
-        """Publish where the tools are, if somebody subscribes and they have moved or feel something else."""
+        """Publish where the tools are, if there are subscribers and they have moved or feel something else."""
         if self._tools.get_subscription_count() == 0:
             return
         now = time.monotonic()

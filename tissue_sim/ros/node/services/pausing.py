@@ -146,7 +146,7 @@ class Pausing:
         Returns
         -------
         int
-            how many were taken: fewer where the node was paused anew, goes on, or ends meanwhile
+            how many were taken: fewer where the node was paused again, goes on, or ends meanwhile
 
         Raises
         ------

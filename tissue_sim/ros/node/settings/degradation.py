@@ -33,7 +33,7 @@ class Look(NamedTuple):
 
     @property
     def words(self) -> str:
-        """What it saw, for people."""
+        """Its measurements, as text."""
         lost = f", {self.dropped} were dropped" if self.dropped else ""
         return f"ticks took {100 * self.load:.0f} % of the time, {100 * self.late:.0f} % of them were late{lost}"
 

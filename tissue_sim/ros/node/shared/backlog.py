@@ -87,7 +87,7 @@ class InputThrottle:
 
 
 def executor_of(node: Node) -> Post:
-    """Return a function that has a node's executor do things, once it has one.
+    """Return a function that has a node's executor run functions, once it has one.
 
     Parameters
     ----------

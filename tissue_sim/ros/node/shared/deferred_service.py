@@ -54,7 +54,7 @@ class DeferredService:
     def _finish(self, work: Work, request: Any, response: Any, header: Any) -> None:
         try:
             work()
-        except Exception as error:  # of any kind: the caller is told
+        except Exception as error:  # of any kind: the caller gets the message
             response = failed(type(response)(), request, self._node.mishaps.note(error))
         with self._node.mishaps.noted():
             self._send(response, header)

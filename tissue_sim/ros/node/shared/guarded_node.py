@@ -102,7 +102,7 @@ class GuardedNode(Node):
         return super().create_timer(timer_period_sec, self.guarded(callback), *args, **named)
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, *args: Any, **named: Any) -> Any:
-        """Create a service like rclpy, guarded: the caller is told that it failed."""
+        """Create a service like rclpy, guarded: the caller learns that it failed."""
 
         @wraps(callback)
         def call(request: Any, response: Any) -> Any:

@@ -114,8 +114,8 @@ class ServedScene:
             simulation.settings.stiffness_scale *= stiffness
 
 
-def told(names: Sequence[str], organs: Sequence[Organ]) -> str:
-    """Return what is served, for people.
+def described(names: Sequence[str], organs: Sequence[Organ]) -> str:
+    """Return a description of what is served.
 
     Parameters
     ----------

@@ -23,8 +23,8 @@ class SimClock:
     Attributes
     ----------
     jumped
-        Functions that are called when times begin anew: after a jump back, before the organ goes back to rest, and when
-        ticks follow another clock.
+        Functions that are called when times begin again: after a jump back, before the organ goes back to rest, and
+        when ticks follow another clock.
     active
         Whether ticks follow /clock.
     """

@@ -34,7 +34,7 @@ class Observer:
         self._place: Floats | None = None
 
     def forget(self) -> None:
-        """Begin anew: poses have stopped."""
+        """Begin again: poses have stopped."""
         self._sent.clear()
         self._energy, self._place = 0.0, None
 
@@ -131,10 +131,10 @@ class DevicePort:
         return min(LATE * self._poses.period, self._settings().stale_time) if self.most > 0.0 else 0.0
 
     def forget(self) -> None:
-        """Begin anew: poses have stopped."""
+        """Begin again: poses have stopped."""
         self._observer.forget()
 
-    def felt(self, place: Floats, wrench: Floats) -> Floats:
+    def passive_wrench(self, place: Floats, wrench: Floats) -> Floats:
         """Return the wrench that answers a pose, all in the organ's axes.
 
         Parameters

@@ -72,7 +72,7 @@ class ToolOutput:
         with self._lock:
             self._pose = pose
             tick, wrench = self._newest()
-            self._send(tick, wrench, self.device.felt(pose.pose[:3], wrench))
+            self._send(tick, wrench, self.device.passive_wrench(pose.pose[:3], wrench))
 
     def renew(self, pose: NewestPose) -> None:
         """Use the frames of the newest pose.
@@ -117,23 +117,23 @@ class ToolOutput:
         tick, wrenches = self._organs.wrenches()
         return tick, self._tool.wrench(wrenches, self._pose)
 
-    def _send(self, tick: int, wrench: Floats, felt: Floats) -> None:
+    def _send(self, tick: int, wrench: Floats, output: Floats) -> None:
         """Publish what a hand is to feel; a bag holds the wrench of the tick, which a replay repeats."""
-        if not np.all(np.isfinite(felt)):  # has not occurred yet, and must never be felt
-            wrench = felt = np.zeros(6)
+        if not np.all(np.isfinite(output)):  # has not occurred yet, and must never reach a hand
+            wrench = output = np.zeros(6)
             self.not_finite += 1
         stamp = self._clock.now().nanoseconds
         if (axes := self._tool.axes(self._pose)) != self._axes:
             self._axes, self._template = axes, self._template_for(axes)
-        raw = self._template.message(stamp, self._along_axes(felt))
+        raw = self._template.message(stamp, self._along_axes(output))
         self._servo.publish(raw)
         if self._in_organ_frame.get_subscription_count() > 0:
             self._in_organ_frame.publish(self._bag_wrench.message(stamp, wrench))
-        self.force = math.sqrt(float(felt[:3] @ felt[:3]))
+        self.force = math.sqrt(float(output[:3] @ output[:3]))
         self._published = time.monotonic()
         if self._recorder.active:
             is_in_organ_frame = self._axes == self._tool.organ_frame and self._pose.to_organ.is_identity
-            if not (self._as_bagged and is_in_organ_frame and felt is wrench):
+            if not (self._as_bagged and is_in_organ_frame and output is wrench):
                 raw = self._bag_wrench.message(stamp, wrench)
             self._recorder.wrench(self._bagged, self._tool.index, tick, raw)
 

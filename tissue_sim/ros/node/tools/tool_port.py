@@ -114,7 +114,7 @@ class ToolPort:
             self.output.renew(self.input.newest)
 
     def _stay(self, newest: NewestPose, to_organ: Transform) -> None:
-        """Take a pose up anew in its frame, from which another transform leads to the organ now."""
+        """Take a pose up again in its frame, from which another transform leads to the organ now."""
         pose = to_organ.of(newest.to_organ.scaled(1.0).inverse().of(newest.pose.tolist()))
         if self.pose_freshness.is_fresh:
             self.input.place(pose, newest.frame_id, to_organ)

@@ -17,15 +17,15 @@ class LookupException(TransformException):
 
 class Buffer:
     def __init__(self, cache_time: Duration | None = None, node: Node | None = None) -> None:
-        self.heard: dict[tuple[str, str], TransformStamped] = {}
+        self.frames: dict[tuple[str, str], TransformStamped] = {}
 
     def set_transform(self, transform: TransformStamped, authority: str) -> None:
-        self.heard[transform.header.frame_id, transform.child_frame_id] = transform
+        self.frames[transform.header.frame_id, transform.child_frame_id] = transform
 
     def lookup_transform(
         self, target_frame: str, source_frame: str, time: Time, timeout: Duration | None = None
     ) -> TransformStamped:
-        found = self.heard.get((target_frame, source_frame))
+        found = self.frames.get((target_frame, source_frame))
         if found is None:
             raise LookupException(f'"{source_frame}" passed to lookupTransform argument source_frame does not exist.')
         return found

@@ -1,0 +1,59 @@
+"""How much farther than a tool's surface its contact points are searched, since it moves until the next search."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.contact.tools import MARGIN
+from tissue_sim.model.contact.tool_motion import distance_along_path
+
+MOST_MARGIN = 0.01  # m: a tool that is farther from its goal moves there in steps, with a contact set for each
+
+
+def reach_margins(places: Floats, goals: Floats, last: Floats, fraction: float, extents: Floats) -> Floats:
+    """Return the margins beyond MARGIN for bodies that move towards goals.
+
+    A margin covers the distance to the goal, and a possible motion until the next set, `fraction` times the motion
+    since the last one, beyond half of MARGIN; in whole mm, so that a journal can hold it.
+
+    Parameters
+    ----------
+    places : Floats, shape (T, 7)
+        Present poses.
+    goals : Floats, shape (T, 7)
+        Goals.
+    last : Floats, shape (T, 7)
+        Goals at the last set.
+    fraction : float
+        Factor of the motion since the last set.
+    extents : Floats, shape (T,), m
+        `Shapes.extent`.
+
+    Returns
+    -------
+    Floats, shape (T,), m
+        Margins.
+    """
+    covered = ways(places, goals, extents) + fraction * ways(last, goals, extents)
+    return 1e-3 * np.ceil(1e3 * np.clip(covered - 0.5 * MARGIN, 0.0, MOST_MARGIN))
+
+
+def ways(poses: Floats, others: Floats, extents: Floats) -> Floats:
+    """Return bounds on how far points of bodies lie apart in two poses each.
+
+    Parameters
+    ----------
+    poses : Floats, shape (T, 7)
+        Poses.
+    others : Floats, shape (T, 7)
+        Other poses.
+    extents : Floats, shape (T,), m
+        `Shapes.extent`.
+
+    Returns
+    -------
+    Floats, shape (T,), m
+        Bounds.
+    """
+    return np.array([distance_along_path(*one) for one in zip(poses, others, extents, strict=True)])
