@@ -32,11 +32,14 @@ class Shape:
 
     def __init__(self, surface: Floats, triangles: Ints) -> None:
         self._low = surface.min(axis=0) - MARGIN
-        counts = np.ceil((surface.max(axis=0) + MARGIN - self._low) / SPACING).astype(int) + 1
-        points = self._low + SPACING * np.stack(np.indices(counts), axis=-1).reshape(-1, 3)
+        axes = [
+            np.arange(low, high + SPACING, SPACING)
+            for low, high in zip(self._low, surface.max(axis=0) + MARGIN, strict=True)
+        ]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         signed = distance_to_surface(points, surface, triangles)
         signed[inside(points, surface, triangles)] *= -1.0
-        grid = signed.reshape(counts)
+        grid = signed.reshape([len(axis) for axis in axes])
         self._grids = [grid, *np.gradient(grid, SPACING)]
 
     def distance(self, points: Floats) -> Floats:

@@ -123,7 +123,6 @@ def blade_rows(count: int) -> Any:
 
 def no_cut_cells() -> CutCells:
     """Return cells that no blade can cut: none."""
-    none = np.zeros((0, CORNERS), dtype=np.int64)
-    return CutCells(
-        none, none, *np.zeros((2, 0, CORNERS)), np.zeros((0, CORNERS, 3)), none[:, 0], none, np.zeros(0, dtype=np.int64)
-    )
+    none, weights = np.zeros((0, CORNERS), dtype=np.int64), np.zeros((0, CORNERS))
+    slope, flags = np.zeros((0, CORNERS, 3)), np.zeros(0, dtype=np.int64)
+    return CutCells(none, none, weights, weights, slope, none[:, 0], none, flags)
