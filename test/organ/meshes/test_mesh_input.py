@@ -12,8 +12,8 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.meshes.mesh_holes import area_of, capped_volume, fill, holes
 from tissue_sim.organ.meshes.mesh_input import read_mesh, voxelize
 from tissue_sim.organ.meshes.mesh_repair import once_used_edges
-from tissue_sim.organ.organ import check_surface, signed_volume
 from tissue_sim.organ.reporting.vtk_xml import polydata, tetrahedra
+from tissue_sim.organ.surface_checks import check_surface, signed_volume
 
 
 @pytest.fixture
