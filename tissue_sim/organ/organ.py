@@ -26,7 +26,7 @@ from tissue_sim.organ.surface_checks import check_surface, signed_volume
 # relaxes
 SCHEMA_VERSION = 7
 # Fields of the header, with their types.
-_TOLD = {"name": str, "youngs_modulus": float, "poisson_ratio": float, "density": float, "provenance": dict}
+_HEADER = {"name": str, "youngs_modulus": float, "poisson_ratio": float, "density": float, "provenance": dict}
 # Those of tissue that stiffens or relaxes: the value that other tissue has, which the header leaves out, and the range.
 _LAW = {
     "stiffening": (0.0, 0.0, 100.0),
@@ -378,7 +378,7 @@ class Organ:
                 " calibrate it again, with cells, which harden as tissue does"
             )
         content.setdefault("interior_spoke", np.empty((0, 2)))  # version 1 had no interior atoms
-        whole: dict[str, Any] = {**{key: header[key] for key in (*_TOLD, *_LAW) if key in header}, **content}
+        whole: dict[str, Any] = {**{key: header[key] for key in (*_HEADER, *_LAW) if key in header}, **content}
         return cls(**whole)
 
     def digest(self) -> str:
@@ -450,13 +450,13 @@ def _header(text: str) -> dict[str, Any] | None:
         header["schema_version"] = int(header["schema_version"])
         if header["schema_version"] > SCHEMA_VERSION:
             return dict(header)
-        for key, kind in _TOLD.items():
+        for key, kind in _HEADER.items():
             header[key] = kind(header[key])
         for key in _LAW.keys() & header.keys():
             header[key] = float(header[key])
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
-    numbers = [header[key] for key in (*_TOLD, *_LAW) if isinstance(header.get(key), float)]
+    numbers = [header[key] for key in (*_HEADER, *_LAW) if isinstance(header.get(key), float)]
     if len(header["name"]) > _LONGEST_NAME or not np.all(np.isfinite(numbers)):
         return None
     return dict(header)
