@@ -310,7 +310,7 @@ def crossings(path: Path) -> list[str]:
 
 
 @pytest.mark.extended
-def test_tests_fraction_only_named_helpers():
+def test_tests_share_only_named_helpers():
     assert not [line for path in TESTS for line in crossings(path)]
     are_tests = {path for path in TESTS if path.name.startswith("test_") or path.name == "conftest.py"}
     in_helpers = {path for path in TESTS if (ROOT / "test" / "helpers") in path.parents}

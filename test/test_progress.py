@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import pytest
 from numba.core import event
 
+from helpers.clock import clock_of
 from helpers.patience import LIMIT
 from tissue_sim import jit, progress
 from tissue_sim.cli import main
@@ -37,23 +38,10 @@ sys.exit(main(["info", "k.npz"]))
 """
 
 
-class Clock:
-    """A time that goes on when it is told to."""
-
-    def __init__(self):
-        self.now = 1000.0
-
-    def monotonic(self):
-        return self.now
-
-
 @pytest.fixture
 def clock(monkeypatch):
     """No thread, no terminal, and a time of its own: what is reported depends on that alone."""
-    clock = Clock()
-    monkeypatch.setattr(progress, "time", clock)
-    monkeypatch.setattr(progress, "_teller", progress._Teller())
-    monkeypatch.setenv(progress.SETTING, "")
+    clock = clock_of(monkeypatch)
     with progress.still():
         yield clock
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from helpers.clock import clock_of
 from helpers.scenes import ball
 from tissue_sim import progress
 from tissue_sim.bench import timing
@@ -22,30 +23,9 @@ class Over(Exception):
     """What has been shown ends here."""
 
 
-class Clock:
-    """A time that goes on when it is told to."""
-
-    def __init__(self):
-        self.now = 1000.0
-
-    def monotonic(self):
-        return self.now
-
-    def pass_by(self, seconds):
-        """Let time pass as work does that tells nothing by itself."""
-        self.now += seconds
-        teller = progress._teller
-        if teller._ticker is not None:
-            teller.look()
-
-
 @pytest.fixture
 def clock(monkeypatch):
-    clock = Clock()
-    monkeypatch.setattr(progress, "time", clock)
-    monkeypatch.setattr(progress, "_teller", progress._Teller())
-    monkeypatch.setenv(progress.SETTING, "")
-    return clock
+    return clock_of(monkeypatch)
 
 
 @pytest.fixture

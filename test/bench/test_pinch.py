@@ -61,7 +61,7 @@ def test_every_pair_is_of_two_tools(tmp_path):
 @pytest.fixture
 def quick(monkeypatch):
     """One shallow pinch along each axis."""
-    monkeypatch.setattr(pinch_reference, "SHARES", (0.1,))
+    monkeypatch.setattr(pinch_reference, "FRACTIONS", (0.1,))
     monkeypatch.setattr(pinch_reference, "SPEED", 0.1)
     monkeypatch.setattr(pinch_reference, "CLEAR", 0.001)
 
@@ -143,7 +143,7 @@ def test_what_did_not_settle_is_reported_and_leaves_the_bound_open():
 
 @pytest.mark.extended
 def test_finite_elements_are_compressed_on_two_meshes(monkeypatch):
-    monkeypatch.setattr(pinch_reference, "SHARES", (0.05,))
+    monkeypatch.setattr(pinch_reference, "FRACTIONS", (0.05,))
     organ = ball_of_cells()
     (row,) = pinch_reference.by_elements(organ, two_tools.place(organ, 0, two_tools.SPHERE), 0)
     force, coarse, fine = (np.array(row[name]) for name in ("force_n", "coarse_n", "fine_n"))

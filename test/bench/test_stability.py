@@ -13,12 +13,14 @@ from tissue_sim.bench.organs import press_node
 from tissue_sim.bench.sweeps.cells import AXES, SMALL_ORGAN, Cell, axes_named, cells_of
 from tissue_sim.bench.sweeps.inversion_check import InversionCheck
 from tissue_sim.bench.sweeps.loads import PATCH_NODES, PROBE, Line, Poke, far_node, patch_around, ten_points
-from tissue_sim.bench.sweeps.trial import critical_step_of, organ_of, run_cell, simulation_of, with_mass_ratio
+from tissue_sim.bench.sweeps.trial import run_cell
+from tissue_sim.bench.sweeps.trial_simulations import critical_step_of, organ_of, simulation_of, with_mass_ratio
 from tissue_sim.cli import main
 from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.organ import Organ, signed_volume
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
+from tissue_sim.organ.surface_checks import signed_volume
 
 
 def cell(axis="force_patch", value=1.0, integrator="symplectic", region="off"):

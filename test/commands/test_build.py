@@ -22,10 +22,12 @@ from helpers.shapes import solid, write_dicom
 from tissue_sim.cli import main
 from tissue_sim.commands.build import parse_triple, report_path
 from tissue_sim.errors import UserError
-from tissue_sim.organ.imaging.image import Volume, read_image
+from tissue_sim.organ.imaging.image import Volume
+from tissue_sim.organ.imaging.image_file import read_image
 from tissue_sim.organ.inclusions import inclusions_of
-from tissue_sim.organ.organ import Organ, signed_volume
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.tool_resolution import mean_edge
 
 FEW = ["--points", "200", "--atoms", "12", "--branches", "none"]

@@ -6,9 +6,10 @@ import trimesh
 
 from helpers.vtk_file import read_vtk
 from tissue_sim.cli import main
-from tissue_sim.organ.organ import Organ, signed_volume
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.reporting.exchange import bones
 from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.organ.surface_checks import signed_volume
 
 KIDNEY, AS_BUILT = str(shipped_organ("kidney")), str(shipped_organ("kidney_as_built"))
 UNITS = pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 1e3)])

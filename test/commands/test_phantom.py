@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tissue_sim.cli import main
-from tissue_sim.organ.imaging.image import read_image
+from tissue_sim.organ.imaging.image_file import read_image
 from tissue_sim.organ.imaging.masks import read_mask
 
 

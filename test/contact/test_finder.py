@@ -157,16 +157,24 @@ def test_flat_tool_over_the_middle_of_a_triangle_has_points_in_it(tmp_path, gap)
         assert inside.any(), f"triangle {number}"
 
 
-def test_a_jaw_finds_points_as_close_together_as_each_triangle_asks_for(tmp_path):
-    """And all that lies on a triangle gives way as a foundation of its area."""
+def on_a_jaw(folder):
+    """The ball, the longest edge of each triangle, half a jaw's thickness, and the points that it touches.
+
+    Some triangles get 2 parts, and no point in their inside, the others 3, and one.
+    """
     organ = ball(2)
     corner = organ.surface_positions[organ.surface_triangles]
     longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
-    # Some triangles get 2 parts, and no point in their inside, the others 3, and one.
     radius = 0.5 * float(longest.min() + longest.max()) / (2.0 * OF_OTHERS.spacing)
-    trimesh.creation.box((0.06, 0.06, 2.0 * radius)).export(tmp_path / "jaw.stl")
-    finder = make_finder(organ, Tool("left", shape="mesh", mesh=str(tmp_path / "jaw.stl")))
+    trimesh.creation.box((0.06, 0.06, 2.0 * radius)).export(folder / "jaw.stl")
+    finder = make_finder(organ, Tool("left", shape="mesh", mesh=str(folder / "jaw.stl")))
     found = find(finder, organ, over(organ, (0.0, 0.0, 1.0), radius), margins=[0.1])
+    return organ, longest, radius, found
+
+
+def test_a_jaw_finds_points_as_close_together_as_each_triangle_asks_for(tmp_path):
+    """And all that lies on a triangle gives way as a foundation of its area."""
+    organ, longest, radius, found = on_a_jaw(tmp_path)
     assert found.header.dropped == 0
     inner = np.count_nonzero(found.weight > 0.0, axis=1) == 3
     assert 0 < np.count_nonzero(inner) < len(longest)
@@ -182,13 +190,7 @@ def test_a_jaw_finds_points_as_close_together_as_each_triangle_asks_for(tmp_path
 def test_tissue_gives_way_to_a_jaw_as_far_as_the_points_around_lie_close_not_as_those_of_the_coarsest_triangle(
     tmp_path,
 ):
-    organ = ball(2)
-    corner = organ.surface_positions[organ.surface_triangles]
-    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
-    radius = 0.5 * float(longest.min() + longest.max()) / (2.0 * OF_OTHERS.spacing)
-    trimesh.creation.box((0.06, 0.06, 2.0 * radius)).export(tmp_path / "jaw.stl")
-    finder = make_finder(organ, Tool("left", shape="mesh", mesh=str(tmp_path / "jaw.stl")))
-    found = find(finder, organ, over(organ, (0.0, 0.0, 1.0), radius), margins=[0.1])
+    organ, longest, radius, found = on_a_jaw(tmp_path)
     parts = np.array([divisions_of(edge / (OF_OTHERS.spacing * radius)) for edge in longest])
     own = most_give(OF_OTHERS, organ, radius, longest / parts)
     assert own.max() > 1.5 * own.min()

@@ -61,13 +61,13 @@ def states_of(batch, copy):
 def assert_as_alone(make, poses, angle=0.0, threads=2):
     """Each copy of a batch is moved another way, and compared with a scene that goes that way alone."""
     batch = SceneBatch(make(), len(poses), threads=threads)
-    wrenches = together(batch, poses, angle)
+    found = together(batch, poses, angle)
     for copy, way in enumerate(poses):
         wrenches, states = alone(make(), way, angle)
-        np.testing.assert_array_equal(wrenches[copy], wrenches)
+        np.testing.assert_array_equal(found[copy], wrenches)
         for own, words in zip(states_of(batch, copy), states, strict=True):
             np.testing.assert_array_equal(own, words)
-    return wrenches
+    return found
 
 
 def test_a_copy_does_what_the_scene_does_alone():
@@ -84,12 +84,12 @@ def test_the_number_of_threads_changes_no_bit(threads):
     np.testing.assert_array_equal(some.save(), others.save())
 
 
-def test_copies_of_tissue_that_stiffens_fraction_nothing_that_changes():
+def test_copies_of_tissue_that_stiffens_share_nothing_that_changes():
     scene = Scene(replace(ball_of_cells(), stiffening=20.0), [FINGER])
     copies = SceneBatch(scene, 2)._scenes
     first, second = (one.simulation.model.tissue for one in copies)
     for name in ("rows", "work", "squeezed_cells", "stiff", "shortening"):
-        assert not np.fractions_memory(getattr(first, name), getattr(second, name)), name
+        assert not np.shares_memory(getattr(first, name), getattr(second, name)), name
 
 
 @pytest.mark.extended

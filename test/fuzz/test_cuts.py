@@ -12,7 +12,7 @@ from helpers.fuzz.examples import examples
 from helpers.fuzz.mutations import ODD_FLOATS
 from tissue_sim import Organ, Scene, Tool, UserError
 from tissue_sim.model.stepping.state_check import check_state
-from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.ros.bags.suite.small_kidney import make_small_kidney
 
 REACH = 0.1  # m about the organ's centre

@@ -34,7 +34,7 @@ def test_far_from_places_nothing_is_known():
     assert far < 1e-3
 
 
-def test_presses_that_are_near_fraction_a_place():
+def test_presses_that_are_near_share_a_place():
     points = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [0.0005, 0.0, 0.0], [0.04, 0.0, 0.0]])
     place = places_of(points, 0.003)
     assert place[0] == place[2]

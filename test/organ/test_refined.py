@@ -6,9 +6,9 @@ import pytest
 from helpers.bars import bar
 from helpers.scenes import ball_of_cells
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.refined import places_on, refined
 from tissue_sim.organ.refinement import Along, Ball, Refinement
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.surfaces.sizing import local_edges
 from tissue_sim.organ.surfaces.surface_quality import measure
 

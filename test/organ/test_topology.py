@@ -102,7 +102,7 @@ class TestOrgan:
         expected = organ.youngs_modulus * SHELL_THICKNESS * length.mean() * sums / length**2
         np.testing.assert_allclose(organ.spring_stiffness[kind], expected, rtol=1e-9)
 
-    def test_columns_fraction_the_stiffness_of_the_tissue_under_a_node(self, organ):
+    def test_columns_share_the_stiffness_of_the_tissue_under_a_node(self, organ):
         """Four springs in the ratio 1/L^2; E A / L each, were it alone, by the mean of free and confined tissue."""
         columns = organ.spring_kind == SPOKE
         columns |= organ.spring_kind == VIRTUAL

@@ -6,7 +6,7 @@ import trimesh
 
 from helpers.scenes import ball, kidney
 from tissue_sim.organ import winding
-from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.winding import inside, winding_number
 
 

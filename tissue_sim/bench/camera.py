@@ -1,4 +1,4 @@
-"""Benchmark `tissue_sim bench camera`: what `tissue_sim camera` costs the node beside which it draws.
+"""Benchmark `tissue_sim bench camera`: the effect of `tissue_sim camera` on the node beside which it draws.
 
 A hand pokes the organ once a second, with poses at the full rate, in turns without a camera, and with one whose images
 a subscriber in another process counts. A bare loop has its turn at the end of each, under the same load. All of it is

@@ -1,4 +1,4 @@
-"""Force of two spheres that squeeze the organ and don't slip, beside finite elements that are touched alike.
+"""Force of two spheres that compress the organ and don't slip, compared with finite elements under the same spheres.
 
 The forces of the finite elements are stored, as they take a quarter of an hour; `tissue_sim bench pinch --remake`
 computes them again. Each pinch is settled on two meshes, and a third of their difference is added as a correction, as

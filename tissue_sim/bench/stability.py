@@ -16,7 +16,8 @@ from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import emit, print_pictures
 from tissue_sim.bench.sweeps.cells import AXES, QUICK_AXES, SMALL_ORGAN, Cell, axes_named, cells_of
-from tissue_sim.bench.sweeps.trial import Record, made_for, organ_of, run_cell, simulation_of
+from tissue_sim.bench.sweeps.trial import Record, run_cell
+from tissue_sim.bench.sweeps.trial_simulations import made_for, organ_of, simulation_of
 from tissue_sim.calibration.cohort import on_cluster
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.settings import LOCAL_REGIONS

@@ -15,7 +15,8 @@ from tissue_sim.calibration.fe_mesh import FeMesh, Grading, coordinates, fill, l
 from tissue_sim.calibration.solid import Material, Solid
 from tissue_sim.errors import UserError
 from tissue_sim.organ.inclusions import inclusions_of, stiffness_at
-from tissue_sim.organ.organ import Organ, signed_volume
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.topology import node_area
 
 FACET_QUADRATURE = 6  # order: a linear traction, quadratic shape functions, and quarter points

@@ -1,7 +1,7 @@
 """Fit of the stiffness of springs or cells to displacements of the finite-element body, linear about rest.
 
-Force balance alone is a poor guide (a small residual of forces may be a large error of displacements), so the misfit is
-that of the surface at equilibrium; its gradient by every stiffness comes from one adjoint solve for each case.
+A small residual of forces may be a large error of displacements, so the misfit is that of the surface at equilibrium;
+its gradient by every stiffness comes from one adjoint solve for each case.
 """
 
 from __future__ import annotations

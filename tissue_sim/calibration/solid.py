@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from scipy.sparse import bsr_array, csr_array
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.calibration.cholesky import Cholesky, Front, NotPositive, Pieces, add_elements, dissect
+from tissue_sim.calibration.conjugate_gradients import Preconditioner, Renewable, conjugate_gradients
 from tissue_sim.calibration.fe_mesh import libraries
 from tissue_sim.calibration.neo_hookean import NODES, Elements, Moduli, energy_and_forces, tangent
 
@@ -24,7 +25,6 @@ MOST_STEPS = 80  # of Newton's method for one load step
 QUICK = 6  # steps, after which the next load step is twice as large
 MOST_LOAD_STEPS = 64
 MOST_STEPS_IN_ALL = 160  # under one load, after which it is given up: near buckling one took a quarter of an hour
-MOST_ITERATIONS = 400  # of conjugate gradients
 MOST_HALVINGS = 40
 WORN = 40  # iterations for a step, after which a new preconditioner is cheaper
 MOST_TOGETHER = 16  # loads that settle together
@@ -65,22 +65,6 @@ class Followed(NamedTuple):
 
     displacement: Floats  # (n, 3) m of all nodes
     converged: bool
-
-
-class Preconditioner(Protocol):
-    """Approximate solver for the displacements that forces cause."""
-
-    def precondition(self, right: Floats) -> Floats:
-        """Return displacements (3n, c) m for forces (3n, c) N."""
-        ...
-
-
-class Renewable(Preconditioner, Protocol):
-    """Preconditioner that can be computed again about another state."""
-
-    def renew(self, moved: Floats) -> None:
-        """Compute it about a state (n, 3) m."""
-        ...
 
 
 Settling = Generator[Floats, Floats, Equilibrium]
@@ -425,36 +409,6 @@ class Solid:
             return found
 
         return (yield from conjugate_gradients(apply, residual, forcing, factor))
-
-
-def conjugate_gradients(
-    apply: Callable[[Floats], Floats], right: Floats, forcing: float, factor: Preconditioner | None
-) -> Generator[Floats, Floats, tuple[Floats, int]]:
-    """Return the solution (n, 3), to `forcing` of the right-hand side in the preconditioner's norm, and iterations.
-
-    Without a factor the caller preconditions what is yielded. The iteration ends at a direction of negative curvature:
-    with the solution so far, or with that direction when it is the first.
-    """
-    way, r, p = np.zeros_like(right), right, np.zeros_like(right)
-    old = enough = 0.0
-    for iteration in range(MOST_ITERATIONS + 1):
-        z = (yield r) if factor is None else factor.precondition(r.reshape(-1, 1)).reshape(r.shape)
-        rz = float(np.vdot(r, z))
-        if iteration == 0:
-            p, enough = z, forcing**2 * rz
-        elif rz <= enough or iteration == MOST_ITERATIONS:
-            break
-        else:
-            p = z + (rz / old) * p
-        old = rz
-        q = apply(p)
-        curvature = float(np.vdot(p, q))
-        if curvature <= 0.0:
-            return (p if iteration == 0 else way), iteration + 1
-        alpha = rz / curvature
-        way += alpha * p
-        r = r - alpha * q
-    return way, iteration
 
 
 def _answer(run: Generator[Floats, Floats, tuple[Floats, int]]) -> tuple[Floats, int]:

@@ -266,7 +266,7 @@ def _search(world: World, course: Course, copy: int, tables: Tables, room: Room)
 
 @kernel
 def _margin(state: State, shapes: Shapes, course: Course, copy: int, body: int) -> float:
-    """Return what `finder.reach_margins` does for a body, m."""
+    """Return what `reach_margins` does for a body, m."""
     goal = state.body_goal[body]
     covered = distance_along_path(state.body_pose[body], goal, shapes.extent[body])
     if course.ticks_a_set > 1 and course.has_goal[copy] == 1:

@@ -1,11 +1,11 @@
 """Fit of a modulus to presses whose contact and tissue differ a little from place to place.
 
-A nonlinear model with mixed effects (Lindstrom and Bates, Biometrics 46, 1990). The force of press i at depth d is
-`s exp(v_i) C_i(d + o + w_i) + b`: C_i is the model's force for its own modulus, s the factor on that modulus, o the
-contact offset that all presses share, b the sensor's bias; v_i and w_i are what a press deviates by. w_i is normal with
-a given spread. v_i has Student's t distribution with an unknown spread, so that places that are far off, such as those
-over a tumour, hardly move s (Lange, Little and Taylor, JASA 84, 1989). Gauss-Newton steps in which each press's own
-unknowns are eliminated alternate with steps of expectation and maximisation for the spread and the noise.
+A nonlinear model with mixed effects (Lindstrom and Bates, Biometrics 46, 1990). The force of press i at depth d is `s
+exp(v_i) C_i(d + o + w_i) + b`: C_i is the model's force for its own modulus, s the factor on that modulus, o the
+contact offset that all presses share, b the sensor's bias; v_i and w_i are the deviations of a press. w_i is normal
+with a given spread. v_i has Student's t distribution with an unknown spread, so that places that differ a lot, such as
+those over a tumour, hardly change s (Lange, Little and Taylor, JASA 84, 1989). Gauss-Newton steps in which each press's
+own unknowns are eliminated alternate with steps of expectation and maximisation for the spread and the noise.
 """
 
 from __future__ import annotations
@@ -50,8 +50,6 @@ class Fit(NamedTuple):
         Factor on the noise's shape.
     covariance : Floats, shape (3, 3)
         Of the common unknowns.
-    own_variance : Floats, shape (n,)
-        Of each press's log of the factor.
     """
 
     common: Floats
@@ -59,7 +57,6 @@ class Fit(NamedTuple):
     spread: float
     noise: float
     covariance: Floats
-    own_variance: Floats
 
     @property
     def factor(self) -> float:
@@ -144,7 +141,7 @@ def fitted(
         noise = max(noise, 1e-3)
         if start is not None and abs(step[0]) < 1e-5 and round_ > 6:
             break
-    return Fit(common, own, spread, noise, np.linalg.inv(schur), own_inverse[:, 0, 0])
+    return Fit(common, own, spread, noise, np.linalg.inv(schur))
 
 
 def _spread_of(square: Floats, spread: float, count: Floats) -> tuple[float, Floats]:

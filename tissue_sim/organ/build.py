@@ -250,7 +250,7 @@ def _masks(source: Any, name: str, given: Mapping[str, Any], parts: Sequence[str
 
 def _image(source: Any, name: str, given: Mapping[str, Any]) -> Volume:
     if isinstance(source, str | os.PathLike):
-        from tissue_sim.organ.imaging.image import read_image
+        from tissue_sim.organ.imaging.image_file import read_image
 
         return read_image(source if isinstance(source, str) else Path(source), given.get("series"))
     return _volume(np.asarray(source, dtype=np.float32), name, given)

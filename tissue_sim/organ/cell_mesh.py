@@ -10,7 +10,8 @@ from scipy.spatial import Delaunay, QhullError
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.organ.inclusions import cell_factors, inclusions_of
-from tissue_sim.organ.organ import Organ, signed_volume
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.winding import inside
 
 # Relative to a regular tetrahedron of the same root mean square edge length. Flatter cells are left out: they carry

@@ -14,23 +14,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError, shown
 from tissue_sim.npz import read_npz
-from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.organ.surface_checks import check_surface, signed_volume
 
 # 2: interior_spoke; 3: springs that harden, gone; 4: cells; 5: inclusions; 6: virtual nodes; 7: tissue that stiffens or
 # relaxes
 SCHEMA_VERSION = 7
-
-
 # Fields of the header, with their types.
-_TOLD = {"name": str, "youngs_modulus": float, "poisson_ratio": float, "density": float, "provenance": dict}
+_HEADER = {"name": str, "youngs_modulus": float, "poisson_ratio": float, "density": float, "provenance": dict}
 # Those of tissue that stiffens or relaxes: the value that other tissue has, which the header leaves out, and the range.
 LAW = {
     "stiffening": (0.0, 0.0, 100.0),
@@ -382,7 +378,7 @@ class Organ:
                 " calibrate it again, with cells, which harden as tissue does"
             )
         content.setdefault("interior_spoke", np.empty((0, 2)))  # version 1 had no interior atoms
-        whole: dict[str, Any] = {**{key: header[key] for key in (*_TOLD, *LAW) if key in header}, **content}
+        whole: dict[str, Any] = {**{key: header[key] for key in (*_HEADER, *LAW) if key in header}, **content}
         return cls(**whole)
 
     def digest(self) -> str:
@@ -424,69 +420,6 @@ def check_law(whose: str, **law: float) -> None:
         raise UserError(f"{whose}relaxation needs a fraction and a time, or neither")
 
 
-def signed_volume(positions: Floats, triangles: Ints) -> float:
-    """Return the volume enclosed by a closed surface, positive when its triangles point outward.
-
-    Parameters
-    ----------
-    positions : Floats, shape (n, 3), m
-        Points.
-    triangles : Ints, shape (t, 3)
-        Corner indices, counter-clockwise seen from outside.
-
-    Returns
-    -------
-    float, m^3
-        The volume.
-    """
-    a, b, c = (positions[triangles[:, k]] for k in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
-
-
-def check_surface(positions: Floats, triangles: Ints, name: str) -> None:
-    """Raise UserError unless the triangles form one closed, consistently wound, outward surface.
-
-    Every directed edge must occur once, with its opposite (closed and consistently wound); the
-    signed volume must be positive (outward).
-
-    Parameters
-    ----------
-    positions : Floats, shape (n, 3)
-        Points.
-    triangles : Ints, shape (t, 3)
-        Corner indices, counter-clockwise seen from outside.
-    name : str
-        Name for messages.
-
-    Raises
-    ------
-    UserError
-        Where a directed edge doesn't occur exactly once together with its opposite, where points are unused, where the
-        surface falls into pieces, and where its signed volume isn't positive.
-    """
-    directed = directed_edges(triangles).astype(np.int64)
-    if len(directed) == 0:
-        raise UserError(f"{name}: the surface has no triangles")
-    n = len(positions)
-    forward = np.sort(directed[:, 0] * n + directed[:, 1])
-    backward = np.sort(directed[:, 1] * n + directed[:, 0])
-    undirected = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)[1]
-    open_edges = int(np.count_nonzero(undirected == 1))
-    if open_edges:
-        raise UserError(f"{name}: the surface is open ({open_edges} open edges); close its holes first")
-    if not np.array_equal(forward, backward) or np.any(forward[1:] == forward[:-1]):
-        raise UserError(f"{name}: the surface's triangles are wound inconsistently; make them all point outward")
-    used = np.unique(triangles)
-    if len(used) != n:
-        raise UserError(f"{name}: {n - len(used)} surface points belong to no triangle; remove them")
-    links = coo_array((np.ones(len(directed)), (directed[:, 0], directed[:, 1])), shape=(n, n))
-    pieces = connected_components(links, directed=False, return_labels=False)
-    if pieces > 1:
-        raise UserError(f"{name}: the surface falls into {pieces} pieces; keep one of them")
-    if signed_volume(positions, triangles) <= 0.0:
-        raise UserError(f"{name}: the surface is inverted (negative volume); flip its triangles")
-
-
 def _frozen(name: str, value: Any, dtype: type) -> NDArray[Any]:
     given = np.asarray(value)
     if given.dtype.kind not in "fiub":
@@ -517,13 +450,13 @@ def _header(text: str) -> dict[str, Any] | None:
         header["schema_version"] = int(header["schema_version"])
         if header["schema_version"] > SCHEMA_VERSION:
             return dict(header)
-        for key, kind in _TOLD.items():
+        for key, kind in _HEADER.items():
             header[key] = kind(header[key])
         for key in LAW.keys() & header.keys():
             header[key] = float(header[key])
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
-    numbers = [header[key] for key in (*_TOLD, *LAW) if isinstance(header.get(key), float)]
+    numbers = [header[key] for key in (*_HEADER, *LAW) if isinstance(header.get(key), float)]
     if len(header["name"]) > _LONGEST_NAME or not np.all(np.isfinite(numbers)):
         return None
     return dict(header)

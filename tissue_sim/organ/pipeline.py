@@ -217,7 +217,7 @@ def organ_from_mesh(
         As the stages do.
     """
     from tissue_sim.organ.meshes.mesh_input import voxelize
-    from tissue_sim.organ.organ import signed_volume
+    from tissue_sim.organ.surface_checks import signed_volume
 
     progress = progress or Progress()
     for line in surface.repairs:
@@ -268,7 +268,7 @@ def _compared(volume: float, positions: Floats, triangles: Ints, request: Reques
 
     Raises UserError where they differ by more than two fifths, and that isn't accepted.
     """
-    from tissue_sim.organ.organ import signed_volume
+    from tissue_sim.organ.surface_checks import signed_volume
 
     built = 1e6 * signed_volume(positions, triangles)
     off = built / volume - 1.0
@@ -348,7 +348,7 @@ def _assemble(wall: Wall, positions: Floats, triangles: Ints, request: Request, 
 
 def _place(inclusion: Inclusion, positions: Floats, triangles: Ints, progress: Progress) -> None:
     """Report where an inclusion lies within the organ's surface; raises UserError where it is outside."""
-    from tissue_sim.organ.organ import signed_volume
+    from tissue_sim.organ.surface_checks import signed_volume
     from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 
     within = inside(inclusion.positions, positions, triangles)

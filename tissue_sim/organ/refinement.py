@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.edges import directed_edges
-from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.surfaces.sizing import GROWTH, Wanted, distance_to_line, local_edges, thickness
 from tissue_sim.organ.tool_resolution import relative_size
 

@@ -15,13 +15,13 @@ SPARSE = 0.4  # of the surface's mean edge; cells between atoms that are closer 
 
 @dataclass(frozen=True)
 class Request:
-    """What an organ is made with, whatever it is made from.
+    """Options with which an organ is built, the same for every kind of input.
 
     atoms: medial atoms, None for MOST_ATOMS, or fewer where those would lie closer than SPARSE of a surface edge, as in
-    a body without a long axis. branches: `auto` or `none`, as skeleton.extract has it. organ: whose bounds a
-    segmentation must keep, None for any organ's; accept: pass it on when it doesn't keep them, or when the organ has
-    another volume than what it is made from. interior_atoms: further atoms along the spokes. refinement: where there
-    are more than `points` for the even surface.
+    a body without a long axis. branches: `auto` or `none`, as skeleton.extract has it. organ: the one whose bounds a
+    segmentation must keep, None for those of any organ; accept: build it although it is outside of them, or although
+    the organ's volume differs from that of the input. interior_atoms: further atoms along the spokes. refinement: where
+    points are added to the `points` of the even surface.
     """
 
     name: str

@@ -10,7 +10,7 @@ import SimpleITK as sitk
 import trimesh
 
 from tissue_sim.organ.build_record import Progress
-from tissue_sim.organ.imaging.image import read_image
+from tissue_sim.organ.imaging.image_file import read_image
 from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
 from tissue_sim.organ.inclusions import Inclusion
 from tissue_sim.organ.normals import surface_normals

@@ -18,7 +18,8 @@ from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.inclusions import Inclusion, inclusions_of, spring_factors, with_inclusions
 from tissue_sim.organ.interior import distribute_interior_atoms
 from tissue_sim.organ.medial import nearest_atoms
-from tissue_sim.organ.organ import Organ, SpringKind, check_surface, signed_volume
+from tissue_sim.organ.organ import Organ, SpringKind
+from tissue_sim.organ.surface_checks import check_surface, signed_volume
 
 NEAREST_ATOMS = 4  # section 3.3: each boundary point is joined with the four nearest medial atoms
 # Fraction of the organ's mass. The skeleton's springs are the stiffest: with less mass on its atoms the skeleton alone

@@ -108,9 +108,9 @@ def light(server: viser.ViserServer) -> None:
 class OrganView:
     """A deforming surface, coloured by displacement: vertices at rest (n, 3) m, triangles (t, 3); name: in a scene.
 
-    rest, triangles: those. A browser shows nothing of a surface that it is reading. So there are several, of which one
-    is seen; what is new goes to one that is hidden, and is shown LATER turns after that. A browser that takes up to
-    LATER turns at once has then read it before, and nothing flickers.
+    rest, triangles: the surface. A browser doesn't draw a surface while it reads it. Therefore there are several
+    copies, of which one is visible: new positions are sent to a hidden one, which is shown LATER turns afterwards. A
+    browser that takes up to LATER turns at once has read it by then, and nothing flickers.
     """
 
     def __init__(self, server: viser.ViserServer, vertices: Floats, triangles: Longs, name: str = "") -> None:

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from helpers.fuzz.child import OUTSIDE, Input, Ready
 from helpers.fuzz.dicom import changed_field
 from helpers.fuzz.mutations import BOMB, ODD_FLOATS, Draw, chance, gz_bomb, odd_count, of_bytes, of_text, some, way
-from tissue_sim.organ.imaging.image import Volume, read_image
+from tissue_sim.organ.imaging.image import Volume
+from tissue_sim.organ.imaging.image_file import read_image
 from tissue_sim.organ.imaging.itk_output import silenced
 from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom

@@ -15,7 +15,7 @@ from helpers.fuzz import mesh_files as files
 from helpers.fuzz.child import OUTSIDE, Input, Ready
 from helpers.fuzz.mutations import HUGE, ODD_FLOATS, Draw, chance, odd_count, of_bytes, of_text, some
 from tissue_sim.organ.meshes.mesh_input import read_mesh, voxelize
-from tissue_sim.organ.organ import check_surface
+from tissue_sim.organ.surface_checks import check_surface
 
 LENGTH = 0.1  # m, stated longest side of an organ
 _AXIS = 24  # voxels along the longest side: as a mesh is used, in less time

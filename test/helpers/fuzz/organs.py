@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from helpers.fuzz.child import Input, Ready
 from helpers.fuzz.mutations import ODD_FLOATS, Draw, chance, odd_count, of_array, of_bytes, some, way
 from helpers.fuzz.zips import bomb, members, of_zip, packed
-from tissue_sim.bench.sweeps.trial import small_organ
+from tissue_sim.bench.sweeps.trial_simulations import small_organ
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ, content_digest
 from tissue_sim.organ.shipped import shipped_organ

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from helpers.fuzz.child import Ready
 from helpers.fuzz.plays import TICKS, Hand, Load, Play
-from tissue_sim.bench.sweeps.trial import small_organ
+from tissue_sim.bench.sweeps.trial_simulations import small_organ
 from tissue_sim.contact.attachments import Attachment, Breathing
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_file import FORMAT

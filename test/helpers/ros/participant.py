@@ -32,7 +32,7 @@ class Participant:
         self.diagnostics: dict[str, str] = {}
         self.level = b""
         self.message = ""
-        self.messages: list[str] = []  # every message
+        self.status_messages: list[str] = []  # every message
         self.reported = 0.0  # s, the stamp of the newest report
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
@@ -99,5 +99,5 @@ class Participant:
         if status is not None:
             self.diagnostics = {item.key: item.value for item in status.values}
             self.level, self.message = status.level, status.message
-            self.messages.append(status.message)
+            self.status_messages.append(status.message)
             self.reported = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec

@@ -10,7 +10,8 @@ from helpers.bars import bar
 from helpers.scenes import ball_of_cells
 from tissue_sim.model.cutting.holes import hole_triangles, open_edges
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.organ import Organ, signed_volume
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surface_checks import signed_volume
 
 DOWN = [0.0, 0.0, -1.0]
 SHAPES = {

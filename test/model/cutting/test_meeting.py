@@ -18,7 +18,8 @@ from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.inclusions import Inclusion
-from tissue_sim.organ.organ import Organ, signed_volume
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.topology import assemble_like, cell_pieces
 
 DOWN = [0.0, 0.0, -1.0]

@@ -13,7 +13,8 @@ from helpers.shapes import small_volume, write_dicom
 from tissue_sim.errors import UserError
 from tissue_sim.memory import limited
 from tissue_sim.organ.imaging.dicom_file import _room
-from tissue_sim.organ.imaging.image import AIR, read_image
+from tissue_sim.organ.imaging.image import AIR
+from tissue_sim.organ.imaging.image_file import read_image
 from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.imaging.voxel_files import MOST_VOXELS, check_room
 
@@ -157,7 +158,7 @@ def test_nrrd_as_text_is_refused(tmp_path):
     path = altered(written(tmp_path / "ct", "ct.nrrd"), "encoding", "encoding: ASCII")
     head, _, _ = path.read_bytes().partition(b"\n\n")
     path.write_bytes(head + b"\n\n" + bytes(1000))
-    code = f"from tissue_sim.organ.imaging.image import read_image; read_image({str(path)!r})"
+    code = f"from tissue_sim.organ.imaging.image_file import read_image; read_image({str(path)!r})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "as text (encoding: ASCII)" in done.stderr.splitlines()[-1]

@@ -10,7 +10,8 @@ import SimpleITK as sitk
 
 from helpers.shapes import small_volume, write_dicom
 from tissue_sim.errors import UserError
-from tissue_sim.organ.imaging.image import Volume, from_sitk, read_image
+from tissue_sim.organ.imaging.image import Volume, from_sitk
+from tissue_sim.organ.imaging.image_file import read_image
 from tissue_sim.organ.imaging.masks import read_mask
 
 OBLIQUE = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
@@ -220,7 +221,7 @@ def test_a_large_ct_takes_little_more_than_its_own_memory(tmp_path):
     small = Volume(array[:8, :8, :8].copy(), np.ones(3), np.zeros(3), np.eye(3))
     sitk.WriteImage(sitk.Cast(small.to_sitk(), sitk.sitkInt16), str(tmp_path / "small.nrrd"))
     code = (  # the first image brings libraries and kernels with it, which are not the image's
-        "import re, sys; from tissue_sim.organ.imaging.image import read_image; read_image(sys.argv[2])\n"
+        "import re, sys; from tissue_sim.organ.imaging.image_file import read_image; read_image(sys.argv[2])\n"
         "peak = lambda: 1024 * int(re.search(r'VmHWM:\\s+(\\d+)', open('/proc/self/status').read())[1])\n"
         "before = peak(); volume = read_image(sys.argv[1]); print((peak() - before) / volume.array.size)"
     )

@@ -10,7 +10,8 @@ from scipy.spatial import cKDTree
 
 from helpers.shapes import write_dicom, write_nifti
 from tissue_sim.errors import UserError
-from tissue_sim.organ.imaging.image import Volume, read_image
+from tissue_sim.organ.imaging.image import Volume
+from tissue_sim.organ.imaging.image_file import read_image
 from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.imaging.phantom import kidney_distance, make_phantom
 from tissue_sim.organ.pipeline import organ_from_image, organ_from_mask

@@ -6,7 +6,7 @@ import pytest
 from helpers.frames import enhanced_ct, label_map, segmentation
 from helpers.shapes import small_volume, write_dicom
 from tissue_sim.errors import UserError
-from tissue_sim.organ.imaging.image import read_image
+from tissue_sim.organ.imaging.image_file import read_image
 from tissue_sim.organ.imaging.masks import read_mask, read_masks
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from helpers.shapes import write_nifti
 from tissue_sim.errors import UserError
-from tissue_sim.organ.imaging.image import read_image
+from tissue_sim.organ.imaging.image_file import read_image
 
 SIZE = (7, 6, 5)
 VOXELS = np.arange(np.prod(SIZE), dtype="<i2").reshape(SIZE, order="F")

@@ -12,8 +12,8 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.meshes.mesh_holes import area_of, capped_volume, fill, holes
 from tissue_sim.organ.meshes.mesh_input import read_mesh, voxelize
 from tissue_sim.organ.meshes.mesh_repair import once_used_edges
-from tissue_sim.organ.organ import check_surface, signed_volume
 from tissue_sim.organ.reporting.vtk_xml import polydata, tetrahedra
+from tissue_sim.organ.surface_checks import check_surface, signed_volume
 
 
 @pytest.fixture
@@ -225,7 +225,7 @@ def test_parts_are_joined_across_a_gap_or_told_to_be_too_far_apart(tmp_path):
         read_mesh(far, "mm", merge_parts=True)
 
 
-def test_parts_that_fraction_a_wall_are_reported_what_to_do(tmp_path):
+def test_parts_that_share_a_wall_are_refused_with_the_remedy(tmp_path):
     """Where they meet, each edge has three triangles: no part is a closed surface."""
     box = trimesh.creation.box([40.0, 40.0, 40.0])
     both = export(tmp_path / "both.stl", box, box.copy().apply_translation([40.0, 0.0, 0.0]))

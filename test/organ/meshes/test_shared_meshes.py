@@ -9,7 +9,7 @@ import pytest
 from tissue_sim.errors import UserError
 from tissue_sim.organ.meshes.mesh_formats import FORMATS
 from tissue_sim.organ.meshes.mesh_input import read_mesh, voxelize
-from tissue_sim.organ.organ import check_surface, signed_volume
+from tissue_sim.organ.surface_checks import check_surface, signed_volume
 from tissue_sim.organ.surfaces.surface import make_wall
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data"

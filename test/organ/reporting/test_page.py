@@ -13,7 +13,7 @@ from helpers.html_page import Page
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import BuildRecord, Progress
 from tissue_sim.organ.pipeline import organ_from_image
-from tissue_sim.organ.reporting import pictures
+from tissue_sim.organ.reporting import pictures, slice_pictures
 from tissue_sim.organ.reporting.description import describe
 from tissue_sim.organ.reporting.page import report_page, write_report
 from tissue_sim.organ.request import Request
@@ -132,7 +132,7 @@ def test_scale_bars_have_round_lengths():
 
 def test_slices_look_the_way_radiologists_do():
     """The letters at the borders agree with the directions of the axes, LPS."""
-    for plane in pictures.PLANES:
+    for plane in slice_pictures.PLANES:
         shown = dict(zip(("left", "right", "top", "bottom"), plane.letters, strict=True))
         letters = [("R", "L"), ("A", "P"), ("F", "H")]  # lower and upper end of each axis of LPS
         assert (shown["left"], shown["right"]) == letters[plane.right]

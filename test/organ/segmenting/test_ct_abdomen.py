@@ -7,7 +7,7 @@ import pytest
 
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
-from tissue_sim.organ.imaging.image import read_image
+from tissue_sim.organ.imaging.image_file import read_image
 from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.segmenting.anatomy import misfits

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from helpers.solids import assert_near, assert_regular
-from tissue_sim.organ.imaging.image import read_image
+from tissue_sim.organ.imaging.image_file import read_image
 from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.meshes.mesh_input import read_mesh, voxelize
 from tissue_sim.organ.segmenting.segmentation import segment

@@ -51,7 +51,7 @@ def test_callback_that_fails_is_reported_once_and_counted_and_the_node_goes_on(n
         if key.startswith("callback_failures.tissue_sim/ros/node/input/tool_input.py:")
     )
     assert int(client.diagnostics[key]) > 10
-    assert any("callback_failures" in message for message in client.messages), "it is a warning"
+    assert any("callback_failures" in message for message in client.status_messages), "it is a warning"
     assert sabotage(client, "mend").success
     client.ask(OUTSIDE)
     assert client.spin_until(lambda: bool(client.wrenches) or client.send_pose(OUTSIDE))

@@ -114,12 +114,12 @@ def test_ticks_are_as_long_as_the_rate_says(client, simulator):
 def test_a_long_jump_forward_is_dropped_and_counted(client, simulator):
     tick, dropped = simulator.stands(), int(client.diagnostics["dropped_ticks"])
     simulator.time += 100.0
-    client.messages.clear()
+    client.status_messages.clear()
     simulator.run(0.1)
     taken, given_up = simulator.stands() - tick, int(client.diagnostics["dropped_ticks"]) - dropped
     assert taken + given_up == pytest.approx(100_100, abs=1)
     assert given_up >= 99_999, "all that the jump made due, and where its first time was lost, of those behind it"
-    assert any("dropped_ticks" in message for message in client.messages)
+    assert any("dropped_ticks" in message for message in client.status_messages)
 
 
 @pytest.mark.extended

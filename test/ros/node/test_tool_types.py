@@ -61,7 +61,7 @@ class Tools(Client):
 
     def __init__(self) -> None:
         super().__init__()
-        self.wrenches: dict[str, list[np.ndarray]] = {"plain": [], "named": [], "odometry": [], "led": [], "pen": []}
+        self.answers: dict[str, list[np.ndarray]] = {"plain": [], "named": [], "odometry": [], "led": [], "pen": []}
         self.axes: dict[str, str] = {}  # by tool, the frame that its newest wrench names
         node, best_effort = self.node, qos_profile_sensor_data
         types = {"plain": Pose, "named": TransformStamped, "odometry": Odometry}
@@ -76,7 +76,7 @@ class Tools(Client):
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         for topic, qos in (("/tf_static", latched), ("/tf", 10)):
             node.create_subscription(TransformStamped, topic, self._on_transform, qos)
-        keep = {tool: wrenches.append for tool, wrenches in self.wrenches.items()}
+        keep = {tool: wrenches.append for tool, wrenches in self.answers.items()}
         subscribe = node.create_subscription
         subscribe(Wrench, "plain/servo_cf", lambda m: keep["plain"](six(m)), best_effort)
         subscribe(Float64MultiArray, "named/servo_cf", lambda m: keep["named"](np.array(m.data)), 10)
@@ -85,7 +85,7 @@ class Tools(Client):
 
     def _on_stamped(self, tool: str, message: WrenchStamped) -> None:
         self.axes[tool] = message.header.frame_id
-        self.wrenches[tool].append(six(message.wrench))
+        self.answers[tool].append(six(message.wrench))
 
     def turn_to_organ(self, frame: str) -> Rotation:
         """From the axes of a frame to the organ's, as tf has them."""
@@ -133,7 +133,7 @@ class Tools(Client):
         """
         self.reset()
         touch, inward = poke_path(shipped())
-        wrenches = self.wrenches[tool]
+        wrenches = self.answers[tool]
 
         def hold(depth: float) -> None:
             """A pose, until it is answered or a moment has passed."""

@@ -59,7 +59,7 @@ def test_the_slider_is_there_for_jaws_that_turn(graph, shape, shown):
     server = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
     try:
         slider = JawSlider(server, graph, ToolView(server, "left", 0))
-        slider.use(ToolLink.told(values(left__shape=shape), "left", "tissue_sim"))
+        slider.use(ToolLink.from_parameters(values(left__shape=shape), "left", "tissue_sim"))
         assert slider._slider.visible is shown
         slider.remove()
     finally:

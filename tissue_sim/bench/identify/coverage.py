@@ -1,8 +1,8 @@
-"""How often intervals hold the truth where the law is exact and every run has places of its own.
+"""How often intervals contain the true modulus, for an exact law and new places in every run.
 
-Runs that draw from a few places by finite elements share these places, and with them the mean of the model's errors
-there, so that their intervals hold more often than they would elsewhere. Here a modulus by Hertz varies from place to
-place.
+Runs that draw from the few places with finite elements share these places, and with them the mean of the model's errors
+there; their intervals contain the truth more often than they would elsewhere. Here a modulus by Hertz varies from place
+to place.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Benchmark `tissue_sim bench palpation`: a finger over a tumour; force against depth beside finite elements.
 
 A rigid sphere is pressed in over each inclusion, and doesn't slip; so are neo-Hookean finite elements of the same
-shape, with the inclusion and without. Then it is pressed in at every node around: the map of stiffness that a finger
-would feel.
+shape, with the inclusion and without. Then it is pressed in at every node around: a map of the stiffness under a
+finger.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Balls that slide over an organ at constant depth: the ripple of their force is what a hand feels of the mesh.
+"""Balls that slide over an organ at constant depth: the mesh causes a ripple of their force.
 
-A ball keeps its depth in the facets where they lie at rest. Friction carries these along, and then it lies too deep
-over one facet and not deep enough over the next: with friction a ripple is a shape's, too, and finer meshes of the same
-facets have it.
+A ball keeps its depth in the facets where they lie at rest. Friction carries these along, so that it is too deep
+over one facet and not deep enough over the next: with friction, the facets themselves cause a ripple, which finer
+meshes of the same facets have as well.
 """
 
 from __future__ import annotations

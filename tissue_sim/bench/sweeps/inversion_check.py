@@ -9,7 +9,8 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.organ.edges import directed_edges
-from tissue_sim.organ.organ import Organ, signed_volume
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surface_checks import signed_volume
 
 _FLAT = 1e-3  # of the median, below which the sign of a volume at rest means nothing
 _FOLDED = -0.5  # cosine between the normals of two neighbours that lie on each other

@@ -20,7 +20,8 @@ from tissue_sim.errors import UserError, shown
 from tissue_sim.organ.imaging.dicom import read_stack
 from tissue_sim.organ.imaging.dicom_file import is_dicom
 from tissue_sim.organ.imaging.dicom_frames import read_frames
-from tissue_sim.organ.imaging.image import FORMATS, Volume, of_stack, placed, read_file
+from tissue_sim.organ.imaging.image import Volume, placed
+from tissue_sim.organ.imaging.image_file import FORMATS, of_stack, read_file
 from tissue_sim.organ.imaging.segments import read_segments, segmentation_in
 
 _MOST_LABELS = 200

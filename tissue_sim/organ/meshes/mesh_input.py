@@ -20,7 +20,7 @@ from tissue_sim.organ.meshes.mesh_parts import choose, closed_part, split
 from tissue_sim.organ.meshes.mesh_repair import longest_side
 from tissue_sim.organ.meshes.mesh_union import merged
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
-from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.surface_checks import signed_volume
 
 _METRES = (".glb", ".gltf")  # the format fixes the unit
 _LONGEST_AXIS = 128  # voxels along the longest side

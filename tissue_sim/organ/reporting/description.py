@@ -14,7 +14,8 @@ from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.cell_mesh import quality_of
 from tissue_sim.organ.inclusions import inclusions_of
-from tissue_sim.organ.organ import Organ, SpringKind, signed_volume
+from tissue_sim.organ.organ import Organ, SpringKind
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 from tissue_sim.organ.surfaces.surface_quality import measure
 from tissue_sim.organ.tool_resolution import CUT_EDGES, FAIR, FAIR_WITHIN, FINE, FINE_WITHIN

@@ -17,7 +17,7 @@ from tissue_sim.organ.build_record import BuildRecord
 from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.organ import Organ, SpringKind
-from tissue_sim.organ.reporting import pictures
+from tissue_sim.organ.reporting import pictures, slice_pictures
 from tissue_sim.organ.reporting.description import describe, is_nested, label, shown
 from tissue_sim.organ.reporting.exchange import bones
 from tissue_sim.organ.surfaces.marching_cubes import MarchingCubesReport, marching_cubes_report, marching_cubes_surface
@@ -84,7 +84,7 @@ def report_page(record: BuildRecord, organ_file: str = "") -> str:
     outlines = [("marching cubes", pictures.CUBES, surfaces.cubes), (name, pictures.BALLOON, surfaces.organ)]
     atoms = organ.atom_positions * 1e3
     deepest = atoms[int(np.argmax(organ.atom_radius))]
-    source = pictures.Source(record.ct, mask, record.frame == "LPS", record.seed)
+    source = slice_pictures.Source(record.ct, mask, record.frame == "LPS", record.seed)
     return _template().render(
         record=record,
         organ=organ,
@@ -94,7 +94,7 @@ def report_page(record: BuildRecord, organ_file: str = "") -> str:
         voxels=np.count_nonzero(mask.array),
         described=described,
         provenance=flat(organ.provenance),
-        slices=pictures.slices(source, outlines, atoms, deepest),
+        slices=slice_pictures.slices(source, outlines, atoms, deepest),
         shots=_shots(organ, surfaces),
         histograms=pictures.histograms([(*outline[:2], *_edges_and_angles(outline[2])) for outline in outlines]),
     )

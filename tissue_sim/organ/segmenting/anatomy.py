@@ -1,13 +1,13 @@
 """Size, shape and intensity of adult organs, and whether a segmentation can be such an organ.
 
-The bounds are wide: they let small, large and moderately diseased organs pass and refuse what can only be a
-region that leaked into a neighbour or missed most of the organ. Sources of the usual sizes:
+The bounds are wide: small, large and moderately diseased organs are within them, while a region that leaked into a
+neighbour or missed most of the organ is not. Sources of the usual sizes:
 ICRP Publication 89 (2002), reference masses: liver 1800/1400 g (men/women), spleen 150/130 g, a kidney
 155/138 g, heart with blood 840/620 g, prostate 17 g. By CT: kidney 177 +- 34 and 146 +- 28 mL, length
 10.0 to 10.5 +- 0.9 cm (Kwon et al., Korean J Nephrol 2008; 27: 659); liver 1205 +- 258 mL, 594 to 2250 (Feng et al.,
 World J Gastroenterol 2017; 23: 4968); spleen 195 +- 78 mL (Jasper, J Clin Diagn Res 2019; 13(8): TC01) and
 46 mL upwards (Feng). Without contrast agent soft organs have 30 to 60 HU, less with fat or oedema; a fatty
-liver comes down to about -10, a bladder holds 0 to 20. With contrast agent: up to 250 HU, more where it is excreted.
+liver has down to about -10, a bladder 0 to 20. With contrast agent: up to 250 HU, more where it is excreted.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from tissue_sim.array_types import Floats, Ints, Singles
 from tissue_sim.errors import UserError
 from tissue_sim.jit import kernel
 from tissue_sim.organ.normals import surface_normals
-from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.surfaces.fitting import RATIO, Finished, bring_to, finish, fit, flip, mean_edge, sample
 from tissue_sim.organ.surfaces.marching_cubes import marching_cubes_surface
 from tissue_sim.organ.surfaces.surface import Wall, closed_wall, intersecting_pairs

@@ -10,7 +10,7 @@ from scipy import ndimage
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.inclusions import Inclusion, check_stiffness
-from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.surfaces.marching_cubes import marching_cubes_surface
 from tissue_sim.organ.surfaces.resample import thin_out
 from tissue_sim.organ.surfaces.surface import make_wall

@@ -18,7 +18,7 @@ from tissue_sim.array_types import Floats, Ints, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
-from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.surfaces.intersections import intersecting_pairs
 from tissue_sim.organ.surfaces.solid_ball import as_ball, largest_part
 from tissue_sim.organ.surfaces.surface_quality import (

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.edges import directed_edges
-from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.surfaces.intersections import intersecting_pairs
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 

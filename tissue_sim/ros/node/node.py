@@ -1,8 +1,8 @@
 """The node `tissue_node`: serves one organ, or those of a scene, at a fixed rate.
 
-Threads: the physics loop (compiled, without the GIL); the contact worker (FCL); the outlet (markers, fading wrenches,
-journal, diagnostics); the answers (a wrench for the pose that a tick applied); and the executor here, whose callbacks
-leave the newest pose.
+Threads: the physics loop (compiled, without the GIL); the contact worker (FCL); the publishing thread (markers, fading
+wrenches, journal, diagnostics); the wrench replies (a wrench for the pose that a tick applied); and the executor here,
+whose callbacks store the newest pose.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.model.data.records import copy_of
-from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.ros.bags.player import Player
 from tissue_sim.ros.bags.recording import Recording
 

@@ -18,9 +18,9 @@ LONGEST_GAP, GAPS = 1.0, 8  # s between messages of one stream, at most; number 
 class Freshness:
     """Arrival of the newest pose, or force, of a tool, by simulated time, and what follows from that.
 
-    While /clock stands nothing counts, so that no tool acts on the organ at once when it goes on; a clock that jumps
-    back, or is exchanged, begins again. While the loop is held, what is fresh stays so: contacts are found for the
-    ticks that it is given.
+    While /clock stands still no pose counts, so that no tool acts on the organ at once when the clock continues. After
+    a jump back, or with another clock, the stream begins again. While the loop is paused, fresh poses stay fresh, so
+    that contacts are found for the ticks that are stepped.
     """
 
     def __init__(self, clock: SimClock, organs: Organs) -> None:

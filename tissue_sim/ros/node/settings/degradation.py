@@ -15,7 +15,7 @@ MARKER_RATE = 10.0  # Hz, from level MARKERS on
 STRAINED_LOAD, WELL_LOAD = 0.8, 0.35  # of the wall time, in ticks; well: even twice the rate would not strain
 STRAINED_LATE, WELL_LATE = 0.2, 0.05  # fraction of ticks late by more than a period
 PATIENCE = 1.0  # s of strain before the next step
-HICCUP = 1.0  # s of wellness that a check takes away that is neither
+SETBACK = 1.0  # s of wellness that a check takes away that is neither
 HOLD, LONGEST_HOLD = 10.0, 160.0  # s of wellness before a step back; doubled each time that this was too soon
 
 
@@ -68,9 +68,10 @@ def halvings(level: int) -> int:
 class DegradationLadder:
     """Decision on the level from one check to the next, without a clock or a node of its own.
 
-    A step is taken after a second of uninterrupted strain, and back after ten seconds of wellness since the last
-    strain; a check that is neither takes one of these away, since even an idle machine has hiccups. When a step had to
-    be taken again soon after, the way back takes twice as long.
+    A step is taken after a second of uninterrupted strain, and reverted after ten seconds without strain in which the
+    machine was fast enough. A check that is neither strained nor well takes SETBACK off these ten seconds, since even
+    an idle machine is late at times. If a step has to be taken again soon after it was reverted, reverting it takes
+    twice as long.
     """
 
     def __init__(self) -> None:
@@ -123,7 +124,7 @@ class DegradationLadder:
         """Return the seconds of wellness, after a check so many s later."""
         if look.strained:
             return 0.0
-        return self._well_for + elapsed if look.well else max(0.0, self._well_for - HICCUP)
+        return self._well_for + elapsed if look.well else max(0.0, self._well_for - SETBACK)
 
 
 def _since(since: float, now: float, true: bool) -> float:
