@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.active_contact import ActiveContact, gather_contacts, place_again, whole_impulse
@@ -26,7 +28,6 @@ from tissue_sim.model.contact.volume_limit import (
     find_compressed_cells,
     has_compressed_cells,
 )
-from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import POINT_NODES, nodes_of
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.shapes import Shapes
@@ -158,7 +159,8 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
     for index in range(found):
         contact = scratch.active[index]
         state.contact_pressed[0, contact.entry] = contact.pressed
-        copy(contact.held, state.contact_held[0, contact.entry])
+        last, kept = contact.held, state.contact_held[0, contact.entry]
+        kept[0], kept[1], kept[2] = last[0], last[1], last[2]
         if contact.pressed > 0.0:
             touching += 1
             count_impulse(state, scratch, contact)
@@ -180,15 +182,18 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
         held[0] = held[1] = held[2] = 0.0
         return 0.0
     most, origin = state.contacts.most_give[contact.entry], scratch.origin[contact.body]
-    nodes, weights = contact.node, contact.weight
-    x, y, z = -origin[0], -origin[1], -origin[2]
-    for c in range(3):
-        weight, position = weights[c], state.position[nodes[c]]
-        x += weight * position[0]
-        y += weight * position[1]
-        z += weight * position[2]
+    position, velocity, node, weight = state.position, state.velocity, contact.node, contact.weight
+    # What is read of the three nodes is kept for the end: the compiler would read it again. Unsigned indices spare it
+    # the look for negative ones.
+    a, b, c = np.uint64(node[0]), np.uint64(node[1]), np.uint64(node[2])
+    wa, wb, wc = weight[0], weight[1], weight[2]
+    ax, ay, az = position[a, 0], position[a, 1], position[a, 2]
+    bx, by, bz = position[b, 0], position[b, 1], position[b, 2]
+    cx, cy, cz = position[c, 0], position[c, 1], position[c, 2]
+    ox, oy, oz = origin[0], origin[1], origin[2]
+    x, y, z = -ox + wa * ax + wb * bx + wc * cx, -oy + wa * ay + wb * by + wc * cy, -oz + wa * az + wb * bz + wc * cz
     if contact.nodes > 3:  # apart, as three are faster
-        x, y, z = plus_last(state.position, contact, x, y, z)
+        x, y, z = plus_last(position, contact, x, y, z)
     nx, ny, nz = normal[0], normal[1], normal[2]
     gap = nx * x + ny * y + nz * z - contact.offset
     push = max(0.0, pressed - (gap + soft * pressed) * stiffness)
@@ -197,15 +202,15 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
     if push == 0.0 and pressed == 0.0:
         return 0.0
     # Sliding of the tissue along the tool in this substep: its own motion less the tool's.
-    motion = contact.tool_motion
-    sx, sy, sz = -motion[0] - origin[0], -motion[1] - origin[1], -motion[2] - origin[2]
-    for c in range(3):
-        weight, velocity = weights[c], state.velocity[nodes[c]]
-        sx += weight * step * velocity[0]
-        sy += weight * step * velocity[1]
-        sz += weight * step * velocity[2]
+    motion, ha, hb, hc = contact.tool_motion, wa * step, wb * step, wc * step
+    au, av, aw = velocity[a, 0], velocity[a, 1], velocity[a, 2]
+    bu, bv, bw = velocity[b, 0], velocity[b, 1], velocity[b, 2]
+    cu, cv, cw = velocity[c, 0], velocity[c, 1], velocity[c, 2]
+    sx = -motion[0] - ox + ha * au + hb * bu + hc * cu
+    sy = -motion[1] - oy + ha * av + hb * bv + hc * cv
+    sz = -motion[2] - oz + ha * aw + hb * bw + hc * cw
     if contact.nodes > 3:
-        vx, vy, vz = plus_last(state.velocity, contact, 0.0, 0.0, 0.0)
+        vx, vy, vz = plus_last(velocity, contact, 0.0, 0.0, 0.0)
         sx, sy, sz = sx + step * vx, sy + step * vy, sz + step * vz
     contact.pressed = push
     along = sx * nx + sy * ny + sz * nz
@@ -229,7 +234,18 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
     py = (push - pressed) * ny + fraction * ty - held[1]
     pz = (push - pressed) * nz + fraction * tz - held[2]
     held[0], held[1], held[2] = fraction * tx, fraction * ty, fraction * tz
-    give_impulse(world, contact, (px, py, pz), step)
+    # The first node last: a point at a node has that node three times, of which the first one has all of the weight.
+    ma, mb, mc = contact.mobility[0], contact.mobility[1], contact.mobility[2]
+    velocity[c, 0], velocity[c, 1], velocity[c, 2] = cu + mc * px, cv + mc * py, cw + mc * pz
+    velocity[b, 0], velocity[b, 1], velocity[b, 2] = bu + mb * px, bv + mb * py, bw + mb * pz
+    velocity[a, 0], velocity[a, 1], velocity[a, 2] = au + ma * px, av + ma * py, aw + ma * pz
+    ma, mb, mc = step * ma, step * mb, step * mc
+    position[c, 0], position[c, 1], position[c, 2] = cx + mc * px, cy + mc * py, cz + mc * pz
+    position[b, 0], position[b, 1], position[b, 2] = bx + mb * px, by + mb * py, bz + mb * pz
+    position[a, 0], position[a, 1], position[a, 2] = ax + ma * px, ay + ma * py, az + ma * pz
+    if contact.nodes > 3:
+        move_node(state, contact, 3, (px, py, pz), step)
+    give_impulse(world, contact, (px, py, pz), 0.0)
     return math.sqrt(px * px + py * py + pz * pz)
 
 

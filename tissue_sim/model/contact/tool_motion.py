@@ -6,8 +6,8 @@ import math
 
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
-from tissue_sim.model.contact.gap import INNER_SIDE, gap_and_normal, is_touched, point_in_body
-from tissue_sim.model.contact.shapes import rotation_matrix
+from tissue_sim.model.contact.gap import gap_and_normal, is_on_outer_side, is_touched, point_in_body
+from tissue_sim.model.contact.shapes import rotation_matrix, signed_distance
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import POINT_NODES, nodes_of
 from tissue_sim.model.data.model import Model
@@ -189,10 +189,11 @@ def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
         if index == 0 or body != state.contacts.body[scratch.wall[index - 1]]:
             set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
         _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
-        gap, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
-        normal, deep = state.contacts.normal[entry], -gap - WALL * shapes.finest[body]
-        if deep > deepest and normal[0] * nx + normal[1] * ny + normal[2] * nz < INNER_SIDE:
-            deepest, chosen, x, y, z = deep, body, nx, ny, nz
+        deep = -signed_distance(shapes, body, lx, ly, lz)[0] - WALL * shapes.finest[body]
+        if deep > deepest:  # hardly ever: only then the normal is looked at
+            _, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
+            if is_on_outer_side(state, entry, (nx, ny, nz)):
+                deepest, chosen, x, y, z = deep, body, nx, ny, nz
     if chosen < 0:
         return False
     for body in range(len(state.body_pose)):
