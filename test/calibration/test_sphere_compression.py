@@ -92,7 +92,7 @@ def test_what_the_spheres_push_with_is_what_the_foot_holds(coarse):
 
 
 def test_a_step_that_is_too_long_is_taken_in_parts(coarse, monkeypatch):
-    whole = squeeze._Squeeze._settle
+    whole = squeeze._Compression._settle
     asked = []
 
     def short_only(run, centres):
@@ -104,7 +104,7 @@ def test_a_step_that_is_too_long_is_taken_in_parts(coarse, monkeypatch):
         return whole(run, centres)
 
     (once,) = compressed(*coarse, above([DEPTH]), RADIUS)
-    monkeypatch.setattr(squeeze._Squeeze, "_settle", short_only)
+    monkeypatch.setattr(squeeze._Compression, "_settle", short_only)
     found = compressed(*coarse, above([0.1 * DEPTH, DEPTH]), RADIUS)
     assert [step.settled for step in found] == [True, True]
     assert len(asked) > 3

@@ -58,14 +58,14 @@ def test_places_that_are_far_off_hardly_move_the_factor():
 
 def test_intervals_hold_the_truth():
     random, held = np.random.default_rng(4), 0
-    for seed in range(40):
+    for seed in range(20):
         samples, _ = measured(random, spread=0.08)
         fit = fitted(CURVES, samples, Priors())
         drawn = drawn_factors(CURVES, samples, Priors(), fit, np.arange(COUNT), seed)
         interval = interval_of(fit, drawn, COUNT, 0.0)
         held += interval.low < FACTOR < interval.high
         assert interval.high / interval.low < 1.3
-    assert held >= 35, "38 of 40 are expected of a 95 % interval"
+    assert held >= 17, "19 of 20 are expected of a 95 % interval"
 
 
 def test_samples_that_do_not_count_change_nothing():
