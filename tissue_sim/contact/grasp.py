@@ -85,7 +85,7 @@ def at_lower_pole(
     """
     axes = lower_pole(vertices)
     if out is not None:
-        axes = axes @ _shortest_turn(axes[0], out).T
+        axes = Rotation.align_vectors([out], [axes[0]])[0].apply(axes)
     out, across, thick = axes
     tip = vertices[np.argmax(vertices @ out)]
     depth = min(scale * DEPTH, WITHIN * jaws.length)
@@ -103,14 +103,6 @@ def at_lower_pole(
     except ValueError as error:
         raise ValueError(f"its lower pole is {1e3 * width:.3g} mm wide, and {error}") from None
     return Grasp(place, np.asarray(turn), out, depth, width, opened, closed)
-
-
-def _shortest_turn(start: Floats, end: Floats) -> Floats:
-    """Return the matrix (3, 3) that turns one unit direction to another, which isn't the opposite one."""
-    axis = np.cross(start, end)
-    sine = float(np.linalg.norm(axis))
-    angle = np.arctan2(sine, start @ end)
-    return np.asarray(Rotation.from_rotvec(angle / max(sine, 1e-12) * axis).as_matrix())
 
 
 def _cut(pieces: Floats, point: Floats, normal: Floats) -> Floats:

@@ -7,6 +7,7 @@ from scipy.ndimage import map_coordinates
 from scipy.stats import qmc
 
 from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.environments.steering import turned_about_z
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 from tissue_sim.organ.winding import inside
 
@@ -142,16 +143,10 @@ class Belief:
 
     def to_world(self, vectors: Floats) -> Floats:
         """Return vectors (n, p, 3) of the organ's frame in the agents' frames."""
-        return _turned(vectors, self.guesses[..., 3])
+        return turned_about_z(vectors, self.guesses[..., 3])
 
     def _to_world_points(self, point: Floats) -> Floats:
         return self.to_world(np.broadcast_to(point, (*self.guesses.shape[:2], 3))) + self.guesses[..., :3]
 
     def _to_organ(self, points: Floats) -> Floats:
-        return _turned(points - self.guesses[..., :3], -self.guesses[..., 3])
-
-
-def _turned(vectors: Floats, angle: Floats) -> Floats:
-    """Return vectors (..., 3) turned about z by angles (...)."""
-    x, y, sine, cosine = vectors[..., 0], vectors[..., 1], np.sin(angle), np.cos(angle)
-    return np.stack([cosine * x - sine * y, sine * x + cosine * y, vectors[..., 2]], axis=-1)
+        return turned_about_z(points - self.guesses[..., :3], -self.guesses[..., 3])

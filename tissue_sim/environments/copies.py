@@ -17,6 +17,7 @@ from tissue_sim.environments.steering import (
     moved_jaws,
     moved_tip,
     observation_of,
+    turned_about_z,
 )
 from tissue_sim.environments.tasks import HELD, RATE, STEP, Judged, Now, task_of
 from tissue_sim.organ.organ import Organ
@@ -162,9 +163,3 @@ class TaskCopies:
         tips = self.batch.poses[:, 0, :3]
         sizes = np.linalg.norm(forces, axis=1)
         return Now(self._place, self._outward, self._wanted, tips, pushed, sizes, lifted, declared)
-
-
-def turned_about_z(vectors: Floats, angle: Floats) -> Floats:
-    """Return vectors (n, ..., 3) turned about z by angles that broadcast to (n, ...)."""
-    x, y, sine, cosine = vectors[..., 0], vectors[..., 1], np.sin(angle), np.cos(angle)
-    return np.stack([cosine * x - sine * y, sine * x + cosine * y, vectors[..., 2]], axis=-1)

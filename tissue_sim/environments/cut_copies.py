@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs, Singles
-from tissue_sim.environments.copies import TaskCopies, turned_about_z
-from tissue_sim.environments.steering import declared
+from tissue_sim.environments.copies import TaskCopies
+from tissue_sim.environments.steering import declared, turned_about_z
 from tissue_sim.environments.tasks import DECLARED, STEP, TOUCH, Judged
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ

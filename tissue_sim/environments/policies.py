@@ -24,7 +24,7 @@ from tissue_sim.organ.shipped import shipped_file
 FORMAT = 1  # of a policy's file
 CM = 0.01  # m
 SEARCHED = 180  # steps of a search
-TOUCH_TO_TELL = 0.06  # N, a little more than what counts as touching
+TOUCH_TO_DECLARE = 0.06  # N, a little more than what counts as touching
 LEAK = 0.98  # of a sum over steps, from one to the next
 Seen = Mapping[str, Any]  # observations of n agents, by name
 
@@ -116,8 +116,8 @@ class PalpatePolicy(Policy):
     def __init__(self, count: int = 1, organ: Organ | None = None) -> None:
         super().__init__(count, organ)
         known = Organ.shipped(Palpate.organ) if organ is None else organ
-        drawn = Palpate().draw(np.random.default_rng(0), known)
-        self._place, self._outward = drawn.place, drawn.outward
+        node = Palpate.node_over_tumour(known)
+        self._place, self._outward = known.surface_positions[node], known.surface_normals[node]
         self._belief = Belief(Shape(known.surface_positions, known.surface_triangles), count, Palpate.shift, TURN)
 
     def forget(self, agents: Longs) -> None:
@@ -140,7 +140,7 @@ class PalpatePolicy(Policy):
         push = np.clip((size - 0.1 * w[1]) / 0.05, -1.0, 1.0) * (w[1] > 0.0)
         velocity = w[0][:, None] * way / np.maximum(left, 0.4 * CM)[:, None] + push[:, None] * normal
         self.memory[:, 0] += 1.0
-        is_there = last & (left < 0.15 * CM) & (size > TOUCH_TO_TELL)
+        is_there = last & (left < 0.15 * CM) & (size > TOUCH_TO_DECLARE)
         return np.clip(np.column_stack([velocity, np.where(is_there, 1.0, -1.0)]), -1.0, 1.0)
 
     def _aim(self, w: Floats) -> tuple[Floats, Floats, Mask]:

@@ -77,3 +77,9 @@ def observation_of(task: Task, sensed: Sensed) -> dict[str, Singles]:
     if task.shows_goal:
         seen["goal"] = np.hstack([sensed.place, sensed.outward, sensed.wanted[:, None]])
     return {name: values.astype(np.float32) for name, values in seen.items()}
+
+
+def turned_about_z(vectors: Floats, angle: Floats) -> Floats:
+    """Return vectors (n, ..., 3) turned about z by angles that broadcast to (n, ...)."""
+    x, y, sine, cosine = vectors[..., 0], vectors[..., 1], np.sin(angle), np.cos(angle)
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y, vectors[..., 2]], axis=-1)

@@ -141,14 +141,30 @@ class Palpate(Task):
     shift = 0.015
     shows_goal = False
 
-    def draw(self, random: np.random.Generator, organ: Organ) -> Draw:
-        """Return an episode: the place is the surface point nearest to the tumour."""
+    @staticmethod
+    def node_over_tumour(organ: Organ) -> int:
+        """Return the surface node nearest to the tumour.
+
+        Parameters
+        ----------
+        organ : Organ
+            The organ.
+
+        Raises
+        ------
+        UserError
+            Where there is none.
+        """
         inclusions = inclusions_of(organ)
         if not inclusions:
             raise UserError(f"organ '{organ.name}' has no tumour to palpate; take one with an inclusion")
-        drawn = super().draw(random, organ)
         apart = np.linalg.norm(organ.surface_positions - np.mean(inclusions[0].positions, axis=0), axis=1)
-        node = int(np.argmin(apart))
+        return int(np.argmin(apart))
+
+    def draw(self, random: np.random.Generator, organ: Organ) -> Draw:
+        """Return an episode: the place is the surface point nearest to the tumour."""
+        node = self.node_over_tumour(organ)
+        drawn = super().draw(random, organ)
         return drawn._replace(place=organ.surface_positions[node], outward=organ.surface_normals[node])
 
     def judge(self, now: Now) -> Judged:

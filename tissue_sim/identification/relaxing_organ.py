@@ -67,14 +67,15 @@ def relaxing(organ: Organ, relaxation: Relaxation | None, presses: Presses, reme
             f"relaxation isn't in the organ file: an organ relaxes by {100.0 * most:g} % at most, with a time constant"
             f" of {shortest:g} to {longest:g} s"
         )
+    paths = _paths(organ, presses.measurement)
     hold = max(presses.measurement.holds, key=lambda one: one.length)
     for _ in progress.steps(range(CORRECTIONS), "holds of the model"):
         found = replace(organ, relaxation_fraction=fraction, relaxation_time=time)
-        shown = _held(found, hold, presses, remember)
+        shown = _held(found, hold, presses, paths, remember)
         fraction = float(np.clip(fraction * relaxation.fraction / max(shown.fraction, 1e-3), 1e-3, most))
         time = float(np.clip(time * relaxation.time / shown.time, shortest, longest))
     found = replace(organ, relaxation_fraction=fraction, relaxation_time=time)
-    part = _part_of_the_modulus(found, presses, remember)
+    part = _part_of_the_modulus(found, presses, paths, remember)
     soft = with_stiffness(organ, part, organ.provenance.get(KEY, {}))
     found = replace(soft, relaxation_fraction=fraction, relaxation_time=time)
     return found, (
@@ -84,11 +85,11 @@ def relaxing(organ: Organ, relaxation: Relaxation | None, presses: Presses, reme
     )
 
 
-def _held(organ: Organ, hold: Hold, presses: Presses, remember: Remember) -> Relaxation:
+def _held(organ: Organ, hold: Hold, presses: Presses, paths: list[Press], remember: Remember) -> Relaxation:
     """Return how the model's force relaxes, held as deep as a recording was and reached as fast."""
     row = _row_of(presses.measurement, hold.press)
     press, depth = presses.measurement.presses[row], float(hold.depths[-1] + presses.offsets[row])
-    path = _path(organ, presses.measurement, row)
+    path = paths[row]
 
     def make() -> Arrays:
         scene = ball(organ, presses.measurement.radius, presses.friction)
@@ -115,7 +116,7 @@ def _held(organ: Organ, hold: Hold, presses: Presses, remember: Remember) -> Rel
     return term_of(Hold(hold.press, found["time"], found["depths"], found["forces"]), elastic)
 
 
-def _part_of_the_modulus(organ: Organ, presses: Presses, remember: Remember) -> float:
+def _part_of_the_modulus(organ: Organ, presses: Presses, paths: list[Press], remember: Remember) -> float:
     """Return the factor on the modulus of an organ that relaxes with which it feels in presses as the elastic fit."""
     measurement = presses.measurement
     fast = [row for row, press in enumerate(measurement.presses) if press.speed > 0.0]
@@ -123,7 +124,7 @@ def _part_of_the_modulus(organ: Organ, presses: Presses, remember: Remember) -> 
     for row in progress.steps(_spread(fast), "presses of the model"):
         press = measurement.presses[row]
         depths = np.sort(press.depths) + presses.offsets[row]
-        path = _path(organ, measurement, row)
+        path = paths[row]
 
         def make() -> Arrays:
             scene = ball(organ, measurement.radius, presses.friction)
@@ -146,10 +147,9 @@ def _row_of(measurement: Measurement, name: str) -> int:
     return next(row for row, press in enumerate(measurement.presses) if press.name == name)
 
 
-def _path(organ: Organ, measurement: Measurement, row: int) -> Press:
-    """Return the path of a press, at a flat place of the organ where the recording doesn't know its own."""
-    press = measurement.presses[row]
+def _paths(organ: Organ, measurement: Measurement) -> list[Press]:
+    """Return the paths of all presses, at a flat place of the organ where the recording doesn't know theirs."""
     if measurement.is_registered:
-        return Press(press.place, press.way)
+        return [Press(press.place, press.way) for press in measurement.presses]
     spot = flat_locations(organ, 1)[0][0]
-    return Press(spot.point - measurement.radius * spot.way, spot.way)
+    return [Press(spot.point - measurement.radius * spot.way, spot.way)] * len(measurement.presses)

@@ -78,9 +78,10 @@ def test_a_learned_policy_finds_the_tumour_over_dds(tmp_path):
         text, code = driven(tmp_path, "palpate")
     assert code == 0, text
     found = re.search(r"says that it is here .* tool at ([-\d.]+), ([-\d.]+), ([-\d.]+) mm", text)
-    drawn = Palpate().draw(np.random.default_rng(0), Organ.shipped("kidney_tumour"))
+    organ = Organ.shipped("kidney_tumour")
+    node = Palpate.node_over_tumour(organ)
     tip = 1e-3 * np.array([float(found[part]) for part in (1, 2, 3)])
-    assert np.linalg.norm(tip - drawn.place - RADIUS * drawn.outward) < FOUND
+    assert np.linalg.norm(tip - organ.surface_positions[node] - RADIUS * organ.surface_normals[node]) < FOUND
 
 
 def test_what_is_seen_over_ros_is_what_the_environment_shows():

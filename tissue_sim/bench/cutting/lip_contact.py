@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.calibration.cholesky import Cholesky, NotPositive
 from tissue_sim.calibration.solid import Solid
+from tissue_sim.model.cutting.cut_surface import FACES
 
 STIFF = 40.0  # a wall's stiffness, in Young's moduli over its mean edge
 DEEP = 0.25  # mean edges of a wall by which the lips pass through each other, from which contact begins at rest
@@ -209,7 +210,7 @@ class Lips:
 def _points_into_tissue(triangles: Longs, points: Floats, cells: Longs) -> Mask:
     """Return which triangles (w,) of elements have normals that point into their element."""
     n = len(points)
-    faces = cells[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3)
+    faces = cells[:, FACES].reshape(-1, 3)
 
     def keys(corners: Longs) -> Longs:
         corners = np.sort(corners, axis=1)
