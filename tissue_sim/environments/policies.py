@@ -111,7 +111,7 @@ class PalpatePolicy(Policy):
 
     task = "Palpate"
     weights = ("speed", "force", "radius", "turns", "compliance", "patience")
-    start = (0.0,) * 6
+    start = (0.5, 0.5, 0.5, 0.0, 0.0, 0.0)  # set by hand: a short, light search; from zero, giving up is learned
 
     def __init__(self, count: int = 1, organ: Organ | None = None) -> None:
         super().__init__(count, organ)
@@ -128,8 +128,10 @@ class PalpatePolicy(Policy):
     def act(self, weights: Floats, seen: Seen) -> Floats:
         """Return the actions (n, 4)."""
         w = np.broadcast_to(weights, (len(seen["pose"]), len(self.weights))).T
+        # Bounded, as evolution would else press ever harder and faster, which the belief doesn't survive.
+        w = np.clip(w, -1.0, 1.5)
         tips, force = (np.asarray(seen[name][:, :3], dtype=np.float64) for name in ("pose", "wrench"))
-        self._belief.take(tips, force, RADIUS, 0.02 * np.maximum(1.0 + w[4], 0.0))
+        self._belief.take(tips, force, RADIUS, 0.02 * (1.0 + w[4]))
         aim, outward, last = self._aim(w)
         size = np.linalg.norm(force, axis=1)
         normal = self._belief.outward(tips)
@@ -151,7 +153,7 @@ class PalpatePolicy(Policy):
         first = np.cross(outward, np.where(np.abs(outward[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]]))
         first /= np.linalg.norm(first, axis=1, keepdims=True)
         second = np.cross(outward, first)
-        steps = SEARCHED * np.clip(1.0 + w[5], 0.0, 1.4)
+        steps = SEARCHED * np.minimum(1.0 + w[5], 1.4)
         part = np.minimum(self.memory[:, 0] / np.maximum(steps, 1.0), 1.0)
         angle = 2.0 * np.pi * (1.0 + w[3]) * part
         last = part >= 1.0

@@ -35,7 +35,7 @@ PLANS = {
     "Press": Plan(),
     "Hold": Plan(),
     "Retract": Plan(each=4, steps=200, sigma=0.3),
-    "Palpate": Plan(generations=16, each=4, steps=300),
+    "Palpate": Plan(generations=10, each=6, steps=300, episodes=120, sigma=0.25),
     "Cut": Plan(steps=120),
 }
 
