@@ -246,7 +246,7 @@ class _Compiling(events.Listener):
     def __init__(self) -> None:
         self._depth = 0  # of kernels that are compiled for others; one thread compiles at a time
         self._seconds = 0.0  # of all of them, as one tick has several
-        self._told = ExitStack()
+        self._reporting = ExitStack()
 
     def on_start(self, event: events.Event) -> None:
         """Note that a kernel begins."""
@@ -255,7 +255,7 @@ class _Compiling(events.Listener):
         self._depth += 1
         if self._depth == 1:
             self._began = time.monotonic()
-            task = self._told.enter_context(progress.task("compiling kernels, once for this version"))
+            task = self._reporting.enter_context(progress.task("compiling kernels, once for this version"))
             task.started -= self._seconds
 
     def on_end(self, event: events.Event) -> None:
@@ -265,7 +265,7 @@ class _Compiling(events.Listener):
         self._depth -= 1
         if self._depth == 0:
             self._seconds += time.monotonic() - self._began
-            self._told.close()
+            self._reporting.close()
 
 
 def _is_own(event: events.Event) -> bool:

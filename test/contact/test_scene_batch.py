@@ -88,7 +88,7 @@ def test_copies_of_tissue_that_stiffens_share_nothing_that_changes():
     scene = Scene(replace(ball_of_cells(), stiffening=20.0), [FINGER])
     copies = SceneBatch(scene, 2)._scenes
     first, second = (one.simulation.model.tissue for one in copies)
-    for name in ("rows", "work", "squeezed_cells", "stiff", "shortening"):
+    for name in ("rows", "work", "compressed_cells", "stiff", "shortening"):
         assert not np.shares_memory(getattr(first, name), getattr(second, name)), name
 
 

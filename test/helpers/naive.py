@@ -4,7 +4,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import shortest_path
 
-from tissue_sim.model.elasticity.cell_law import SQUEEZED, STEEPEST
+from tissue_sim.model.elasticity.cell_law import COMPRESSED, STEEPEST
 from tissue_sim.model.elasticity.cells import cells_of
 from tissue_sim.model.elasticity.forces import SHORTEST
 from tissue_sim.organ.organ import SpringKind
@@ -102,7 +102,7 @@ def naive_cells(x, model):
         bounded = max(swollen, STEEPEST)
         pressure = 0.5 * lam[c] * (bounded - 1.0 / bounded) - mu[c] / bounded
         pressure += (swollen - bounded) * (0.5 * lam[c] + (0.5 * lam[c] + mu[c]) / STEEPEST**2)
-        pressure += penalty[c] * min(swollen - SQUEEZED, 0.0)
+        pressure += penalty[c] * min(swollen - COMPRESSED, 0.0)
         push = np.linalg.det(rest) / 6.0 * (mu[c] * gradient + pressure * cofactor) @ np.linalg.inv(rest).T
         force[nodes[1:]] -= push.T
         force[nodes[0]] += push.sum(axis=1)

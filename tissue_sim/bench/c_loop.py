@@ -20,7 +20,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench.timing import clock_cost
 from tissue_sim.model.data.blocks import BLOCK, Blocks, empty_blocks
 from tissue_sim.model.data.model import Tissue
-from tissue_sim.model.elasticity.cell_law import SQUEEZED, STEEPEST
+from tissue_sim.model.elasticity.cell_law import COMPRESSED, STEEPEST
 from tissue_sim.model.elasticity.cells import CONSTANTS
 from tissue_sim.model.elasticity.forces import SHORTEST, elastic_forces
 from tissue_sim.model.simulation import Simulation
@@ -30,7 +30,7 @@ PLAIN = ("-O3",)
 # The last two options allow vectorised square roots and selections, as Numba's compiler does.
 NATIVE = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math")
 COMPILER = "cc"
-NUMBERS = (BLOCK, CONSTANTS, SHORTEST, SHORTEST, STEEPEST, SQUEEZED, 1.0 / STEEPEST**2)  # in the order of the source
+NUMBERS = (BLOCK, CONSTANTS, SHORTEST, SHORTEST, STEEPEST, COMPRESSED, 1.0 / STEEPEST**2)  # in the order of the source
 COMPARED = 200  # substeps after which positions are compared
 AGREEMENT = 1e-10  # largest difference of positions, over the largest displacement
 

@@ -225,7 +225,7 @@ class SceneBatch:
         parts: list[Any] = [one.nbytes for one in memory_of(scene)]
         for simulation in scene.simulations:
             tissue = simulation.model.tissue
-            own = [simulation.model.work] if tissue is None else [tissue.rows, tissue.work, tissue.squeezed_cells]
+            own = [simulation.model.work] if tissue is None else [tissue.rows, tissue.work, tissue.compressed_cells]
             parts += [_nbytes(simulation.scratch), *(one.nbytes for one in own)]
         return int(sum(parts))
 

@@ -74,7 +74,7 @@ def _with_own_memory(model: Model) -> Model:
         tissue = tissue._replace(
             rows=aligned(tissue.rows),
             work=aligned(tissue.work),
-            squeezed_cells=tissue.squeezed_cells.copy(),
+            compressed_cells=tissue.compressed_cells.copy(),
             stiff=tissue.stiff.copy(),
             shortening=tissue.shortening.copy(),
         )

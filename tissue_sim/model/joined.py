@@ -183,15 +183,15 @@ class Joined:
         for one, gravity in zip(self.simulations, self.carried.gravity, strict=True):
             gravity[:] = gravity_of(one.settings)
 
-    def set_breathing(self, share: float) -> None:
+    def set_breathing(self, fraction: float) -> None:
         """Set where a breath that follows a signal is to be.
 
         Parameters
         ----------
-        share : float
+        fraction : float
             Fraction of its way.
         """
-        self.carried.breath.told = share
+        self.carried.breath.target = fraction
 
     def restore(self, breath: Breath, found: OrganContactSet, pressed: Floats, held: Floats) -> None:
         """Continue from a breath and from pairs with their forces.

@@ -74,7 +74,7 @@ def tissue_cells(points: Floats, surface: Floats, triangles: Ints, name: str) ->
     Raises
     ------
     UserError
-        Where a node belongs to no cell, or the cells fill less than LEAST_SHARE of the volume.
+        Where a node belongs to no cell, or the cells fill less than LEAST_FILLED of the volume.
     """
     cells = tetrahedra(points, surface, triangles)
     volume, quality = quality_of(points, cells)

@@ -68,7 +68,7 @@ def test_what_may_touch_is_watched_and_the_rest_forgotten(gap, stiffness, led, w
     count = int(scratch.watching[0])
     points = int(state.contacts.header.points)
     assert 0 < count < points
-    np.testing.assert_array_equal(scratch.watched[:count], expected)
+    np.testing.assert_array_equal(scratch.candidates[:count], expected)
     others = np.setdiff1d(np.arange(points), expected)
     assert not np.any(state.contact_held[0, others])
     assert np.all(state.contact_held[0, expected] == 1.0)
@@ -89,8 +89,8 @@ def test_what_is_left_of_a_gap_is_no_more_than_there_is():
         if tick < 0:
             continue
         count = int(scratch.watching[0])
-        gap = capsule_gap(state, scratch.watched[:count], state.body_pose[0])
+        gap = capsule_gap(state, scratch.candidates[:count], state.body_pose[0])
         assert state.status.touching == 0
-        assert np.all(scratch.watched_gap[:count] <= gap + 1e-9)
-        seen += np.count_nonzero(scratch.watched_gap[:count] < gap - 1e-9)
+        assert np.all(scratch.candidate_gap[:count] <= gap + 1e-9)
+        seen += np.count_nonzero(scratch.candidate_gap[:count] < gap - 1e-9)
     assert seen > 500

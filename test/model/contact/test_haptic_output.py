@@ -1,4 +1,4 @@
-"""Clamp, slew limit and fading of what is felt, against a plain NumPy version."""
+"""Clamp, slew limit and fading of the wrench, against a plain NumPy version."""
 
 from types import SimpleNamespace
 
@@ -19,39 +19,39 @@ def settings_of(clamp=10.0, slew=1e3):
     return settings
 
 
-def twin(felt, impulse, owners, ages, settings):
+def twin(unfaded, impulse, owners, ages, settings):
     """What compute_haptic_output does, tool by tool."""
-    felt, wrench = felt.copy(), np.zeros_like(felt)
+    unfaded, wrench = unfaded.copy(), np.zeros_like(unfaded)
     for tool in np.unique(owners):
         own = owners == tool
         wanted = -impulse[own] / TICK
         size = np.linalg.norm(wanted[:, :3].sum(axis=0))
         wanted *= min(1.0, settings.force_clamp / size) if size else 1.0
-        step = np.linalg.norm((wanted - felt[own])[:, :3].sum(axis=0))
-        share = min(1.0, settings.force_slew * TICK / step) if step else 1.0
-        felt[own] += share * (wanted - felt[own])
-        size = np.linalg.norm(felt[own][:, :3].sum(axis=0))
-        felt[own] *= min(1.0, settings.force_clamp / size) if size else 1.0
+        step = np.linalg.norm((wanted - unfaded[own])[:, :3].sum(axis=0))
+        fraction = min(1.0, settings.force_slew * TICK / step) if step else 1.0
+        unfaded[own] += fraction * (wanted - unfaded[own])
+        size = np.linalg.norm(unfaded[own][:, :3].sum(axis=0))
+        unfaded[own] *= min(1.0, settings.force_clamp / size) if size else 1.0
         late = ages[own] * TICK - settings.stale_time
         fresh = np.clip(1.0 - late / settings.ramp_time, 0.0, 1.0)[:, None]
-        felt[own] *= fresh > 0.0
-        wrench[own] = fresh * felt[own]
-    return felt, wrench
+        unfaded[own] *= fresh > 0.0
+        wrench[own] = fresh * unfaded[own]
+    return unfaded, wrench
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_kernel_is_the_twin(seed):
     random = np.random.default_rng(seed)
     owners = np.array([0, 0, 1, 2, 2])
-    felt, impulse = random.normal(0.0, 2.0, (5, 6)), random.normal(0.0, 6e-3, (5, 6))
+    unfaded, impulse = random.normal(0.0, 2.0, (5, 6)), random.normal(0.0, 6e-3, (5, 6))
     ages = np.array([3, 3, 55, 80, 0])
     settings = settings_of(clamp=5.0, slew=2e3)
     count, bodies = Counts.new(), BodyStatus.rows(np.zeros(5 * BodyStatus.words(), dtype=np.int64))
     bodies.age = ages
-    expected = twin(felt, impulse, owners, ages, settings)
-    state = SimpleNamespace(felt=felt, wrench=np.zeros((5, 6)), bodies=bodies, count=count)
+    expected = twin(unfaded, impulse, owners, ages, settings)
+    state = SimpleNamespace(unfaded_wrench=unfaded, wrench=np.zeros((5, 6)), bodies=bodies, count=count)
     compute_haptic_output.py_func(state, SimpleNamespace(tool=owners), settings, SimpleNamespace(impulse=impulse))
-    np.testing.assert_allclose(state.felt, expected[0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(state.unfaded_wrench, expected[0], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(state.wrench, expected[1], rtol=1e-12, atol=1e-12)
     for tool in range(3):
         assert np.linalg.norm(state.wrench[owners == tool, :3].sum(axis=0)) <= 5.0 + 1e-12
@@ -60,11 +60,11 @@ def test_kernel_is_the_twin(seed):
 def test_compiled_shares_are_the_plain_ones():
     random = np.random.default_rng(0)
     owners = np.array([0, 0, 1])
-    felt, impulse = random.normal(0.0, 2.0, (3, 6)), random.normal(0.0, 6e-3, (3, 6))
+    unfaded, impulse = random.normal(0.0, 2.0, (3, 6)), random.normal(0.0, 6e-3, (3, 6))
     settings = settings_of(slew=500.0)
-    assert clamp_fraction(felt, owners, 0, 1.0) == clamp_fraction.py_func(felt, owners, 0, 1.0) < 1.0
-    found = slew_fraction(felt, impulse, -1e3, owners, 1, settings)
-    assert found == slew_fraction.py_func(felt, impulse, -1e3, owners, 1, settings) < 1.0
+    assert clamp_fraction(unfaded, owners, 0, 1.0) == clamp_fraction.py_func(unfaded, owners, 0, 1.0) < 1.0
+    found = slew_fraction(unfaded, impulse, -1e3, owners, 1, settings)
+    assert found == slew_fraction.py_func(unfaded, impulse, -1e3, owners, 1, settings) < 1.0
 
 
 def test_nip_of_two_jaws_is_not_cut_when_their_sum_is_small():

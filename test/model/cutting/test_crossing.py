@@ -46,7 +46,7 @@ def test_a_section_has_the_area_of_the_bar():
     organ = bar()
     found = crossing_of(organ.rest_positions, organ.cell_nodes, sheet_of(organ, ACROSS, DOWN, 0.03))
     assert found.area == pytest.approx(0.02**2, rel=1e-12)
-    np.testing.assert_array_equal(found.share, 1.0)
+    np.testing.assert_array_equal(found.cut_fraction, 1.0)
     assert len(found.cells) == 24  # all of a layer of cubes
 
 
@@ -56,9 +56,9 @@ def test_the_front_is_moved_by_a_part_of_an_edge():
     mean = 0.01 * (3.0 + 2.0 * np.sqrt(2.0) + np.sqrt(3.0)) / 6.0  # edges and diagonals of a cube
     assert found.advance == pytest.approx(0.6 * mean, rel=1e-12)
     assert found.area == pytest.approx(0.02 * 0.01, rel=0.02)  # the front cells' sections are sampled
-    front = found.share < 1.0
+    front = found.cut_fraction < 1.0
     assert 0 < front.sum() < len(found.cells)
-    assert np.all((found.share > 0.0) & (found.share <= 1.0))
+    assert np.all((found.cut_fraction > 0.0) & (found.cut_fraction <= 1.0))
 
 
 def test_no_node_lies_on_the_sheet():

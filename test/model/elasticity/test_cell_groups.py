@@ -36,7 +36,7 @@ def test_cells_of_a_fan_share_a_face_with_the_next_and_all_the_edge():
 
 
 def test_blocks_hold_every_cell_once_with_its_moduli_and_volume():
-    fans = MODEL.tissue.fans
+    fans = MODEL.tissue.groups
     held = fans.cells[fans.cells >= 0]
     np.testing.assert_array_equal(np.sort(held), np.arange(len(CELLS)))
     rows = fans.constants.reshape(-1, CONSTANTS, BLOCK).transpose(0, 2, 1).reshape(-1, CONSTANTS)
@@ -79,7 +79,7 @@ def test_cells_hold_their_stiffness_by_themselves_not_by_their_place_in_a_fan():
     uneven = replace(ORGAN, cell_mu=factor[0] * ORGAN.cell_mu, cell_lambda=factor[1] * ORGAN.cell_lambda)
     slope = shapes_of(MODEL.rest, CELLS)[0]
     fans = cell_groups_of(MODEL.rest, CELLS, slope, uneven.cell_mu, uneven.cell_lambda)
-    even = MODEL.tissue.fans
+    even = MODEL.tissue.groups
     np.testing.assert_array_equal(fans.nodes, even.nodes)
     model = assemble(uneven, "cells")
     x = MODEL.rest + 0.001 * np.random.default_rng(3).standard_normal(MODEL.rest.shape)

@@ -11,7 +11,7 @@ from helpers.scenes import RADIUS, ball
 from tissue_sim.model.data.blocks import BLOCK
 from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.model.elasticity.cell_groups import cell_forces
-from tissue_sim.model.elasticity.cell_law import SQUEEZED, STEEPEST, STIFF
+from tissue_sim.model.elasticity.cell_law import COMPRESSED, STEEPEST, STIFF
 from tissue_sim.model.elasticity.cells import (
     PENALTY,
     cell_energy,
@@ -154,7 +154,7 @@ def test_a_penalty_is_as_stiff_as_the_masses_allow():
         give = np.sum(MODEL.inverse_mass[:, None] * slope**2)
         volume = np.linalg.det(MODEL.rest[nodes[1:]] - MODEL.rest[nodes[0]]) / 6.0
         assert volume * penalty[cell] * give == pytest.approx(PENALTY * frequency**2, rel=1e-6)
-    assert SQUEEZED > STEEPEST
+    assert COMPRESSED > STEEPEST
 
 
 def test_blocks_repeat_bit_for_bit_and_fill_up_with_nothing():

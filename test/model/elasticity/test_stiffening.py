@@ -56,7 +56,7 @@ def naive_stiffening(x, model, b):
     """
     force, exponents = np.zeros_like(x), []
     cells, (mu, _), _ = cells_of(model.tissue)
-    for members in (group[group >= 0] for group in model.tissue.fans.cells if group.max() >= 0):
+    for members in (group[group >= 0] for group in model.tissue.groups.cells if group.max() >= 0):
         parts, whole, mean = [], 0.0, 0.0
         for c in members:
             nodes = cells[c]
@@ -126,7 +126,7 @@ def test_rest_and_its_tangent_are_neo_hookean():
 
 def test_neo_hookean_cells_keep_their_bits_and_have_no_rows():
     plain, x = assemble(PLAIN), shaken(0.3)
-    assert plain.tissue.fans.stiffening.shape == (0, ROWS * BLOCK)
+    assert plain.tissue.groups.stiffening.shape == (0, ROWS * BLOCK)
     nothing = tissue_of(MODEL.rest, PLAIN.cell_nodes, PLAIN.cell_mu, PLAIN.cell_lambda, 0.0)
     found, again = np.zeros_like(x), np.zeros_like(x)
     cell_forces(x, nothing, found)
@@ -221,8 +221,8 @@ def stretched(exponent, b=B):
 
 def limits_of(model):
     """The least exponents from which on any group needs substeps half and a quarter as long."""
-    rows = model.tissue.fans.stiffening.reshape(-1, ROWS, BLOCK)[:, 4:]
-    return rows.transpose(0, 2, 1).reshape(-1, 2)[(model.tissue.fans.cells >= 0).any(axis=1)].min(axis=0)
+    rows = model.tissue.groups.stiffening.reshape(-1, ROWS, BLOCK)[:, 4:]
+    return rows.transpose(0, 2, 1).reshape(-1, 2)[(model.tissue.groups.cells >= 0).any(axis=1)].min(axis=0)
 
 
 def test_a_tick_takes_the_substeps_that_its_strain_requires():

@@ -5,7 +5,15 @@ import pytest
 
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.blocks import BLOCK
-from tissue_sim.model.elasticity.vectors import ROW, WIDTH, gather_arms, gather_fan, put_node, scatter_arms, scatter_fan
+from tissue_sim.model.elasticity.vectors import (
+    ROW,
+    WIDTH,
+    gather_arms,
+    gather_group,
+    put_node,
+    scatter_arms,
+    scatter_group,
+)
 
 
 @kernel
@@ -16,8 +24,8 @@ def through_cells(rows, nodes, work):
 
 @kernel
 def through_fans(rows, nodes, work):
-    gather_fan(rows, nodes, work)
-    scatter_fan(rows, nodes, work)
+    gather_group(rows, nodes, work)
+    scatter_group(rows, nodes, work)
 
 
 @pytest.mark.parametrize(("corners", "through"), [(4, through_cells), (6, through_fans)])

@@ -67,7 +67,7 @@ def test_a_step_beyond_the_critical_one_is_halved_before_anything_is_lost(share,
     simulation = soft(share, usual)
     substeps, speeds = after_a_push(simulation, 4 * LONGEST)
     count = simulation.state.count
-    assert 0 < count.shivers < 8
+    assert 0 < count.oscillations < 8
     assert count.faults == 0
     assert set(substeps) == {usual, 2 * usual}
     assert np.mean(substeps == usual) < 0.1
@@ -94,8 +94,8 @@ def test_nodes_that_turn_count_when_they_are_many_and_get_faster(turning, speeds
     simulation = Simulation(ORGAN)
     for speed in (0.1, 0.1 * speeds):
         turn(simulation, turning, speed)
-    assert simulation.state.status.shivering == halved
-    assert simulation.state.count.shivers == (halved > 0)
+    assert simulation.state.status.oscillating == halved
+    assert simulation.state.count.oscillations == (halved > 0)
 
 
 @pytest.mark.extended
@@ -103,11 +103,11 @@ def test_what_is_found_again_soon_is_halved_longer_and_after_a_while_as_at_first
     simulation = Simulation(ORGAN)
     state, found = simulation.state, []
     for wait in (0, 0, 0, 0, LONGEST):
-        for _ in range(wait + int(state.status.shivering)):
+        for _ in range(wait + int(state.status.oscillating)):
             is_oscillation_checked(handle(simulation.model), handle(state), 1)
         for speed in (0.1, 0.2):
             turn(simulation, MANY, speed)
-        found.append(int(state.status.shivering))
+        found.append(int(state.status.oscillating))
     assert found == [HALVED, HALVED * MORE, HALVED * MORE**2, LONGEST, HALVED]
 
 
@@ -118,7 +118,7 @@ def test_where_a_step_was_found_too_long_the_next_find_needs_no_speed():
     for speeds, found in ((slow, 0), ([0.1, 0.2], 1), (slow, 2)):
         for speed in speeds:
             turn(simulation, MANY, speed)
-        assert count.shivers == found
+        assert count.oscillations == found
 
 
 @pytest.mark.parametrize("newton", [0.1, 0.3, 0.5])
@@ -129,7 +129,7 @@ def test_a_load_that_falls_on_a_patch_is_none(newton):
     for _ in range(600):
         simulation.apply_force(patch, np.tile([0.0, 0.0, -newton / 7.0], (7, 1)))
         simulation.step()
-    assert simulation.state.count.shivers == 0
+    assert simulation.state.count.oscillations == 0
     assert simulation.state.status.substeps == 2
 
 
@@ -139,5 +139,5 @@ def test_a_blow_to_one_node_is_none():
     for _ in range(300):
         simulation.apply_force(top, [0.0, 0.0, -0.01])
         simulation.step()
-    assert simulation.state.count.shivers == 0
+    assert simulation.state.count.oscillations == 0
     assert simulation.state.status.substeps == 1

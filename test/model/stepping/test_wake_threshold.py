@@ -150,7 +150,7 @@ def test_an_organ_that_is_handled_feels_all_of_it():
         organ.apply_force([TOP - 1], [[1e-5, 0.0, 0.0]])
         joined.step()
     assert 0.0 < joined.threshold.pulled[0] < WAKE_FORCE
-    assert joined.threshold.share[0] == 1.0
+    assert joined.threshold.fraction[0] == 1.0
     assert not organ.asleep
     assert joined.threshold.ticks[0] == 0
 
@@ -159,14 +159,14 @@ def test_an_organ_that_a_tool_touches_feels_all_of_it():
     ligament = Attachment((0, None), 0.05, nodes=[TOP], point=ball().surface_positions[TOP] + UP, slack=0.049)
     scene = Scene([ball()], [Tool("ball", "sphere", radius=0.005)], attachments=[ligament])
     scene.step()
-    assert scene.joined.threshold.share[0] == 0.0
+    assert scene.joined.threshold.fraction[0] == 0.0
     side = int(np.argmax(ball().surface_positions[:, 0]))
     at = ball().surface_positions[side]
     for tick in range(100):
         scene.move(0, at * (1.0 + (0.008 - 0.00006 * tick) / np.linalg.norm(at)))
         scene.step()
     assert scene.simulation.state.status.touching > 0
-    assert scene.joined.threshold.share[0] == 1.0
+    assert scene.joined.threshold.fraction[0] == 1.0
 
 
 def test_an_organ_made_softer_or_given_weight_wakes():
@@ -182,7 +182,7 @@ def test_an_organ_made_softer_or_given_weight_wakes():
     joined.set_substeps()
     joined.step()
     assert not organ.asleep
-    assert 0.0 < joined.threshold.share[0] < 1.0
+    assert 0.0 < joined.threshold.fraction[0] < 1.0
 
     joined = hanging(0.05, 0.0)
     joined.links.slack[:] -= 0.002
@@ -191,7 +191,7 @@ def test_an_organ_made_softer_or_given_weight_wakes():
     joined.note_gravity()
     joined.step()
     assert not joined.simulations[0].asleep
-    assert joined.threshold.share[0] == 1.0
+    assert joined.threshold.fraction[0] == 1.0
 
 
 def test_an_organ_falls_asleep_while_a_hand_is_on_another_one():

@@ -21,7 +21,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 one = Simulation(Organ.load(shipped_organ()))
 tissue = one.model.tissue
-parts = (array.tobytes() for array in (tissue.constants, tissue.fans.constants, one.model.rest))
+parts = (array.tobytes() for array in (tissue.constants, tissue.groups.constants, one.model.rest))
 print(one.frequency.hex(), hashlib.sha256(b"".join(parts)).hexdigest())
 """
 

@@ -17,7 +17,7 @@ from tissue_sim.bench.timing import Ticks, describe, noise_burst
 from tissue_sim.model.cutting.crossing import crossing_among
 from tissue_sim.model.cutting.cut import CutOrgan, cut_again, not_cut
 from tissue_sim.model.cutting.cut_surface import cut_surface
-from tissue_sim.model.cutting.masses import shared_masses
+from tissue_sim.model.cutting.masses import distributed_masses
 from tissue_sim.model.cutting.parts import CutCells, together
 from tissue_sim.model.cutting.sheet import sheet_of
 from tissue_sim.model.simulation import Simulation
@@ -133,7 +133,7 @@ def _parts(organ: Organ, place: Place) -> dict[str, float]:
         "total": _took(lambda: opened_by(simulation, place)),
         "sheet": _took(lambda: sheet_of(organ, sheet.polyline, sheet.direction, sheet.depth)),
         "topology": _took(topology),
-        "masses": _took(lambda: shared_masses(organ, after.organ, before.frequency)),
+        "masses": _took(lambda: distributed_masses(organ, after.organ, before.frequency)),
         "surface": _took(lambda: cut_surface(organ, divided)),
     }
 

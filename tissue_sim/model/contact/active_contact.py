@@ -73,21 +73,21 @@ def gather_contacts(world: World, step: float, spread: bool) -> int:
     softening = world.settings.stiffness_scale * step
     found, tissue = 0, largest_tissue_speed(state)
     for index in range(scratch.watching[0]):
-        entry = scratch.watched[index]
+        entry = scratch.candidates[index]
         body = state.contacts.body[entry]
         pressed = state.contact_pressed[0, entry]
         if pressed == 0.0:
             # The contact moves a compliant tool, too.
             speed = tissue if scratch.give[body] == 0.0 else FAST
-            scratch.watched_gap[index] -= step * (scratch.watched_speed[index] + speed)
-            if scratch.watched_gap[index] >= NEAR:
+            scratch.candidate_gap[index] -= step * (scratch.candidate_speed[index] + speed)
+            if scratch.candidate_gap[index] >= NEAR:
                 continue
         near = False
         if state.bodies[body].engaged and not state.bodies[body].cutting and found < len(scratch.active):
             contact = scratch.active[found]
             contact.entry, contact.body = entry, body
             gap = place_tool(state, shapes, scratch, contact)
-            scratch.watched_gap[index] = gap
+            scratch.candidate_gap[index] = gap
             normal = contact.normal
             outside = gap < NEAR and is_on_outer_side(state, entry, (normal[0], normal[1], normal[2]))
             near = pressed > 0.0 or outside

@@ -90,18 +90,18 @@ def add_contact_impulses(state: State, shapes: Shapes, scratch: Scratch, scale: 
     target : Floats, shape (n, 3)
         Sums at the nodes, updated.
     """
-    shares = state.contacts.weight
+    weights = state.contacts.weight
     for index in range(scratch.watching[0]):
-        entry = scratch.watched[index]
+        entry = scratch.candidates[index]
         if state.contact_pressed[0, entry] > 0.0 and state.bodies[state.contacts.body[entry]].engaged:
             push = aim_impulse(state, shapes, entry, scratch)
             held = state.contact_held[1, entry]  # row 0 stays that of a whole substep for readers beside the loop
             held[0], held[1], held[2] = push
             for corner in range(nodes_of(state.contacts, entry)):
-                node, share = state.contacts.node[entry, corner], scale * shares[entry, corner]
-                target[node, 0] += share * push[0]
-                target[node, 1] += share * push[1]
-                target[node, 2] += share * push[2]
+                node, part = state.contacts.node[entry, corner], scale * weights[entry, corner]
+                target[node, 0] += part * push[0]
+                target[node, 1] += part * push[1]
+                target[node, 2] += part * push[2]
 
 
 @kernel

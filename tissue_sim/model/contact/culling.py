@@ -18,7 +18,7 @@ FAST = 0.5  # m/s, of tissue towards a tool, at most, within a tick
 
 @kernel
 def cull_contacts(state: State, shapes: Shapes, settings: Settings, scratch: Scratch) -> None:
-    """List the contact points that may touch in the coming tick in scratch.watched; forget the last impulses of others.
+    """List the contact points that may touch in the coming tick in scratch.candidates; clear the impulses of others.
 
     Left out are those that neither the tool's way, which leads from where it is to where it is held, nor tissue that
     approaches at FAST can bring together. Call it after advance_held; scratch.last_* become the tools' present poses.
@@ -42,16 +42,16 @@ def cull_contacts(state: State, shapes: Shapes, settings: Settings, scratch: Scr
             set_frame(state.body_pose[body], scratch.last_origin[body], scratch.last_rotation[body])
             moved, turned = motion_of(settings, scratch, body)
         gap = reach = 0.0
-        watched = state.contact_pressed[0, entry] > 0.0
+        candidate = state.contact_pressed[0, entry] > 0.0
         if state.bodies[body].engaged:
             _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.last_origin, scratch.last_rotation)
             reach = min(most, moved + turned * math.sqrt(lx * lx + ly * ly + lz * lz)) + FAST * settings.tick_time
-            if not watched:
+            if not candidate:
                 gap = signed_distance(shapes, body, lx, ly, lz)[0]
-                watched = gap < reach
-        if watched:
-            scratch.watched[count] = entry
-            scratch.watched_gap[count], scratch.watched_speed[count] = gap, reach / settings.tick_time - FAST
+                candidate = gap < reach
+        if candidate:
+            scratch.candidates[count] = entry
+            scratch.candidate_gap[count], scratch.candidate_speed[count] = gap, reach / settings.tick_time - FAST
             count += 1
         else:
             state.contact_pressed[0, entry] = 0.0

@@ -35,25 +35,27 @@ def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scra
         clamped = clamp_fraction(scratch.impulse, shapes.tool, tool, settings.force_clamp * settings.tick_time)
         cut = cut or clamped < 1.0
         wanted = -clamped / settings.tick_time
-        change = slew_fraction(state.felt, scratch.impulse, wanted, shapes.tool, tool, settings)
+        change = slew_fraction(state.unfaded_wrench, scratch.impulse, wanted, shapes.tool, tool, settings)
         held_back = held_back or change < 1.0
         for body in range(len(state.wrench)):
             if shapes.tool[body] == tool:
-                felt, impulse = state.felt[body], scratch.impulse[body]
+                unfaded, impulse = state.unfaded_wrench[body], scratch.impulse[body]
                 for c in range(6):
-                    felt[c] = (
-                        wanted * impulse[c] if change == 1.0 else felt[c] + change * (wanted * impulse[c] - felt[c])
+                    unfaded[c] = (
+                        wanted * impulse[c]
+                        if change == 1.0
+                        else unfaded[c] + change * (wanted * impulse[c] - unfaded[c])
                     )
         # The clamp itself may have been lowered meanwhile.
-        clamped = clamp_fraction(state.felt, shapes.tool, tool, settings.force_clamp)
+        clamped = clamp_fraction(state.unfaded_wrench, shapes.tool, tool, settings.force_clamp)
         for body in range(len(state.wrench)):
             if shapes.tool[body] == tool:
                 fresh = freshness(state.bodies[body].age, settings)
                 # A released tool starts from zero when it comes back, whatever the limit on the force's rate.
                 kept = clamped if fresh > 0.0 else 0.0
                 for c in range(6):
-                    state.felt[body, c] *= kept
-                    state.wrench[body, c] = fresh * state.felt[body, c]
+                    state.unfaded_wrench[body, c] *= kept
+                    state.wrench[body, c] = fresh * state.unfaded_wrench[body, c]
     state.count.clamped_ticks += cut
     state.count.slewed_ticks += held_back
 
@@ -77,11 +79,11 @@ def sum_haptic_output(worlds: Sequence[World], wrench: Floats) -> None:
                 total += worlds[organ].state.wrench[body, axis]
             wrench[body, axis] = total
     for tool in range(len(wrench)):
-        share = clamp_fraction(wrench, first.shapes.tool, tool, first.settings.force_clamp)
+        fraction = clamp_fraction(wrench, first.shapes.tool, tool, first.settings.force_clamp)
         for body in range(len(wrench)):
-            if first.shapes.tool[body] == tool and share < 1.0:
+            if first.shapes.tool[body] == tool and fraction < 1.0:
                 for axis in range(6):
-                    wrench[body, axis] *= share
+                    wrench[body, axis] *= fraction
 
 
 @kernel
@@ -98,13 +100,15 @@ def clamp_fraction(values: Floats, tools: Longs, tool: int, most: float) -> floa
 
 
 @kernel
-def slew_fraction(felt: Floats, impulse: Floats, wanted: float, tools: Longs, tool: int, settings: Settings) -> float:
-    """Return the fraction of the change from felt (T, 6) to wanted * impulse (T, 6) allowed to a tool in a tick."""
+def slew_fraction(
+    unfaded: Floats, impulse: Floats, wanted: float, tools: Longs, tool: int, settings: Settings
+) -> float:
+    """Return the fraction of the change from unfaded (T, 6) to wanted * impulse (T, 6) allowed to a tool in a tick."""
     x = y = z = 0.0
-    for body in range(len(felt)):
+    for body in range(len(unfaded)):
         if tools[body] == tool:
-            x += wanted * impulse[body, 0] - felt[body, 0]
-            y += wanted * impulse[body, 1] - felt[body, 1]
-            z += wanted * impulse[body, 2] - felt[body, 2]
+            x += wanted * impulse[body, 0] - unfaded[body, 0]
+            y += wanted * impulse[body, 1] - unfaded[body, 1]
+            z += wanted * impulse[body, 2] - unfaded[body, 2]
     size, most = math.sqrt(x * x + y * y + z * z), settings.force_slew * settings.tick_time
     return most / size if size > most else 1.0

@@ -70,8 +70,8 @@ def advance_held(state: State, settings: Settings, scratch: Scratch) -> None:
             status.force_age += 1
         if status.remaining > 0.0:
             arrives = status.remaining < (1.0 + ROUNDING) * settings.tick_time
-            share = 1.0 if arrives else settings.tick_time / status.remaining
-            step_pose(state.held_pose[body], state.body_goal[body], share)
+            fraction = 1.0 if arrives else settings.tick_time / status.remaining
+            step_pose(state.held_pose[body], state.body_goal[body], fraction)
             status.remaining = 0.0 if arrives else status.remaining - settings.tick_time
         set_frame(state.held_pose[body], scratch.origin[body], scratch.rotation[body])
 
@@ -93,7 +93,7 @@ def release_body(status: BodyStatus) -> None:
 
 @kernel
 def follow_untouched(state: State, shapes: Shapes, settings: Settings, scratch: Scratch) -> bool:
-    """Move every body on while nothing is felt.
+    """Move every body on while no body touches tissue.
 
     scratch.origin and scratch.rotation remain those of where the bodies are held.
 
@@ -125,7 +125,7 @@ def follow_untouched(state: State, shapes: Shapes, settings: Settings, scratch: 
         copy(scratch.before, state.body_pose)
         return False
     state.wrench[:] = 0.0
-    state.felt[:] = 0.0
+    state.unfaded_wrench[:] = 0.0
     return True
 
 
@@ -205,9 +205,9 @@ def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
 
 @kernel
 def has_contact(state: State, body: int) -> bool:
-    """Return whether a body felt tissue in the last tick."""
-    felt = state.felt[body]
-    return felt[0] != 0.0 or felt[1] != 0.0 or felt[2] != 0.0
+    """Return whether a body touched tissue in the last tick."""
+    unfaded = state.unfaded_wrench[body]
+    return unfaded[0] != 0.0 or unfaded[1] != 0.0 or unfaded[2] != 0.0
 
 
 @kernel
@@ -297,7 +297,7 @@ def quaternion_distance(pose: Floats, other: Floats) -> float:
 
 @kernel
 def couple_bodies(
-    state: State, shapes: Shapes, settings: Settings, scratch: Scratch, step: float, share: float
+    state: State, shapes: Shapes, settings: Settings, scratch: Scratch, step: float, fraction: float
 ) -> None:
     """Move where the bodies are held along their way, and each body after it through the virtual coupling.
 
@@ -317,14 +317,14 @@ def couple_bodies(
         Working memory; updated.
     step : float, s
         The substep.
-    share : float
+    fraction : float
         Fraction of the rest of the tick's way.
     """
     stiffness, damping = settings.coupling_stiffness, settings.coupling_damping
     for body in range(len(state.body_pose)):
         held, pose = scratch.held[body], state.body_pose[body]
         set_frame(pose, scratch.last_origin[body], scratch.last_rotation[body])
-        step_pose(held, state.held_pose[body], share)
+        step_pose(held, state.held_pose[body], fraction)
         goal = scratch.goal[body]
         copy(held, goal)
         scratch.give[body] = 0.0
@@ -374,18 +374,18 @@ def restore_bodies(state: State, farthest: float) -> None:
 
 
 @kernel
-def step_pose(pose: Floats, goal: Floats, share: float) -> None:
+def step_pose(pose: Floats, goal: Floats, fraction: float) -> None:
     """Move a pose (7,) by a fraction of the way to a goal; the quaternion by normalised lerp."""
-    if share >= 1.0:
+    if fraction >= 1.0:
         copy(goal, pose)
         return
     for c in range(3):
-        pose[c] += share * (goal[c] - pose[c])
+        pose[c] += fraction * (goal[c] - pose[c])
     dot = pose[3] * goal[3] + pose[4] * goal[4] + pose[5] * goal[5] + pose[6] * goal[6]
     sign = 1.0 if dot >= 0.0 else -1.0
     norm = 0.0
     for c in range(3, 7):
-        pose[c] += share * (sign * goal[c] - pose[c])
+        pose[c] += fraction * (sign * goal[c] - pose[c])
         norm += pose[c] * pose[c]
     norm = 1.0 / math.sqrt(norm)
     for c in range(3, 7):

@@ -30,7 +30,7 @@ NEARLY = 0.2  # above that; such a cell may fall below it while others are resol
 RECOVERY_RATE = 200.0  # 1/s; at most so fast a cell that was below the limit returns
 HARDEST = 8.0  # limit of a cell's pressure, times that of its penalty for the whole volume
 MOST_COMPRESSED = 256  # cells resolved in a substep
-# Passes over cells and contact points while cells are squeezed; the next of the many substeps resolves what is left.
+# Passes over cells and contact points while cells are compressed; the next of the many substeps resolves what is left.
 COMPRESSED_PASSES = 4
 SETTLED = 0.2  # fraction of the impulses on cells that a pass may still change
 
@@ -61,7 +61,7 @@ def _has_no_stiff_cells(model: Model) -> bool:
 
 @chosen(lambda model: _has_stiff_cells if has(model, "tissue") else _has_no_stiff_cells)
 def has_compressed_cells(model: Model) -> Any:
-    """Return whether the last forces found cells so squeezed that they require shorter substeps.
+    """Return whether the last forces found cells so compressed that they require shorter substeps.
 
     Parameters
     ----------
@@ -109,9 +109,9 @@ def _find(model: Model, state: State, scratch: Scratch, step: float) -> int:
     if state.status.region != Region.WHOLE:
         return 0
     for index in range(tissue.stiff[0]):
-        fan, which = divmod(tissue.squeezed_cells[index], CELLS)
-        block, c = divmod(fan, BLOCK)
-        constant, node = tissue.fans.constants[block], tissue.fans.nodes[block, c]
+        group, which = divmod(tissue.compressed_cells[index], CELLS)
+        block, c = divmod(group, BLOCK)
+        constant, node = tissue.groups.constants[block], tissue.groups.nodes[block, c]
         own = OWN + OWN_ROWS * which
         if found < len(scratch.compressed):
             inverse, penalty = constant[own * BLOCK + c], constant[(own + 3) * BLOCK + c]

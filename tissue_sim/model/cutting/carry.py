@@ -34,7 +34,7 @@ _KEPT = (
     "held_pose",
     "body_goal",
     "body_force",
-    "felt",
+    "unfaded_wrench",
     "contact_pressed",
     "contact_held",
     "blades",

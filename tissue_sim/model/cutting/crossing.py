@@ -15,7 +15,7 @@ from tissue_sim.model.cutting.sheet import Place, Sheet
 # stress there. Chosen on three cuts of a kidney, and confirmed on two others (docs/cutting.md).
 ADVANCE = 0.6
 # Shares of a cell's section below which the front has not reached it, and above 1 minus which it is cut whole.
-LEAST_SHARE = 0.02
+LEAST_CUT = 0.02
 # Mean edges of the crossed cells that every node is off the sheet, at least: no fragment is a point.
 LEAST_HEIGHT = 0.02
 # Edges of a cell that its section may be off the sheet, where that turns; farther, the cell lies between two parts.
@@ -29,7 +29,7 @@ class Crossing(NamedTuple):
     """Cells that a sheet divides. k cells, n nodes."""
 
     cells: Longs  # (k,) which they are, ascending
-    share: Floats  # (k,) of the section that is cut: 1, or less for cells at the front
+    cut_fraction: Floats  # (k,) of the section that is cut: 1, or less for cells at the front
     fraction: Floats  # (k,) of the volume on the positive side
     height: Floats  # (n,) m, of every node above the sheet; its sign is the side, and it is never 0
     area: float  # m^2, of the sheet within these cells, without the front's advance
@@ -172,16 +172,16 @@ def crossing_among(
     advance = ADVANCE * float(size[cut].mean()) if cut.any() else 0.0
     reached = sheet.covers(place, advance) & ~_beyond(points, place, sheet, others, MARGIN * advance)
     covered = reached.reshape(weight.shape)
-    share = rounded((weight * covered).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300))
-    kept = np.flatnonzero(share > 0.0) if cut.any() else np.zeros(0, dtype=np.int64)
+    cut_fraction = rounded((weight * covered).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300))
+    kept = np.flatnonzero(cut_fraction > 0.0) if cut.any() else np.zeros(0, dtype=np.int64)
     chosen = crossed[kept]
-    found = Crossing(chosen, share[kept], fractions_of(at[chosen]), height, float(bare.sum()), advance)
+    found = Crossing(chosen, cut_fraction[kept], fractions_of(at[chosen]), height, float(bare.sum()), advance)
     return found, Samples(_coordinates(rest[cells[chosen]], corners[kept]), weight[kept], covered[kept])
 
 
-def rounded(share: Floats) -> Floats:
-    """Return shares (k,) of sections that are cut, of which small ones are 0 and large ones 1."""
-    found: Floats = np.where(share < LEAST_SHARE, 0.0, np.where(share > 1.0 - LEAST_SHARE, 1.0, share))
+def rounded(cut_fraction: Floats) -> Floats:
+    """Return fractions (k,) of sections that are cut, of which small ones are 0 and large ones 1."""
+    found: Floats = np.where(cut_fraction < LEAST_CUT, 0.0, np.where(cut_fraction > 1.0 - LEAST_CUT, 1.0, cut_fraction))
     return found
 
 

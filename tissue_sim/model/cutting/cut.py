@@ -12,7 +12,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.crossing import Crossing, crossing_among
 from tissue_sim.model.cutting.cut_surface import CutSurface, cut_surface, uncut_surface
-from tissue_sim.model.cutting.masses import fastest_mode, shared_masses
+from tissue_sim.model.cutting.masses import distributed_masses, fastest_mode
 from tissue_sim.model.cutting.parts import Parts, put_together, together
 from tissue_sim.model.cutting.sheet import Sheet, finer_organ
 from tissue_sim.organ.organ import Organ
@@ -187,7 +187,7 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
 def _report(organ: Organ, sheet: Sheet, crossing: Crossing) -> CutReport:
     """Return what is known of a cut from its sheet and the cells that it crosses."""
     resolved_from = CUT_EDGES * sheet.edge_at(organ)
-    front = int(np.count_nonzero(crossing.share < 1.0))
+    front = int(np.count_nonzero(crossing.cut_fraction < 1.0))
     x, y, z = organ.rest_positions[organ.cell_nodes[crossing.cells]].mean(axis=(0, 1)).tolist()
     return CutReport(
         centre=(x, y, z),
@@ -219,10 +219,10 @@ def _organ_of(organ: Organ, parts: Parts, frequency: float) -> Organ:
         damping=organ.damping[source],
         return_stiffness=organ.return_stiffness[source],
     )
-    mass = shared_masses(organ, made, frequency)
-    share = mass / organ.mass[source]
+    mass = distributed_masses(organ, made, frequency)
+    part = mass / organ.mass[source]
     # Each copy is damped as the whole node: pressed between lips, what is light would oscillate.
-    return replace(made, mass=mass, return_stiffness=organ.return_stiffness[source] * share)
+    return replace(made, mass=mass, return_stiffness=organ.return_stiffness[source] * part)
 
 
 def _count(organ: Organ, parts: Parts) -> tuple[int, int]:

@@ -15,14 +15,14 @@ MODES = 8  # the fastest ones, which are slowed together
 MOST_ROUNDS = 30
 ENOUGH = 1.006  # times the uncut organ's largest eigenvalue: a critical step shorter by 0.3 %
 MOST_MOVE = 0.3  # of a mass's logarithm in a round, and at most twice what the eigenvalue is still too large by
-LEAST_SHARE = 0.05  # of a node's mass that each of its copies has: a tool throws what is lighter
+LEAST_PART = 0.05  # of a node's mass that each of its copies has: a tool throws what is lighter
 SHARPNESS = 30.0  # how much less a mode counts than the fastest one
 
 
-def shared_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
+def distributed_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
     """Return the masses of a cut organ's nodes. The copies of a node together have its mass; others keep theirs.
 
-    At first they share it as they share the stiffness, but each has LEAST_SHARE: every copy of a cell is then as slow
+    At first it is distributed as the stiffness is, but each has LEAST_PART: every copy of a cell is then as slow
     by itself as the cell was, or slower. The fastest modes of what is cut may still be faster than before, where a
     light copy has lost neighbours that slowed it. There mass moves between copies towards those that take part in
     these modes, by the slope of the eigenvalue.
@@ -50,10 +50,10 @@ def shared_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
     stiffness = np.bincount(cut.cell_nodes.ravel(), steep.ravel(), len(source))
 
     def shared(weight: Floats) -> Floats:
-        share = np.maximum(weight / np.bincount(source, weight, own)[source], LEAST_SHARE)
-        share /= np.bincount(source, share, own)[source]
+        part = np.maximum(weight / np.bincount(source, weight, own)[source], LEAST_PART)
+        part /= np.bincount(source, part, own)[source]
         mass: Floats = organ.mass[source]
-        mass[several] *= share[several]
+        mass[several] *= part[several]
         return mass
 
     # Modes of what is around the cut: with all else at rest none is faster than of the whole.

@@ -15,7 +15,7 @@ from tissue_sim.model.cutting.virtual_nodes import copies_of
 from tissue_sim.organ.organ import Organ
 
 LEAST_PIECE = 1e-9  # of a cell, below which a piece is rounding
-SCARCE = 1e-6  # of a section: less of it in a copy's part, and its share is that of the whole section
+SCARCE = 1e-6  # of a section: less of it in a copy's part, and its fraction is that of the whole section
 # Tetrahedra that fill what is left of one below a plane, by how many of its corners are; each corner is a pair of
 # corners of the whole one, the same twice for a corner itself, and a crossed edge otherwise.
 _LEFT = {
@@ -111,8 +111,8 @@ def _order(crossings: Sequence[Crossing]) -> list[int]:
     several = cells[times > 1]
 
     def rank(number: int) -> tuple[float, float]:
-        share = crossings[number].share[np.isin(crossings[number].cells, several)]
-        return -float(share.mean()) if len(share) else 0.0, -crossings[number].area
+        cut = crossings[number].cut_fraction[np.isin(crossings[number].cells, several)]
+        return -float(cut.mean()) if len(cut) else 0.0, -crossings[number].area
 
     return sorted(range(len(crossings)), key=rank)
 
@@ -127,40 +127,40 @@ def _divided(
     chosen = np.flatnonzero(place[before.cell] >= 0)
     cell, sides = before.cell[chosen], before.sides[chosen]
     row = place[cell]
-    share = _shares(sample, crossing.share[row], row, sides, height[cell])
-    torn = share > 0.0
-    chosen, cell, sides, share = chosen[torn], cell[torn], sides[torn], share[torn]
+    severed = _cut_fractions(sample, crossing.cut_fraction[row], row, sides, height[cell])
+    torn = severed > 0.0
+    chosen, cell, sides, severed = chosen[torn], cell[torn], sides[torn], severed[torn]
     above, below = sides.copy(), sides.copy()
     above[:, number], below[:, number] = 1, -1
     up, down = (_volumes(height[cell], one) for one in (above, below))
     whole = np.maximum(up + down, 1e-300)
     # What has tissue on one side only isn't torn in part: there is no front in it.
-    share = np.where((up > 0.0) & (down > 0.0), share, 1.0)
+    severed = np.where((up > 0.0) & (down > 0.0), severed, 1.0)
     source = np.concatenate([np.arange(organ.n_nodes), before.virtual_of])
     made = copies_of(
         before.nodes,
-        crossing._replace(cells=chosen, share=share, height=crossing.height[source]),
+        crossing._replace(cells=chosen, cut_fraction=severed, height=crossing.height[source]),
         fixed,
         len(source),
     )
     kept = np.ones(len(before.cell), dtype=bool)
     kept[chosen] = False
-    front = share < 1.0
+    front = severed < 1.0
     parts = [(kept.nonzero()[0], before.nodes[kept], before.sides[kept], np.ones(kept.sum()), before.bears[kept])]
     for own, nodes, size in ((below, made.below, down), (above, made.above, up)):
         real = size > 0.0
         bears = before.bears[chosen][real]
-        parts.append((chosen[real], nodes[real], own[real], (share * size / whole)[real], bears))
+        parts.append((chosen[real], nodes[real], own[real], (severed * size / whole)[real], bears))
     none = np.zeros(np.count_nonzero(front), dtype=bool)
-    parts.append((chosen[front], before.nodes[chosen[front]], sides[front], 1.0 - share[front], none))
+    parts.append((chosen[front], before.nodes[chosen[front]], sides[front], 1.0 - severed[front], none))
     of, nodes, now, fraction, bears = (np.concatenate(column) for column in zip(*parts, strict=True))
     virtual_of = np.concatenate([before.virtual_of, source[made.virtual_of]])
     return Pieces(nodes, before.cell[of], now, before.fraction[of] * fraction, bears, virtual_of)
 
 
-def _shares(sample: Samples, share: Floats, row: Longs, sides: Longs, height: Floats) -> Floats:
-    """Return the shares (k,) of pieces' sections that are cut: of the whole one (k,), or within their sides (k, s)."""
-    found = share.copy()
+def _cut_fractions(sample: Samples, severed: Floats, row: Longs, sides: Longs, height: Floats) -> Floats:
+    """Return the fractions (k,) of pieces' sections that are cut: of the whole (k,), or within their sides (k, s)."""
+    found = severed.copy()
     some = np.flatnonzero(sides.any(axis=1))
     for first in range(0, len(some), 256):
         part = some[first : first + 256]
@@ -169,8 +169,8 @@ def _shares(sample: Samples, share: Floats, row: Longs, sides: Longs, height: Fl
         weight = sample.weight[row[part]]
         size = (weight * within).sum(axis=1)
         cut = (weight * (within & sample.covered[row[part]])).sum(axis=1)
-        told = size > SCARCE * weight.sum(axis=1)
-        found[part] = np.where(told, cut / np.maximum(size, 1e-300), found[part])
+        known = size > SCARCE * weight.sum(axis=1)
+        found[part] = np.where(known, cut / np.maximum(size, 1e-300), found[part])
     return rounded(found)
 
 

@@ -72,12 +72,12 @@ def _of_one(organ: Organ, crossing: Crossing, copies: Copies) -> Pieces:
 
     These are the positive copies and, of cells at the front, one whole cell for what is not torn yet.
     """
-    cells, share, part = crossing.cells, crossing.share, crossing.fraction
+    cells, cut, part = crossing.cells, crossing.cut_fraction, crossing.fraction
     nodes = organ.cell_nodes.astype(np.int64)
-    count, front = len(nodes), share < 1.0
+    count, front = len(nodes), cut < 1.0
     whole = nodes[cells[front]]
     side, fraction = np.zeros(count, dtype=np.int64), np.ones(count)
-    nodes[cells], side[cells], fraction[cells] = copies.below, -1, share * (1.0 - part)
+    nodes[cells], side[cells], fraction[cells] = copies.below, -1, cut * (1.0 - part)
     more = [np.ones(len(cells), dtype=np.int64), np.zeros(len(whole), dtype=np.int64)]
     bears = np.ones(count + len(cells) + len(whole), dtype=bool)
     bears[count + len(cells) :] = False
@@ -85,7 +85,7 @@ def _of_one(organ: Organ, crossing: Crossing, copies: Copies) -> Pieces:
         nodes=np.concatenate([nodes, copies.above, whole]),
         cell=np.concatenate([np.arange(count), cells, cells[front]]),
         sides=np.concatenate([side, *more])[:, None],
-        fraction=np.concatenate([fraction, share * part, 1.0 - share[front]]),
+        fraction=np.concatenate([fraction, cut * part, 1.0 - cut[front]]),
         bears=bears,
         virtual_of=copies.virtual_of,
     )

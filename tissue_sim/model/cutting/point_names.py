@@ -37,7 +37,7 @@ class Names:
         self._place: dict[Name, tuple[float, ...]] = {}
 
     def weights(self, name: Name) -> Floats:
-        """Return the shares of a point's nodes, in their order."""
+        """Return the weights of a point's nodes, in their order."""
         found = self._weights.get(name)
         if found is None:
             nodes, sheets = name

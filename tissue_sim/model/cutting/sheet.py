@@ -23,7 +23,7 @@ MOST_DEPTH = 10.0  # m
 LEAST_DEPTH = 0.5
 NEAR = 1.5  # mean edges from a sheet within which the surface's edges are those at the cut
 FINER_WITHIN = 1.5  # mean edges around a cut within which a finer surface is proposed
-MOST_TOLD = 8  # points of a polyline in a message
+MOST_REPORTED = 8  # points of a polyline in a message
 SAMPLES = 4  # points of the polyline on a mean edge, at which the surface is looked for
 CLOSEST = 2.0  # mean edges, nearer than which a polyline must not come to another part of itself
 
@@ -225,12 +225,14 @@ def finer_organ(organ: Organ, sheet: Sheet) -> str:
     place = sheet.place(positions)
     near = (np.abs(place.across) < NEAR * edge) & sheet.covers(place, 0.5 * edge)
     sunk = float(np.median(place.below[near])) if near.any() else 0.0
-    corners = sheet.polyline[np.linspace(0, len(sheet.polyline) - 1, min(len(sheet.polyline), MOST_TOLD)).astype(int)]
+    corners = sheet.polyline[
+        np.linspace(0, len(sheet.polyline) - 1, min(len(sheet.polyline), MOST_REPORTED)).astype(int)
+    ]
     line = corners + sunk * sheet.direction
     count = points_with(Refinement(places=(Along(line, radius, wanted),)), positions, triangles, organ.fixed)
-    told = "/".join(",".join(f"{1e3 * value:.1f}" for value in point) for point in line)
+    along = "/".join(",".join(f"{1e3 * value:.1f}" for value in point) for point in line)
     return (
-        f"make a finer organ by tissue_sim calibrate ORGAN --refine={told}:{1e3 * radius:.1f}:{1e3 * wanted:.1f} --out"
+        f"make a finer organ by tissue_sim calibrate ORGAN --refine={along}:{1e3 * radius:.1f}:{1e3 * wanted:.1f} --out"
         f" FINER (about {count} points in place of {len(positions)}, and ticks {count / len(positions):.1f} times as"
         " long)"
     )

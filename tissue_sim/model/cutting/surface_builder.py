@@ -114,7 +114,7 @@ class SurfaceBuilder:
         return polygon._replace(corners=corners)
 
     def _on(self, line: Line, name: Name) -> Floats:
-        """Return the shares of a line's nodes at a point on it."""
+        """Return the weights of a line's nodes at a point on it."""
         found = np.zeros(len(line[0]))
         found[[line[0].index(node) for node in name[0]]] = self.names.weights(name)
         return found
@@ -182,8 +182,8 @@ class SurfaceBuilder:
         apex = 0 if count == 3 else _apex([self.names.place(corners[k]) for k in order])
         ids = [self.point(corners[k], polygon) for k in order]
         ids = ids[apex:] + ids[:apex]
-        fans = [[ids[0], ids[k], ids[k + 1]] for k in range(1, count - 1)]
-        return [fan[::-1] for fan in fans] if turned else fans
+        triangles = [[ids[0], ids[k], ids[k + 1]] for k in range(1, count - 1)]
+        return [triangle[::-1] for triangle in triangles] if turned else triangles
 
     def partners(self) -> tuple[Longs, Longs]:
         """Return the partner (q,) and the side (q,) of each point; see CutSurface."""

@@ -24,7 +24,7 @@ class Links(NamedTuple):
     slack: Floats  # (l,) m, length up to which they don't pull
     stiffness: Floats  # (l,) N/m
     damping: Floats  # (l,) N s/m
-    lightness: Floats  # (l,) 1/kg of both ends, each times the links that share its node
+    lightness: Floats  # (l,) 1/kg of both ends, each times the links on its node
     added: Floats  # (1,) (rad/s)^2, bound of what they add to the square of the largest frequency
     force: Floats  # (l, 3) N on the first end in this substep; its organ may feel only a fraction
 

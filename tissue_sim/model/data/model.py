@@ -17,7 +17,7 @@ class CellGroups(NamedTuple):
     """Cell groups in blocks; filling, groups and cells in them, has no stiffness."""
 
     nodes: Ints  # (f, BLOCK, 6)
-    constants: Floats  # (f, fans.CONSTANTS BLOCK)
+    constants: Floats  # (f, cell_groups.CONSTANTS BLOCK)
     stiffening: Floats  # (f, stiffening.ROWS BLOCK) of groups that stiffen; (0, stiffening.ROWS BLOCK): neo-Hookean
     cells: Longs  # (f BLOCK, CELLS) which cell each is, -1 where one only fills up
 
@@ -27,12 +27,12 @@ class Tissue(NamedTuple):
 
     nodes: Ints  # (b, BLOCK, 4)
     constants: Floats  # (b, cells.CONSTANTS BLOCK)
-    fans: CellGroups  # the same cells as the whole organ takes them
+    groups: CellGroups  # the same cells as the whole organ takes them
     rows: Floats  # (n, ROW) of each node its position, m, and what cells push it with, N
     work: Floats  # (ROOM BLOCK,)
-    # (f BLOCK CELLS,) places in the fans' cells of those under SQUEEZED in blocks with one under STIFF, as the last
-    # forces of the whole organ found them; and (1,) how many, of some cells not 0 where these forces found stiff ones.
-    squeezed_cells: Longs
+    # (f BLOCK CELLS,) places among the groups' cells of those under COMPRESSED in blocks with one under STIFF, as the
+    # last forces of the whole organ found them; and (1,) how many. Of some cells: not 0 where these found stiff ones.
+    compressed_cells: Longs
     stiff: Longs
     shortening: Longs  # (1,) factor on the substeps that groups which have stiffened require, by these forces
 

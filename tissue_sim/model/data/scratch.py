@@ -52,9 +52,9 @@ class Scratch(NamedTuple):
     blade_weight: Floats  # (8,) room for barycentric weights
     compressed: Any  # (S,) CompressedCell: cells resolved in this substep
     compressing: Longs  # (1,) how many
-    watched: Longs  # (C,) contact points that may touch in this tick
-    watched_gap: Floats  # (C,) m, least distance from the tools
-    watched_speed: Floats  # (C,) m/s, at which it may shrink by the tool's motion
+    candidates: Longs  # (C,) contact points that may touch in this tick
+    candidate_gap: Floats  # (C,) m, least distance from the tools
+    candidate_speed: Floats  # (C,) m/s, at which it may shrink by the tool's motion
     watching: Longs  # (1,) how many
     wall: Longs  # (C,) contact points that are mostly held
     walls: Longs  # (1,) how many
@@ -82,7 +82,7 @@ class Scratch(NamedTuple):
     drive: Floats  # (n, 3) N
     drive_rows: Singles  # (d, m) modes at the loads
     edge_rows: Singles  # (d + m, r) effect of each load and each mode at the edge
-    edge_share: Singles  # (d + m,) amount of each
+    edge_load: Singles  # (d + m,) amount of each
     edge_move: Singles  # (r,) m
     mode_sum: Singles  # (m,)
     mode_rest: Floats  # (m,)

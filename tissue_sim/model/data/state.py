@@ -50,7 +50,7 @@ class Status(Record):
     substeps: int  # of the last tick
     backoff: int  # factor on the substeps after a fault
     faulted: bool  # the guard has found a fault since the last reset to the rest shape
-    shivering: int  # ticks for which a step that was too long remains halved
+    oscillating: int  # ticks for which a step that was too long remains halved
     halving: int  # ticks for which the next such step is halved; 0: the shortest time
     turning: float  # m^2/s^2, of nodes that reversed at the last check
     quiet: int  # ticks in a row that were nearly at rest
@@ -76,7 +76,7 @@ class Counts(Record):
     """Numbers of events so far; a reset leaves them."""
 
     faults: int  # times the guard restored the last good state
-    shivers: int  # times that a step was found too long under load
+    oscillations: int  # times that a step was found too long under load
     snaps: int  # times that the organ recovered from a false rest shape
     asleep_ticks: int  # ticks that were skipped asleep
     frozen_ticks: int  # ticks that moved only a frozen region
@@ -149,7 +149,7 @@ class State(NamedTuple):
     held_pose: Floats  # (T, 7) where the hand holds it, on its way to the newest pose
     body_goal: Floats  # (T, 7) the newest pose
     body_force: Floats  # (T, 3) N, external force on the tissue at the tool's tip
-    felt: Floats  # (T, 6) N and N m, the wrench before it fades with a stale pose
+    unfaded_wrench: Floats  # (T, 6) N and N m, the wrench before it fades with a stale pose
     contact_pressed: Floats  # (2, C) N s along the tool's normal in the last substep; row 1 is a buffer
     contact_held: Floats  # (2, C, 3) N s across it; row 1 is a buffer, within a substep for the total
     loaded_node: Longs  # (n,) the nodes that nodal_force loads in this tick
@@ -233,7 +233,7 @@ def make_state(
         "held_pose": (real, (n_bodies, 7)),
         "body_goal": (real, (n_bodies, 7)),
         "body_force": (real, (n_bodies, 3)),
-        "felt": (real, (n_bodies, 6)),
+        "unfaded_wrench": (real, (n_bodies, 6)),
         "contact_pressed": (real, (2, MOST_POINTS)),
         "contact_held": (real, (2, MOST_POINTS, 3)),
         "loaded_node": (whole, (n,)),

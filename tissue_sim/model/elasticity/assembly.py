@@ -187,7 +187,7 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
         return made
     penalty = penalty_of(rest, organ.cell_nodes, inverse_mass, largest_frequency(made))
     tissue = with_penalty(made.tissue, penalty)
-    set_step_limits(tissue.fans, _quickness(organ, inverse_mass))
+    set_step_limits(tissue.groups, _quickness(organ, inverse_mass))
     made = made._replace(tissue=tissue)
     if not made.shape_gravity.any():
         return made
@@ -330,15 +330,15 @@ def _volume_springs(organ: Organ, rest: Floats) -> tuple[Ints, Floats, Floats]:
     """
     if organ.n_nodes == organ.n_surface:
         raise UserError(f"organ '{organ.name}' has no interior points, which the volume model needs; use --atoms")
-    pairs, shares, _ = tetrahedral_edges(rest, organ.surface_positions, organ.surface_triangles)
+    pairs, parts, _ = tetrahedral_edges(rest, organ.surface_positions, organ.surface_triangles)
     edge_springs = organ.spring_kind == SpringKind.EDGE
     surface_pairs = organ.spring_nodes[edge_springs].astype(np.int64)
     both = np.sort(np.concatenate([pairs, surface_pairs]), axis=1)
     unique, inverse = np.unique(both, axis=0, return_inverse=True)
-    share = np.bincount(inverse.ravel()[: len(pairs)], weights=shares, minlength=len(unique))
+    part = np.bincount(inverse.ravel()[: len(pairs)], weights=parts, minlength=len(unique))
     length = np.linalg.norm(rest[unique[:, 0]] - rest[unique[:, 1]], axis=1)
-    stiffness = organ.youngs_modulus * share / length**2
-    missed = share == 0.0
+    stiffness = organ.youngs_modulus * part / length**2
+    missed = part == 0.0
     shell = np.zeros(len(unique))
     shell[inverse.ravel()[len(pairs) :]] = organ.spring_stiffness[edge_springs]
     return _ints(unique), length, np.where(missed, shell, stiffness)

@@ -1,4 +1,4 @@
-"""Cell groups of the whole organ, called fans: three cells around an edge, each sharing a face with the next.
+"""Cell groups of the whole organ: three cells around an edge, each sharing a face with the next.
 
 Three separate cells read and push twelve nodes, a group of them six; the common parts of their energies are one
 quadratic form. Nodes of a group: two at the ends of the edge, then four around it.
@@ -15,9 +15,9 @@ from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.blocks import BLOCK, pack
 from tissue_sim.model.data.model import CellGroups, Tissue
-from tissue_sim.model.elasticity.cell_law import SQUEEZED, STIFF, minor, pressure_of
+from tissue_sim.model.elasticity.cell_law import COMPRESSED, STIFF, minor, pressure_of
 from tissue_sim.model.elasticity.stiffening import needed_shortening, resist_stiffening, stiffening_rows
-from tissue_sim.model.elasticity.vectors import WIDTH, fused, gather_fan, put_node, scatter_fan
+from tissue_sim.model.elasticity.vectors import WIDTH, fused, gather_group, put_node, scatter_group
 from tissue_sim.model.elasticity.volumes import triple_product
 
 CELLS = 3  # in a group
@@ -87,18 +87,18 @@ def cell_groups_of(
     return CellGroups(packed.nodes, packed.constants, stiffening_rows(packed.constants, stiffening), members[apart])
 
 
-def set_penalty(fans: CellGroups, penalty: Floats) -> None:
+def set_penalty(groups: CellGroups, penalty: Floats) -> None:
     """Set the penalty of every cell.
 
     Parameters
     ----------
-    fans : Fans
+    groups : CellGroups
         The groups; updated.
     penalty : Floats, shape (c,), J/m^3
         Penalty.
     """
-    given = np.where(fans.cells >= 0, penalty[fans.cells.clip(0)], 0.0).reshape(-1, BLOCK, CELLS) / 6.0
-    rows = fans.constants.reshape(-1, CONSTANTS, BLOCK)
+    given = np.where(groups.cells >= 0, penalty[groups.cells.clip(0)], 0.0).reshape(-1, BLOCK, CELLS) / 6.0
+    rows = groups.constants.reshape(-1, CONSTANTS, BLOCK)
     rows[:, OWN + 3 :: OWN_ROWS] = given.transpose(0, 2, 1)
 
 
@@ -232,7 +232,7 @@ def _apart(count: int) -> Longs:
 
 @kernel
 def cell_forces(position: Floats, tissue: Tissue, force: Floats) -> None:
-    """Add the forces of all cells, and list those that are squeezed.
+    """Add the forces of all cells, and list those that are compressed.
 
     Parameters
     ----------
@@ -243,18 +243,18 @@ def cell_forces(position: Floats, tissue: Tissue, force: Floats) -> None:
     force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
-    rows, work, fans = tissue.rows, tissue.work, tissue.fans
+    rows, work, groups = tissue.rows, tissue.work, tissue.groups
     stiff = 0
     for node in range(len(position)):
         put_node(position, node, rows)
-    if len(fans.stiffening) > 0:
+    if len(groups.stiffening) > 0:
         stiff = _push_stiffening(tissue)
     else:
-        for block in range(len(fans.nodes)):
-            gather_fan(rows, fans.nodes[block], work)
-            if _resist(work, fans.constants[block]) > 0:
-                stiff = _list_squeezed(work, fans.constants[block], block, tissue.squeezed_cells, stiff)
-            scatter_fan(rows, fans.nodes[block], work)
+        for block in range(len(groups.nodes)):
+            gather_group(rows, groups.nodes[block], work)
+            if _resist(work, groups.constants[block]) > 0:
+                stiff = _list_compressed(work, groups.constants[block], block, tissue.compressed_cells, stiff)
+            scatter_group(rows, groups.nodes[block], work)
     for node in range(len(force)):
         for axis in range(3):
             force[node, axis] += rows[node, WIDTH + axis]
@@ -263,17 +263,17 @@ def cell_forces(position: Floats, tissue: Tissue, force: Floats) -> None:
 
 @kernel
 def _push_stiffening(tissue: Tissue) -> int:
-    """Scatter the forces of groups that stiffen; return how many squeezed cells are listed."""
-    rows, work, fans = tissue.rows, tissue.work, tissue.fans
+    """Scatter the forces of groups that stiffen; return how many compressed cells are listed."""
+    rows, work, groups = tissue.rows, tissue.work, tissue.groups
     listed, shortening = 0, 1
-    for block in range(len(fans.nodes)):
-        gather_fan(rows, fans.nodes[block], work)
-        stiff, steep = resist_stiffening(work, fans.constants[block], fans.stiffening[block])
+    for block in range(len(groups.nodes)):
+        gather_group(rows, groups.nodes[block], work)
+        stiff, steep = resist_stiffening(work, groups.constants[block], groups.stiffening[block])
         if stiff > 0:
-            listed = _list_squeezed(work, fans.constants[block], block, tissue.squeezed_cells, listed)
+            listed = _list_compressed(work, groups.constants[block], block, tissue.compressed_cells, listed)
         if steep > 0:
-            shortening = max(shortening, needed_shortening(work, fans.stiffening[block]))
-        scatter_fan(rows, fans.nodes[block], work)
+            shortening = max(shortening, needed_shortening(work, groups.stiffening[block]))
+        scatter_group(rows, groups.nodes[block], work)
     tissue.shortening[0] = shortening
     return listed
 
@@ -334,15 +334,15 @@ def _resist(work: Floats, constant: Floats) -> int:
 
 
 @kernel
-def _list_squeezed(work: Floats, constant: Floats, block: int, listed: Longs, count: int) -> int:
-    """Add the squeezed cells of a block with a stiff one to those listed; return how many there are now.
+def _list_compressed(work: Floats, constant: Floats, block: int, listed: Longs, count: int) -> int:
+    """Add the compressed cells of a block with a stiff one to those listed; return how many there are now.
 
     Filling is left out.
     """
     for c in range(BLOCK):
         for which in range(CELLS):
             shear = constant[(OWN + OWN_ROWS * which + 2) * BLOCK + c]
-            if work[(3 * ARMS + which) * BLOCK + c] < SQUEEZED and shear > 0.0:
+            if work[(3 * ARMS + which) * BLOCK + c] < COMPRESSED and shear > 0.0:
                 listed[count] = (block * BLOCK + c) * CELLS + which
                 count += 1
     return count

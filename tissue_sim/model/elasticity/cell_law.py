@@ -3,7 +3,7 @@
 Energy of a cell of volume V at rest, F its deformation gradient, J = det F (Simo & Pister 1984's volumetric part): V
 (mu/2 (F:F - 3 - 2 ln J) + lambda/4 (J^2 - 1 - 2 ln J)), whose pressure needs no logarithm. A cell that is nearly flat
 would move too far in any step, however short: under STEEPEST of its volume the pressure continues in a straight line,
-and under SQUEEZED a penalty is added, as stiff as the masses of its nodes allow.
+and under COMPRESSED a penalty is added, as stiff as the masses of its nodes allow.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.elasticity.vectors import fused
 
 STEEPEST = 0.4  # of the volume at rest; the pressure's slope grows as 1 / J^2
-SQUEEZED = 0.5  # of the volume at rest, below which the penalty acts
+COMPRESSED = 0.5  # of the volume at rest, below which the penalty acts
 STIFF = 0.6  # of the volume at rest, below which a cell needs shorter substeps than at rest
 
 
@@ -40,7 +40,7 @@ def pressure_of(volume: float, bulk: float, shear: float, penalty: float) -> flo
     """
     bounded = volume if volume > STEEPEST else STEEPEST
     inverse = 1.0 / bounded
-    under = volume - SQUEEZED
+    under = volume - COMPRESSED
     under = under if under < 0.0 else 0.0
     pressure = bulk * (bounded - inverse) - shear * inverse
     pressure = fused(volume - bounded, fused(bulk + shear, 1.0 / STEEPEST**2, bulk), pressure)

@@ -1,6 +1,6 @@
 """Cells: linear tetrahedra of a compressible neo-Hookean solid (cell_law), each with its own stiffness.
 
-Those of the whole organ are evaluated in cell groups (fans), those of a local region one by one.
+Those of the whole organ are evaluated in cell groups, those of a local region one by one.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.data.blocks import BLOCK, aligned, pack
 from tissue_sim.model.data.model import Model, Tissue
 from tissue_sim.model.elasticity.cell_groups import ROOM, cell_groups_of, set_penalty
-from tissue_sim.model.elasticity.cell_law import SQUEEZED, STEEPEST, STIFF, minor, pressure_of
+from tissue_sim.model.elasticity.cell_law import COMPRESSED, STEEPEST, STIFF, minor, pressure_of
 from tissue_sim.model.elasticity.stiffening import stiffening_energy
 from tissue_sim.model.elasticity.vectors import ROW, WIDTH, fused, gather_arms, put_node, scatter_arms
 from tissue_sim.model.elasticity.volumes import triple_product
 
-# Squared frequency of one cell's penalty over the largest at rest. With 1 the step is too long for several squeezed
+# Squared frequency of one cell's penalty over the largest at rest. With 1 the step is too long for several compressed
 # cells together, with 0.1 cells are inverted (measured under a pinch).
 PENALTY = 0.3
 CONSTANTS = 10
@@ -53,21 +53,21 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats, stiffening: fl
         constants[:, row] = metric[:, a, b]
     constants[:, 6] = 1.0 / (6.0 * volume)
     constants[:, 7], constants[:, 8] = lam / 12.0, mu / 6.0
-    # The filling is the first cell without stiffness: it has a volume, so that it isn't taken for a squeezed one.
+    # The filling is the first cell without stiffness: it has a volume, so that it isn't taken for a compressed one.
     spare = -len(cells) % BLOCK
     filling = np.zeros((spare, CONSTANTS))
     filling[:, 6] = constants[0, 6]
     packed = pack(
         np.concatenate([cells, cells[:1].repeat(spare, axis=0)]), np.concatenate([constants, filling]), constants[0]
     )
-    fans = cell_groups_of(rest, cells, slope, mu, lam, stiffening)
+    groups = cell_groups_of(rest, cells, slope, mu, lam, stiffening)
     return Tissue(
         packed.nodes,
         packed.constants,
-        fans,
+        groups,
         aligned(np.zeros((len(rest), ROW))),
         aligned(np.zeros(ROOM * BLOCK)),
-        np.zeros(fans.cells.size, dtype=np.int64),
+        np.zeros(groups.cells.size, dtype=np.int64),
         np.zeros(1, dtype=np.int64),
         np.ones(1, dtype=np.int64),
     )
@@ -96,7 +96,7 @@ def shapes_of(rest: Floats, cells: Ints | Longs) -> tuple[Floats, Floats]:
 
 
 def penalty_of(rest: Floats, cells: Ints, inverse_mass: Floats, frequency: float) -> Floats:
-    """Return the penalty on squeezed cells.
+    """Return the penalty on compressed cells.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def penalty_of(rest: Floats, cells: Ints, inverse_mass: Floats, frequency: float
 
 
 def with_penalty(tissue: Tissue, penalty: Floats) -> Tissue:
-    """Return the same cells with a penalty on squeezed ones.
+    """Return the same cells with a penalty on compressed ones.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def with_penalty(tissue: Tissue, penalty: Floats) -> Tissue:
     rows = np.zeros(len(tissue.nodes) * BLOCK)
     rows[: len(penalty)] = penalty / 6.0
     constants[:, 9 * BLOCK :] = rows.reshape(-1, BLOCK)
-    set_penalty(tissue.fans, penalty)
+    set_penalty(tissue.groups, penalty)
     return tissue._replace(constants=constants)
 
 
@@ -187,12 +187,12 @@ def _spread(position: Floats, among: Ints, tissue: Tissue) -> None:
 
 
 @kernel
-def _add_scattered(tissue: Tissue, among: Ints, share: float, force: Floats) -> None:
+def _add_scattered(tissue: Tissue, among: Ints, fraction: float, force: Floats) -> None:
     """Add a fraction of what was scattered to nodes among (k,) to force (n, 3) N."""
     for index in range(len(among)):
         node = among[index]
         for axis in range(3):
-            force[node, axis] += share * tissue.rows[node, WIDTH + axis]
+            force[node, axis] += fraction * tissue.rows[node, WIDTH + axis]
 
 
 @kernel
@@ -435,6 +435,6 @@ def cell_energy(position: Floats, rest: Floats, tissue: Tissue) -> float:
     steep = 0.5 * lam + (0.5 * lam + mu) / STEEPEST**2
     density = 0.5 * mu * (square - 3.0 - 2.0 * np.log(bounded))
     density += 0.25 * lam * (bounded**2 - 1.0 - 2.0 * np.log(bounded)) + pressure * under + 0.5 * steep * under**2
-    pushed = np.minimum(swollen - SQUEEZED, 0.0)
+    pushed = np.minimum(swollen - COMPRESSED, 0.0)
     stored = float(volume @ (density + 0.5 * penalty * pushed**2))
-    return stored + stiffening_energy(tissue.fans, square, swollen, mu * volume)
+    return stored + stiffening_energy(tissue.groups, square, swollen, mu * volume)

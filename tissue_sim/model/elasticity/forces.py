@@ -102,7 +102,7 @@ def edge_forces(position: Floats, nodes: Ints, constants: Floats, work: Floats, 
 
     Angular springs have the energy k/2 (s - s0)^2. s = n.(w_i x_i + w_j x_j + w_k x_k + w_l x_l), n the unit normal of
     the pair, is the edge's length times the angle between the triangles to first order, signed: positive where convex.
-    Its stiffness stays what it is at rest when triangles are squeezed; that of an angle grows without bound and makes
+    Its stiffness stays what it is at rest when triangles are compressed; that of an angle grows without bound and makes
     any step too long. A spring on the cosine between two arms (Nedel & Thalmann 1998) has hardly a gradient where the
     surface is flat.
 

@@ -31,7 +31,7 @@ from tissue_sim.model.data.model import CellGroups, Model
 from tissue_sim.model.elasticity.cell_law import STIFF, minor, pressure_of
 from tissue_sim.model.elasticity.vectors import fused
 
-# Constants of a group: b / M, 1/J, b times each of its three cells' share of M, and the exponents from which on
+# Constants of a group: b / M, 1/J, b times each of its three cells' fraction of M, and the exponents from which on
 # substeps must be half and a quarter as long.
 ROWS = 6
 MOST = 3.0  # largest exponent b z
@@ -95,20 +95,20 @@ def exponents_for(growth: Floats) -> Floats:
     return found
 
 
-def set_step_limits(fans: CellGroups, share: Floats) -> None:
+def set_step_limits(groups: CellGroups, quickness: Floats) -> None:
     """Set from which exponents on each group needs shorter substeps.
 
     Parameters
     ----------
-    fans : CellGroups
+    groups : CellGroups
         The groups; updated.
-    share : Floats, shape (n,)
+    quickness : Floats, shape (n,)
         Stiffness over mass around each node, over the largest of all: about the square of the frequency at which it
         vibrates over that of the fastest mode.
     """
-    if len(fans.stiffening):
-        own = np.maximum(share[fans.nodes].max(axis=2), 1e-9)  # (f, BLOCK)
-        rows = fans.stiffening.reshape(len(fans.stiffening), ROWS, BLOCK)
+    if len(groups.stiffening):
+        own = np.maximum(quickness[groups.nodes].max(axis=2), 1e-9)  # (f, BLOCK)
+        rows = groups.stiffening.reshape(len(groups.stiffening), ROWS, BLOCK)
         for row, allowed in zip((4, 5), ALLOWED, strict=True):
             rows[:, row] = exponents_for(allowed / own)
 
@@ -312,12 +312,12 @@ def shortening_of(model: Model) -> Any:
     """
 
 
-def stiffening_energy(fans: CellGroups, square: Floats, swollen: Floats, weight: Floats) -> float:
+def stiffening_energy(groups: CellGroups, square: Floats, swollen: Floats, weight: Floats) -> float:
     """Return what stiffening adds to the neo-Hookean energy of cells.
 
     Parameters
     ----------
-    fans : CellGroups
+    groups : CellGroups
         The groups.
     square : Floats, shape (c,)
         F:F of every cell.
@@ -331,10 +331,10 @@ def stiffening_energy(fans: CellGroups, square: Floats, swollen: Floats, weight:
     float, J
         The energy.
     """
-    if not len(fans.stiffening):
+    if not len(groups.stiffening):
         return 0.0
-    rows = fans.stiffening.reshape(-1, ROWS, BLOCK).transpose(0, 2, 1).reshape(-1, ROWS)
-    there, own = fans.cells >= 0, fans.cells.clip(0)
+    rows = groups.stiffening.reshape(-1, ROWS, BLOCK).transpose(0, 2, 1).reshape(-1, ROWS)
+    there, own = groups.cells >= 0, groups.cells.clip(0)
     real = there.any(axis=1)
     away = swollen - 1.0
     distortion = weight * (square - (3.0 + away * (2.0 - away / 3.0)))

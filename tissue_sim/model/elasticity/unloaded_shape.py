@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 
 from tissue_sim.array_types import Floats, Ints, Mask
 from tissue_sim.errors import UserError
-from tissue_sim.model.elasticity.cell_law import SQUEEZED, STEEPEST
+from tissue_sim.model.elasticity.cell_law import COMPRESSED, STEEPEST
 from tissue_sim.model.elasticity.cells import shapes_of
 
 CLOSE = 1e-11  # fraction of the weight that may be left as a force
@@ -37,7 +37,7 @@ class Law(NamedTuple):
     lam : Floats, shape (c,), Pa
         Lame's first constant.
     penalty : Floats, shape (c,), J/m^3
-        Penalty on a squeezed cell.
+        Penalty on a compressed cell.
     """
 
     mu: Floats
@@ -46,7 +46,7 @@ class Law(NamedTuple):
 
     def pressure(self, swollen: Floats) -> tuple[Floats, Floats]:
         """Return the slope of the energy by the volume ratio (c,), Pa, without mu/2 F:F; and its own slope."""
-        bounded, pushed = np.maximum(swollen, STEEPEST), np.minimum(swollen - SQUEEZED, 0.0)
+        bounded, pushed = np.maximum(swollen, STEEPEST), np.minimum(swollen - COMPRESSED, 0.0)
         slope = 0.5 * self.lam * (1.0 + 1.0 / bounded**2) + self.mu / bounded**2
         pressure = 0.5 * self.lam * (bounded - 1.0 / bounded) - self.mu / bounded + slope * (swollen - bounded)
         return pressure + self.penalty * pushed, slope + self.penalty * (pushed < 0.0)
@@ -84,13 +84,13 @@ def unloaded_shape(shape: Floats, cells: Ints, law: Law, weight: Floats, free: M
     for _ in range(MOST_STEPS):
         if np.linalg.norm(off) <= goal:
             return found
-        step, share = inverse.step(found, off), 1.0
-        while share > SHORTEST:
-            tried = found + share * step
+        step, length = inverse.step(found, off), 1.0
+        while length > SHORTEST:
+            tried = found + length * step
             left = inverse.off(tried)
             if np.linalg.norm(left) < np.linalg.norm(off):
                 break
-            share *= 0.5
+            length *= 0.5
         else:
             break
         found, off = tried, left
@@ -130,7 +130,7 @@ class _Inverse:
         """Return Newton's step (n, 3) m."""
         deformed, swollen = self._deformed(unloaded)
         stretch = deformed @ deformed.transpose(0, 2, 1)
-        share, (_, steep) = (self.law.mu / swollen)[:, None, None], self.law.pressure(swollen)
+        scale, (_, steep) = (self.law.mu / swollen)[:, None, None], self.law.pressure(swollen)
         # Slope of the stress (c, i, k) by the gradient (j, l) of the unloaded shape: dF = -F df F.
         by = np.empty((len(self.cells), 3, 3, 3, 3))
         for j in range(3):
@@ -138,7 +138,7 @@ class _Inverse:
                 change = -deformed[:, :, j, None] * deformed[:, None, one, :]
                 swelling = -deformed[:, one, j]  # relative to the volume
                 both = change @ deformed.transpose(0, 2, 1)
-                shear = share * (both + both.transpose(0, 2, 1) - swelling[:, None, None] * stretch)
+                shear = scale * (both + both.transpose(0, 2, 1) - swelling[:, None, None] * stretch)
                 by[:, :, :, j, one] = shear + (steep * swollen * swelling)[:, None, None] * np.eye(3)
         blocks = -np.einsum("c,cikjl,cak,cbl->caibj", self.volume, by, self.slope, self.slope, optimize=True)
         place = 3 * self.cells.astype(np.int64)[:, :, None] + np.arange(3)

@@ -90,7 +90,7 @@ def _scatterer(corners: int) -> Any:
 # nodes into 3 (c - 1) rows of BLOCK in work. scatter subtracts the values of these rows, N, from the other nodes and
 # adds them to the first, so that the sum stays zero. rows has the shape (n, ROW).
 gather_arms, scatter_arms = _gatherer(4), _scatterer(4)
-gather_fan, scatter_fan = _gatherer(6), _scatterer(6)
+gather_group, scatter_group = _gatherer(6), _scatterer(6)
 
 
 @kernel

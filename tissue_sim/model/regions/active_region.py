@@ -172,7 +172,7 @@ def region_forces(model: Model, state: State, settings: Settings, scratch: Scrat
 @kernel
 def _absorb(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     if state.status.region == Region.MODAL:
-        modal_region.absorb_load(state, settings, scratch, modal_region.load_share(model, settings))
+        modal_region.absorb_load(state, settings, scratch, modal_region.load_fraction(model, settings))
 
 
 @_or(_absorb, _nothing)
@@ -246,10 +246,10 @@ def change_region(world: World) -> None:
 
 
 @kernel
-def is_strongly_deformed(model: Model, state: State, scratch: Scratch, share: float) -> bool:
+def is_strongly_deformed(model: Model, state: State, scratch: Scratch, fraction: float) -> bool:
     """Return whether the gradient at a modal region's edge exceeds a fraction of its limit."""
     modal = state.status.region == Region.MODAL
-    return modal and edge_gradient(model, state, scratch) > share * STEEPEST_EDGE
+    return modal and edge_gradient(model, state, scratch) > fraction * STEEPEST_EDGE
 
 
 @kernel

@@ -248,7 +248,7 @@ def _collect_cells(model: Model, state: State, scratch: Scratch) -> None:
         source, target = (model.tissue, model.reduction.cell_slopes), (scratch.cells, scratch.cell_slopes)
         cells = _take(slots, source, target, scratch.cell_mark, stamp, cells)
     state.status.region_boundary = _list_boundary(scratch, scratch.cells.nodes, cells, stamp, 0)
-    # The filling has the volume of the first cell, so that it isn't taken for a squeezed one.
+    # The filling has the volume of the first cell, so that it isn't taken for a compressed one.
     _fill_up(scratch.cells, cells, 7, 8)
     for row in range(cells % BLOCK, BLOCK if cells % BLOCK > 0 else 0):
         for k in (0, 1, 2, 3, 4, 5, 9):

@@ -141,16 +141,16 @@ def _copy_compliance(table: Any, drive: Any, boundary: Any, rows: Any) -> None:
 
 
 @kernel
-def combine(rows: Any, shares: Any, count: int, total: Any) -> None:
+def combine(rows: Any, factors: Any, count: int, total: Any) -> None:
     """Compute total (r,) as the sum of the first `count` rows (.., r), each times its factor; in single precision."""
     total[:] = 0.0
     for i in range(0, count - 3, 4):
-        w, x, y, z = shares[i], shares[i + 1], shares[i + 2], shares[i + 3]
+        w, x, y, z = factors[i], factors[i + 1], factors[i + 2], factors[i + 3]
         a, b, c, d = rows[i], rows[i + 1], rows[i + 2], rows[i + 3]
         for r in range(len(total)):
             total[r] += (w * a[r] + x * b[r]) + (y * c[r] + z * d[r])
     for i in range(count - count % 4, count):
-        w, a = shares[i], rows[i]
+        w, a = factors[i], rows[i]
         for r in range(len(total)):
             total[r] += w * a[r]
 
@@ -199,7 +199,7 @@ def set_propagator(model: Model, settings: Settings, scratch: Scratch) -> None:
 
 @kernel
 def project_load(state: State, scratch: Scratch) -> None:
-    """Compute the static displacement of the modes into scratch.mode_rest, and the loads into edge_share.
+    """Compute the static displacement of the modes into scratch.mode_rest, and the loads into edge_load.
 
     Parameters
     ----------
@@ -209,11 +209,11 @@ def project_load(state: State, scratch: Scratch) -> None:
         Working memory; updated.
     """
     nodes = driving(state, scratch)
-    load, share, rest = state.static_load, scratch.edge_share, scratch.mode_rest
+    load, driving_load, rest = state.static_load, scratch.edge_load, scratch.mode_rest
     for index in range(len(nodes)):
         for c in range(3):
-            share[3 * index + c] = load[nodes[index], c]
-    combine(scratch.drive_rows, share, 3 * len(nodes), scratch.mode_sum)
+            driving_load[3 * index + c] = load[nodes[index], c]
+    combine(scratch.drive_rows, driving_load, 3 * len(nodes), scratch.mode_sum)
     total, inverse = scratch.mode_sum, scratch.propagator[0]
     for k in range(len(rest)):
         rest[k] = inverse[k] * total[k]
@@ -259,10 +259,10 @@ def set_mode_move(model: Model, state: State, scratch: Scratch) -> None:
     scratch : Scratch
         Working memory; updated.
     """
-    share = 1.0 if len(model.reduction.compliance) > 0 else 0.0
+    held = 1.0 if len(model.reduction.compliance) > 0 else 0.0  # by the compliance table
     position, rest, move = state.mode_position, scratch.mode_rest, scratch.mode_move
     for k in range(len(move)):
-        move[k] = position[k] - share * rest[k]
+        move[k] = position[k] - held * rest[k]
 
 
 @kernel
@@ -289,14 +289,14 @@ def move_edge(model: Model, state: State, settings: Settings, scratch: Scratch) 
         Working memory; updated.
     """
     boundary = state.status.region_boundary
-    share, move, columns = scratch.edge_share, scratch.mode_move, 0
+    load, move, columns = scratch.edge_load, scratch.mode_move, 0
     if len(model.reduction.compliance) > 0:
         columns = 3 * (state.status.region_nodes + boundary)
         for index in range(columns):
-            share[index] /= settings.stiffness_scale
+            load[index] /= settings.stiffness_scale
     for k in range(len(move)):
-        share[columns + k] = move[k]
-    combine(scratch.edge_rows, share, columns + len(move), scratch.edge_move[: 3 * boundary])
+        load[columns + k] = move[k]
+    combine(scratch.edge_rows, load, columns + len(move), scratch.edge_move[: 3 * boundary])
 
 
 @kernel
@@ -453,7 +453,7 @@ def subtract_linear(model: Model, state: State, scratch: Scratch, force: Floats)
 
 
 @kernel
-def absorb_load(state: State, settings: Settings, scratch: Scratch, share: float) -> None:
+def absorb_load(state: State, settings: Settings, scratch: Scratch, fraction: float) -> None:
     """Move the static load towards this tick's loads and scratch.drive.
 
     Parameters
@@ -464,7 +464,7 @@ def absorb_load(state: State, settings: Settings, scratch: Scratch, share: float
         Settings of the simulation.
     scratch : Scratch
         Working memory; updated.
-    share : float
+    fraction : float
         Fraction of the way.
     """
     drive, nodal, loaded = scratch.drive, state.nodal_force, state.loaded_node
@@ -474,21 +474,21 @@ def absorb_load(state: State, settings: Settings, scratch: Scratch, share: float
             drive[node, c] += nodal[node, c]
     add_tip_forces(state, settings, drive)
     nodes = driving(state, scratch)
-    _absorb(state.static_load, drive, state.contact_impulse, nodes, 1.0 / settings.tick_time, share)
+    _absorb(state.static_load, drive, state.contact_impulse, nodes, 1.0 / settings.tick_time, fraction)
 
 
 @kernel
-def _absorb(load: Any, drive: Any, impulse: Any, nodes: Any, rate: float, share: float) -> None:
+def _absorb(load: Any, drive: Any, impulse: Any, nodes: Any, rate: float, fraction: float) -> None:
     for index in range(len(nodes)):
         node = nodes[index]
         for c in range(3):
             wanted = drive[node, c] + impulse[node, c] * rate
             impulse[node, c] = 0.0
-            load[node, c] += share * (wanted - load[node, c])
+            load[node, c] += fraction * (wanted - load[node, c])
 
 
 @kernel
-def load_share(model: Model, settings: Settings) -> float:
+def load_fraction(model: Model, settings: Settings) -> float:
     """Return the fraction of the way that the static load moves in a tick.
 
     What the modes don't carry follows no faster than the slow rate of the fastest mode, if damping makes that slow: a

@@ -39,16 +39,16 @@ class JoinedBox(NamedTuple):
     """Mailboxes of all organs. T rigid bodies."""
 
     pairs: Mailbox  # OrganContactSet.words
-    respiration: Mailbox  # (1,) a share of the breath's way
-    felt: Mailbox  # felt_words
+    respiration: Mailbox  # (1,) a fraction of the breath's displacement
+    wrenches: Mailbox  # wrench_words
     row: JoinedRow  # as the last tick took it up
     journal_written: Longs  # (1,)
     journal: Any  # (JOURNAL_ROWS,) of JoinedRow
     kept: Kept  # when asked
     # The loop's own.
     taken: OrganContactSet
-    taken_share: Floats  # (1,)
-    felt_words: Longs  # (1 + 6 T,) the tick, and the wrench
+    taken_fraction: Floats  # (1,)
+    wrench_words: Longs  # (1 + 6 T,) the tick, and the wrench
     wrench: Floats  # (T, 6) N, N m, which views them
 
 
@@ -69,7 +69,7 @@ def make_joined_box(n_bodies: int) -> JoinedBox:
     return JoinedBox(
         pairs=mailbox(len(taken.words)),
         respiration=mailbox(1),
-        felt=mailbox(len(words)),
+        wrenches=mailbox(len(words)),
         row=JoinedRow.new(),
         journal_written=np.zeros(1, dtype=np.int64),
         journal=JoinedRow.rows(np.zeros(JOURNAL_ROWS * JoinedRow.words(), dtype=np.int64)),
@@ -80,8 +80,8 @@ def make_joined_box(n_bodies: int) -> JoinedBox:
             np.zeros((MOST_PAIRS, 3)),
         ),
         taken=taken,
-        taken_share=np.zeros(1),
-        felt_words=words,
+        taken_fraction=np.zeros(1),
+        wrench_words=words,
         wrench=words[1:].view(np.float64).reshape(n_bodies, 6),
     )
 
@@ -100,10 +100,10 @@ def take_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
         Number of the tick.
     """
     row, changed = box.row, False
-    sequence = take(box.respiration, 0, row.respiration, box.taken_share.view(np.int64))
+    sequence = take(box.respiration, 0, row.respiration, box.taken_fraction.view(np.int64))
     if sequence != row.respiration:
         row.respiration, changed = sequence, True
-        joined.carried.breath.told = box.taken_share[0]
+        joined.carried.breath.target = box.taken_fraction[0]
     sequence = take(box.pairs, 0, row.pairs, box.taken.words)
     if sequence != row.pairs:
         row.pairs, changed = sequence, True
@@ -125,14 +125,14 @@ def note_joined(box: JoinedBox, tick: int) -> None:
 @kernel
 def post_haptic_output(worlds: Sequence[World], joined: CoupledOrgans | None, box: JoinedBox) -> None:
     """Hand out what tools feel of all organs; of one that nothing joins as it is, which is clamped already."""
-    box.felt_words[0] = worlds[0].state.status.tick
+    box.wrench_words[0] = worlds[0].state.status.tick
     if joined is None:
         for body in range(len(box.wrench)):
             for axis in range(6):
                 box.wrench[body, axis] = worlds[0].state.wrench[body, axis]
     else:
         sum_haptic_output(worlds, box.wrench)
-    put(box.felt, 0, box.felt_words)
+    put(box.wrenches, 0, box.wrench_words)
 
 
 @kernel

@@ -34,8 +34,8 @@ class Breath(Record):
     y: float
     z: float
     time: float  # s
-    told: float  # fraction of the way, external input
-    share: float  # present fraction of the way
+    target: float  # fraction of the way, external input
+    fraction: float  # present fraction of the way
     speed: float  # 1/s
 
 
@@ -71,7 +71,7 @@ class Carried(NamedTuple):
 
     breath: Breath
     breath_words: Longs  # memory of the breath
-    share: Floats  # (2,) fraction of the breath's way, and its rate, 1/s
+    fraction: Floats  # (2,) fraction of the breath's way, and its rate, 1/s
     moves: Floats  # (k,) fraction of the way that each follows
     gravity: Floats  # (k, 3) m/s^2, of each without the breath
     speed: Floats  # (k, 3) m/s
@@ -92,10 +92,10 @@ def moves_with_frame(breath: Breath, moves: Sequence[float], gravity: Floats) ->
 @kernel
 def follow(breath: Breath, step: float) -> tuple[float, float, float]:
     """Advance by `step` s towards the external input; return fraction, speed, 1/s, and acceleration, 1/s^2."""
-    change = FOLLOW * (FOLLOW * (breath.told - breath.share) - 2.0 * breath.speed)
+    change = FOLLOW * (FOLLOW * (breath.target - breath.fraction) - 2.0 * breath.speed)
     breath.speed += step * change
-    breath.share += step * breath.speed
-    return breath.share, breath.speed, change
+    breath.fraction += step * breath.speed
+    return breath.fraction, breath.speed, change
 
 
 @kernel
@@ -114,17 +114,17 @@ def breathe(worlds: Sequence[World], carried: Carried, step: float) -> None:
     breath = carried.breath
     breath.time += step
     if breath.follows:
-        share, speed, change = follow(breath, step)
+        fraction, speed, change = follow(breath, step)
     else:
-        share, speed, change = inhaled_fraction(breath.time, breath.period)
-    carried.share[0], carried.share[1] = share, speed
+        fraction, speed, change = inhaled_fraction(breath.time, breath.period)
+    carried.fraction[0], carried.fraction[1] = fraction, speed
     for organ in range(len(worlds)):
         state, moves = worlds[organ].state, carried.moves[organ]
         if moves == 0.0:
             continue
         for axis in range(3):
             way = moves * (breath.x if axis == 0 else breath.y if axis == 1 else breath.z)
-            shift = share * way - state.carried[axis]
+            shift = fraction * way - state.carried[axis]
             state.carried[axis] += shift
             carried.speed[organ, axis] = speed * way
             carried.change[organ, axis] = change * way
@@ -135,7 +135,7 @@ def breathe(worlds: Sequence[World], carried: Carried, step: float) -> None:
 
 
 @kernel
-def weigh(settings: Settings, carried: Carried, organ: int, share: float) -> None:
+def weigh(settings: Settings, carried: Carried, organ: int, fraction: float) -> None:
     """Set an organ's gravity, minus the part of its frame's acceleration that it feels.
 
     Parameters
@@ -146,13 +146,13 @@ def weigh(settings: Settings, carried: Carried, organ: int, share: float) -> Non
         How organs follow the breath; updated.
     organ : int
         Index of the organ.
-    share : float
+    fraction : float
         Fraction of the acceleration that it feels.
     """
     change, gravity = carried.change[organ], carried.gravity[organ]
-    settings.gravity_x = gravity[0] - share * change[0]
-    settings.gravity_y = gravity[1] - share * change[1]
-    settings.gravity_z = gravity[2] - share * change[2]
+    settings.gravity_x = gravity[0] - fraction * change[0]
+    settings.gravity_y = gravity[1] - fraction * change[1]
+    settings.gravity_z = gravity[2] - fraction * change[2]
 
 
 @kernel

@@ -146,7 +146,7 @@ def plan_coarse(world: World, coarse: Coarse, organ: int, added: float) -> None:
 def may_be_coarse(world: World) -> bool:
     """Return whether the whole organ moves, and nothing requires shorter steps: fault, inverted cells, oscillation."""
     status = world.state.status
-    sound = status.region == Region.WHOLE and status.turned == 0 and status.backoff <= 1 and status.shivering == 0
+    sound = status.region == Region.WHOLE and status.turned == 0 and status.backoff <= 1 and status.oscillating == 0
     symplectic = world.settings.integrator == Integrator.SYMPLECTIC
     return symplectic and sound and not has_compressed_cells(world.model) and shortening_of(world.model) == 1
 

@@ -46,8 +46,8 @@ def uncouple(worlds: Sequence[World], joined: CoupledOrgans) -> None:
     """
     carried = joined.carried
     joined.pairs.found[0] = 0
-    carried.breath.time = carried.breath.told = carried.breath.share = carried.breath.speed = 0.0
-    carried.share[:] = 0.0
+    carried.breath.time = carried.breath.target = carried.breath.fraction = carried.breath.speed = 0.0
+    carried.fraction[:] = 0.0
     carried.speed[:] = 0.0
     carried.change[:] = 0.0
     for organ in range(len(worlds)):

@@ -119,7 +119,7 @@ def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: flo
 
 
 def residuals(simulation: Steppable, forces: Floats | float = 0.0) -> Floats:
-    """Return the residual force on every node under surface forces; limits of squeezed cells and lips count as forces.
+    """Return the residual force on every node under surface forces; limits of cells and lips count as forces.
 
     Parameters
     ----------

@@ -72,14 +72,14 @@ def move_tool_towards(world: World, body: int, pose: Floats, stamp: int) -> None
     """
     state, settings = world.state, world.settings
     status, held, goal = state.bodies[body], state.held_pose[body], state.body_goal[body]
-    told = 1e-9 * (stamp - status.stamp) if 0 < status.stamp < stamp else max(status.age, 1) * settings.tick_time
+    interval = 1e-9 * (stamp - status.stamp) if 0 < status.stamp < stamp else max(status.age, 1) * settings.tick_time
     before = status.remaining > 0.0
     moved, turned = distance(goal, pose), quaternion_distance(goal, pose)
-    status.speed = max(moved / told, status.speed if before else 0.0)
-    status.turning = max(turned / told, status.turning if before else 0.0)
+    status.speed = max(moved / interval, status.speed if before else 0.0)
+    status.turning = max(turned / interval, status.turning if before else 0.0)
     seconds = max(
-        motion_time(distance(held, pose), moved, told, status.speed, CREEP[0]),
-        motion_time(quaternion_distance(held, pose), turned, told, status.turning, CREEP[1]),
+        motion_time(distance(held, pose), moved, interval, status.speed, CREEP[0]),
+        motion_time(quaternion_distance(held, pose), turned, interval, status.turning, CREEP[1]),
     )
     seconds = min(seconds, settings.stale_time)
     smoothed = max(world.shapes.smoothing[body] * seconds, settings.tick_time)
@@ -87,11 +87,11 @@ def move_tool_towards(world: World, body: int, pose: Floats, stamp: int) -> None
 
 
 @kernel
-def motion_time(way: float, new: float, told: float, most: float, creep: float) -> float:
-    """Return the time, s, for a way to which the last pose added `new`, in `told` s; most: largest speed."""
+def motion_time(way: float, new: float, interval: float, most: float, creep: float) -> float:
+    """Return the time, s, for a way to which the last pose added `new`, in `interval` s; most: largest speed."""
     if way == 0.0:
         return 0.0
-    return way / min(most, new / told + max(0.0, way - new) / CATCH_UP + creep) if most > 0.0 else told
+    return way / min(most, new / interval + max(0.0, way - new) / CATCH_UP + creep) if most > 0.0 else interval
 
 
 @kernel
@@ -273,7 +273,7 @@ def reset_state(model: Model, state: State) -> None:
     status.snapped = status.collapsing = status.faulted = False
     status.fault_kind = status.substeps = status.quiet = status.alone = status.calm = 0
     status.touching = status.active = status.loaded = status.turned = status.next_cell = 0
-    status.good_age = status.shown = status.shivering = status.halving = 0
+    status.good_age = status.shown = status.oscillating = status.halving = 0
     status.turning = 0.0
     status.asleep = True
     status.backoff = 1
@@ -297,7 +297,7 @@ def reset_state(model: Model, state: State) -> None:
     state.body_force[:] = 0.0
     state.carried[:] = 0.0
     state.wrench[:] = 0.0
-    state.felt[:] = 0.0
+    state.unfaded_wrench[:] = 0.0
     for body in range(len(state.bodies)):
         status = state.bodies[body]
         if status.pose_sequence > 0:

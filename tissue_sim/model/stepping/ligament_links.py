@@ -129,8 +129,8 @@ def load_links(worlds: Sequence[World], links: Links, threshold: WakeThreshold) 
     for link in range(len(links.slack)):
         force = links.force[link]
         if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0:
-            load_end(worlds, links, link, 0, threshold.share, (force[0], force[1], force[2]))
-            load_end(worlds, links, link, 1, threshold.share, (-force[0], -force[1], -force[2]))
+            load_end(worlds, links, link, 0, threshold.fraction, (force[0], force[1], force[2]))
+            load_end(worlds, links, link, 1, threshold.fraction, (-force[0], -force[1], -force[2]))
 
 
 @kernel
@@ -171,9 +171,9 @@ def pull_links(
             force[1] += y
             force[2] += z
             if first:
-                load_end(worlds, links, link, 0, threshold.share, (x, y, z))
+                load_end(worlds, links, link, 0, threshold.fraction, (x, y, z))
             if second:
-                load_end(worlds, links, link, 1, threshold.share, (-x, -y, -z))
+                load_end(worlds, links, link, 1, threshold.fraction, (-x, -y, -z))
 
 
 @kernel
@@ -223,9 +223,9 @@ def end_position(
         state = worlds[organ].state
         position, shift = state.position[node], state.carried
         return position[0] + shift[0], position[1] + shift[1], position[2] + shift[2]
-    share = links.moves[link, end] * carried.share[0]
+    fraction = links.moves[link, end] * carried.fraction[0]
     point, breath = links.point[link, end], carried.breath
-    return point[0] + share * breath.x, point[1] + share * breath.y, point[2] + share * breath.z
+    return point[0] + fraction * breath.x, point[1] + fraction * breath.y, point[2] + fraction * breath.z
 
 
 @kernel
@@ -237,16 +237,16 @@ def end_speed(
     if organ >= 0:
         velocity, speed = worlds[organ].state.velocity, carried.speed[organ]
         return velocity[node, 0] + speed[0], velocity[node, 1] + speed[1], velocity[node, 2] + speed[2]
-    share, breath = links.moves[link, end] * carried.share[1], carried.breath
-    return share * breath.x, share * breath.y, share * breath.z
+    fraction, breath = links.moves[link, end] * carried.fraction[1], carried.breath
+    return fraction * breath.x, fraction * breath.y, fraction * breath.z
 
 
 @kernel
 def load_end(
-    worlds: Sequence[World], links: Links, link: int, end: int, share: Floats, force: tuple[float, float, float]
+    worlds: Sequence[World], links: Links, link: int, end: int, fraction: Floats, force: tuple[float, float, float]
 ) -> None:
     """Add the fraction (k,) of a force, N, that its organ feels to an end's node for the coming tick."""
     organ = links.organ[link, end]
-    if organ >= 0 and share[organ] > 0.0:
-        part = share[organ]
+    if organ >= 0 and fraction[organ] > 0.0:
+        part = fraction[organ]
         load_node(worlds[organ].state, links.node[link, end], part * force[0], part * force[1], part * force[2])

@@ -263,9 +263,9 @@ def bear(worlds: Sequence[World], pairs: OrganContacts, pair: int) -> None:
     loaded[1] += y
     loaded[2] += z
     for corner in range(4):
-        share = 1.0 if corner == 0 else -pairs.weight[pair, corner - 1]
+        part = 1.0 if corner == 0 else -pairs.weight[pair, corner - 1]
         state = worlds[pairs.organ[pair, min(corner, 1)]].state
-        load_node(state, pairs.node[pair, corner], share * x, share * y, share * z)
+        load_node(state, pairs.node[pair, corner], part * x, part * y, part * z)
 
 
 @kernel
@@ -315,8 +315,8 @@ def measure(worlds: Sequence[World], pairs: OrganContacts, pair: int) -> None:
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     size = math.sqrt(x * x + y * y + z * z)
-    share = 1.0 / size if size > 0.0 else 0.0
-    normal[0], normal[1], normal[2] = x * share, y * share, z * share
+    inverse = 1.0 / size if size > 0.0 else 0.0
+    normal[0], normal[1], normal[2] = x * inverse, y * inverse, z * inverse
     gap = 0.0
     for axis in range(3):
         on = own.position[node[0], axis] + own.carried[axis] - under.carried[axis]

@@ -1,8 +1,8 @@
 """Detection of oscillation: a step that has become too long under load is halved for a while.
 
-Tissue that is squeezed or stretched is stiffer than at rest, so that a substep may exceed the critical step. Nodes then
+Compressed or stretched tissue is stiffer than at rest, so that a substep may exceed the critical step. Nodes then
 reverse in every substep, ever faster. Such nodes are searched in some ticks of cells, whose penalties add up where
-several are squeezed, and in those of one substep, which is as long as rest allows.
+several are compressed, and in those of one substep, which is as long as rest allows.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def is_oscillation_checked(model: Model, state: State, substeps: int) -> bool:
         True where it is.
     """
     status = state.status
-    if status.shivering > 0:
-        status.shivering -= 1
+    if status.oscillating > 0:
+        status.oscillating -= 1
     else:
         status.halving = max(HALVED, status.halving - 1)
     if substeps > 1 and not checks_oscillation(model):
@@ -108,9 +108,9 @@ def end_oscillation_check(state: State, scratch: Scratch) -> None:
     status.turning = energy_of_oscillation(before, after, fast)
     if 0.0 < GREW * last < status.turning and status.turning > MOST * energy_of(after):
         status.turning = 0.0
-        status.shivering = max(HALVED, status.halving)
-        status.halving = min(LONGEST, MORE * status.shivering)
-        state.count.shivers += 1
+        status.oscillating = max(HALVED, status.halving)
+        status.halving = min(LONGEST, MORE * status.oscillating)
+        state.count.oscillations += 1
 
 
 @kernel

@@ -91,10 +91,10 @@ def move_prescribed(state: State, substep: int, substeps: int, step: float) -> N
     """
     for index in range(state.status.prescribed):
         node = state.prescribed_node[index]
-        share = 1.0 / (state.prescribed_ticks[node] * substeps - substep)
+        fraction = 1.0 / (state.prescribed_ticks[node] * substeps - substep)
         for axis in range(3):
             before = state.prescribed_from[node, axis]
-            after = before + share * (state.prescribed_to[node, axis] - before)
+            after = before + fraction * (state.prescribed_to[node, axis] - before)
             state.velocity[node, axis] = (after - before) / step
             state.position[node, axis] = after
             state.prescribed_from[node, axis] = after

@@ -36,10 +36,10 @@ def sleep_or_recover(model: Model, state: State, settings: Settings, scratch: Sc
     """Fall asleep after a number of ticks without touch, load, speed and displacement.
 
     Springs pushed through each other can come to rest in a false shape, finite and still. An organ that nothing touches
-    and that is still away from its rest shape, that is not back long after a sound one would be, as squeezed cells can
-    tremble in place for good, or whose cells stay inverted, recovers to it. An organ with attachments, weight or
+    and that is still away from its rest shape, that is not back long after a sound one would be, as compressed cells
+    can oscillate for good, or whose cells stay inverted, recovers to it. An organ with attachments, weight or
     pressing neighbours may well be away from rest: it recovers only after a fault, or where it is still inverted or
-    squeezed long after; meanwhile it is released by these.
+    compressed long after; meanwhile it is released by these.
 
     Parameters
     ----------

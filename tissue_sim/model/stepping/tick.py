@@ -210,13 +210,13 @@ def is_region_of_cells(model: Model, state: State) -> Any:
 
 @kernel
 def caution(model: Model, state: State, begun: bool) -> int:
-    """Return the factor on the substeps while cells are stretched, squeezed or inverted, or nodes oscillate.
+    """Return the factor on the substeps while cells are stretched, compressed or inverted, or nodes oscillate.
 
     All of these stiffen them. begun: the forces of this tick's first substep are known.
     """
     least = shortening_of(model) if begun else 1
     if state.status.turned == 0:
-        return max(least, 2 if (begun and has_compressed_cells(model)) or state.status.shivering > 0 else 1)
+        return max(least, 2 if (begun and has_compressed_cells(model)) or state.status.oscillating > 0 else 1)
     return max(least, 4 if state.status.turned > CRUMPLED * len(model.cells) else 2)
 
 

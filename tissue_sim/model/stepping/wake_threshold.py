@@ -43,7 +43,7 @@ class WakeThreshold(NamedTuple):
     give: Floats  # (l, 2) m/N, largest displacement of its organ for each N at a link's end
     bent: Floats  # (k,) m, largest displacement of each organ by its loads
     pulled: Floats  # (k,) N, tension of its links
-    share: Floats  # (k,) fraction of these loads that it feels
+    fraction: Floats  # (k,) fraction of these loads that it feels
     ticks: Longs  # (k,) that each slept through under loads that it didn't feel
 
 
@@ -77,7 +77,7 @@ def wake_threshold_of(models: Sequence[Model], links: Links, ways: Floats, most:
         give=give,
         bent=np.zeros(count),
         pulled=np.zeros(count),
-        share=np.ones(count),
+        fraction=np.ones(count),
         ticks=np.zeros(count, dtype=np.int64),
     )
 
@@ -154,14 +154,14 @@ def apply_wake_threshold(worlds: Sequence[World], carried: Carried, threshold: W
             size = math.sqrt(change[0] ** 2 + change[1] ** 2 + change[2] ** 2)
             threshold.bent[organ] += size * threshold.bend[organ]
         threshold.bent[organ] /= settings.stiffness_scale
-        share = loaded_fraction(threshold.bent[organ], threshold.pulled[organ], threshold.most)
-        if share < 1.0 and is_loaded_otherwise(world):
-            share = 1.0
-        threshold.share[organ] = share
+        fraction = loaded_fraction(threshold.bent[organ], threshold.pulled[organ], threshold.most)
+        if fraction < 1.0 and is_loaded_otherwise(world):
+            fraction = 1.0
+        threshold.fraction[organ] = fraction
         if breathes:
-            weigh(settings, carried, organ, share)
+            weigh(settings, carried, organ, fraction)
         if (
-            share == 0.0
+            fraction == 0.0
             and world.state.status.asleep
             and (threshold.bent[organ] > 0.0 or threshold.pulled[organ] > 0.0)
         ):

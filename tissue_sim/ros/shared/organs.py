@@ -36,7 +36,7 @@ class Organs:
         self.loop = loop
         self.each = tuple(Physics(loop, organ) for organ in range(len(loop.simulations)))
         self.n_bodies = self.each[0].n_bodies
-        self._output = handle(loop.joined_box.felt)
+        self._output = handle(loop.joined_box.wrenches)
         self._went_on = -math.inf  # monotonic s, when ticks went on; infinite while they stand
 
     # in ----------------------------------------------------------------------------------------

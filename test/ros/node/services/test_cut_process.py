@@ -52,7 +52,7 @@ def test_it_is_the_simulation_that_this_process_would_make(process, before):
     assert made.shapes is before.shapes
     assert str(made.cuts[0]) == str(expected.cuts[0])
     for name, array in arrays_of(expected.model).items():
-        if not name.startswith((".work", ".tissue.rows", ".tissue.work", ".tissue.squeezed_cells")):  # room
+        if not name.startswith((".work", ".tissue.rows", ".tissue.work", ".tissue.compressed_cells")):  # room
             np.testing.assert_array_equal(arrays_of(made.model)[name], array, err_msg=name)
     np.testing.assert_array_equal(made.state.words, expected.state.words)
     np.testing.assert_array_equal(words_of(made.settings), words_of(expected.settings))

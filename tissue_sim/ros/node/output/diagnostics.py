@@ -135,7 +135,7 @@ def _add_organ(report: Report, results: Results) -> None:
         "frozen_ticks": count.frozen_ticks,
         "modal_ticks": count.modal_ticks,
         "slewed_ticks": count.slewed_ticks,
-        "steps_found_too_long": count.shivers,  # no problem: each was halved in time
+        "steps_found_too_long": count.oscillations,  # no problem: each was halved in time
         "last_fault": FAULT_NAMES[status.fault_kind],
         "turned_cells": status.turned,
         "skipped.asleep": count.asleep_ticks,

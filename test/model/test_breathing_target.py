@@ -1,4 +1,4 @@
-"""A breath that goes where it is told."""
+"""A breath that goes where it is given."""
 
 import numpy as np
 import pytest
@@ -6,12 +6,12 @@ import pytest
 from tissue_sim.model.stepping.breathing import FOLLOW, Breath, follow
 
 
-def led(told, seconds, step=1e-3):
-    """Share, speed and acceleration at every step of a breath that is told a share at each time."""
+def led(given, seconds, step=1e-3):
+    """Share, speed and acceleration at every step of a breath that is given a share at each time."""
     breath, rows = Breath.new(), []
     breath.follows = True
     for time in np.arange(0.0, seconds, step):
-        breath.told = told(time)
+        breath.target = given(time)
         rows.append(follow(breath, step))
     return np.array(rows)
 
