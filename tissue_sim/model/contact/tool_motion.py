@@ -223,7 +223,8 @@ def free_distance(state: State, shapes: Shapes, body: int, goal: Floats, most: f
         return 0.0 if status.placed else 1.0
     pose, place, fraction = state.body_pose[body], contacts.place[body], 1.0
     way = distance_along_path(pose, goal, extent)
-    if contacts.n_points[body] > 0 and shapes.finest[body] > 0.0:
+    # A blade in tissue is held by places of its own, and needs no contact points.
+    if (contacts.n_points[body] > 0 or status.cutting) and shapes.finest[body] > 0.0:
         most = min(STEP * shapes.finest[body], most)
         if way > most:
             fraction = most / way
