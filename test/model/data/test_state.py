@@ -25,9 +25,10 @@ def moved():
 
 
 def renamed(record, old, new):
-    names = [new if name == old else name for name in record.dtype.names]
-    made = np.zeros(record.shape, [(name, record.dtype[own]) for name, own in zip(names, record.dtype.names)])
-    for name, own in zip(names, record.dtype.names, strict=True):
+    """A record of which one field has another name."""
+    names = {new if name == old else name: name for name in record.dtype.names}
+    made = np.zeros(record.shape, [(name, record.dtype[own]) for name, own in names.items()])
+    for name, own in names.items():
         made[name] = record[own]
     return made
 
