@@ -205,9 +205,11 @@ def test_a_blade_that_is_drawn_out_feels_friction_alone_and_then_nothing():
     in_tissue = made.blades.embedded
     flank = made.simulation.shapes.blades.flank[in_tissue].sum()
     assert -1.05 * 500.0 * flank <= forces[-1] <= 0.0
+    area = made.area
     made.step(-5e-5, 400)
     assert not made.is_cutting
     assert not made.force.any()
+    assert made.area == area > 1e-5, "what has been cut still counts"
 
 
 def test_an_open_cut_resists_no_second_time(cut):
@@ -248,6 +250,7 @@ def test_a_reset_heals_and_releases():
     assert not made.simulation.cuts
     assert not made.is_cutting
     assert not made.blades.embedded.any()
+    assert made.area == 0.0
     assert made.simulation.energy.total == pytest.approx(0.0, abs=1e-12)
 
 

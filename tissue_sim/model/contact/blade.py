@@ -283,6 +283,8 @@ def end_blades(world: World, found: int, step: float) -> None:
             aside = e[0] * x + e[1] * y + e[2] * z - soft * pushed[1]
         if row.cuts:
             ahead = f[0] * x + f[1] * y + f[2] * z - soft * pushed[0]
+            if row.borrowed:
+                ahead = min(ahead, _way_past(world, row, step))
         if abs(pushed[2]) >= row.most and row.side == 0.0:  # torn aside
             across = n[0] * x + n[1] * y + n[2] * z - soft * pushed[2]
         elif row.side == 0.0:
@@ -296,6 +298,26 @@ def end_blades(world: World, found: int, step: float) -> None:
         count_on_body(scratch, row.body, row.arm, _in_space(row, (pushed[0], pushed[1], pushed[2])))
         for axis in range(3):
             sample.force[axis] = pushed[axis] / step
+
+
+@kernel
+def _way_past(world: World, row: BladeRow, step: float) -> float:
+    """Return how far a place has moved forward past the tissue there in this substep, m.
+
+    A place in an inverted cell moves on by that: its offset would not shrink by what it moves at rest, and it would cut
+    the whole cell at once, without a load that pays for the area.
+    """
+    state, scratch, at, past = world.state, world.scratch, world.scratch.blade_at, 0.0
+    for axis in range(3):
+        at[axis] = world.shapes.blades.at[row.sample, axis] + state.blades[row.sample].offset[axis]
+    turned_by(scratch.last_rotation[row.body], at, scratch.blade_way)
+    for axis in range(3):
+        moved = scratch.origin[row.body, axis] + row.arm[axis]
+        moved -= scratch.last_origin[row.body, axis] + scratch.blade_way[axis]
+        for place in range(LIP_NODES):
+            moved -= step * row.weight[place] * state.velocity[row.node[place], axis]
+        past += row.forward[axis] * moved
+    return past
 
 
 @kernel

@@ -26,7 +26,7 @@ def leave_tissue(sample: BladeSample) -> None:
         The place; updated.
     """
     sample.embedded = sample.free = False
-    sample.depth = sample.deepest = sample.area = 0.0
+    sample.depth = sample.deepest = 0.0
     for axis in range(3):
         sample.rest[axis] = sample.force[axis] = sample.offset[axis] = 0.0
 

@@ -37,7 +37,7 @@ class BladeSample(Record):
     offset: Vector  # m in the body's frame, from the blade to the tissue that holds it, as it was when it entered
     depth: float  # m that it has come forward since it entered, at rest
     deepest: float  # m, the most of that
-    area: float  # m^2 that it has cut since it entered, at rest
+    area: float  # m^2 that it has cut since the organ was whole, at rest
     force: Vector  # N on the tissue in the last substep: forward, along the edge, across the flank
 
 
