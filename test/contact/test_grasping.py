@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from helpers.bars import bar
-from helpers.touching import Touching
+from tissue_sim.bench.grasp import Touching
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.organ import Organ

@@ -5,10 +5,9 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from helpers.touching import Touching
+from tissue_sim.bench.grasp import FLAT, HINGE, Nip
 from tissue_sim.contact.grasp import CLEARANCE, COMPRESSED, DEPTH, at_lower_pole
 from tissue_sim.contact.gripper import WIDEST, Jaws, about, jaw_poses
-from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -91,42 +90,17 @@ def test_wrenches_add_up_about_the_tools_origin():
 
 
 # what it holds ---------------------------------------------------------------------------------
-HINGE = 0.06  # m from the tips
-FLAT = "config/jaws/flat.obj"
-
-
 @pytest.fixture(scope="module")
 def pads():
     """The gripper of config/gripper.yaml: two flat jaws."""
     return Tool("left", "gripper", length=HINGE, mesh=FLAT)
 
 
-class Nip(Touching):
-    """A gripper at the kidney's lower pole, its jaws on either side.
-
-    A contact set for every four ticks, as beside the node's loop at 1 kHz.
-    """
+class Lifted(Nip):
+    """A gripper at the kidney's lower pole, its jaws on either side."""
 
     def __init__(self, gripper, friction):
-        organ = Organ.load(shipped_organ())
-        self.grasp = at_lower_pole(organ.surface_positions, organ.surface_triangles, gripper.jaws)
-        self.up = self.grasp.out
-        self.scene = Scene(organ, [gripper], ticks_a_set=4)
-        self.scene.simulation.settings.friction = friction
-        self.at, self.angle = self.grasp.place + 0.06 * self.up, self.grasp.opened
-        self.lead(self.grasp.place, self.grasp.opened, 300)
-        self.lead(self.grasp.place, self.grasp.closed, 500)
-
-    def lead(self, place, angle, ticks):
-        """Move the gripper to a place (3,) m and open or close it to an angle, within so many ticks."""
-        start, began = self.at, self.angle
-        for fraction in np.linspace(0.0, 1.0, ticks):
-            self.at, self.angle = (
-                (1.0 - fraction) * start + fraction * place,
-                (1.0 - fraction) * began + fraction * angle,
-            )
-            self.scene.move(0, self.at, self.grasp.turn, self.angle)
-            self.scene.step()
+        super().__init__(gripper, friction, Organ.load(shipped_organ()))
 
     def lift(self, way=0.010):
         """Lift what the jaws hold; how far the median point that they held fell behind, m."""
@@ -140,7 +114,7 @@ class Nip(Touching):
 
 @pytest.mark.parametrize("seconds", [1.0, pytest.param(30.0, marks=[pytest.mark.slow, pytest.mark.timeout(900)])])
 def test_jaws_lift_the_kidney_by_a_centimetre_and_hold_it_without_slip(pads, seconds):
-    nip = Nip(pads, 0.6)
+    nip = Lifted(pads, 0.6)
     behind = nip.lift()
     held = nip.touched()
     before = nip.points(held)
@@ -161,11 +135,11 @@ def test_jaws_lift_the_kidney_by_a_centimetre_and_hold_it_without_slip(pads, sec
 
 
 def test_slippery_jaws_do_not_lift_it(pads):
-    assert Nip(pads, 0.05).lift() > 5e-3
+    assert Lifted(pads, 0.05).lift() > 5e-3
 
 
 def test_hand_of_a_gripper_feels_the_sum_and_no_more_than_the_clamp(pads):
-    nip = Nip(pads, 0.6)
+    nip = Lifted(pads, 0.6)
     nip.lead(nip.at + 0.005 * nip.up, nip.angle, 300)
     bodies = nip.scene.simulation.state.wrench[:, :3]
     np.testing.assert_allclose(nip.scene.wrenches[0, :3], bodies.sum(axis=0), atol=1e-12)

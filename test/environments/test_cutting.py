@@ -6,7 +6,8 @@ import pytest
 pytest.importorskip("gymnasium")
 
 from helpers.scenes import ball_of_cells
-from tissue_sim.environments.cut_copies import LINE, MISSED, MOST_FORCE, CutCopies
+from tissue_sim.environments.blade_way import LINE, MOST_FORCE
+from tissue_sim.environments.cut_copies import MISSED, CutCopies
 from tissue_sim.environments.policies import CutPolicy
 from tissue_sim.environments.tasks import DECLARED
 
@@ -31,7 +32,7 @@ def way_along(copies, beside=0.0, depth=1.0, fraction=1.0):
 
 def worth(**way):
     copies = begun()
-    copies._ways[0] = way_along(copies, **way)
+    copies._ways[0].points = way_along(copies, **way)
     return copies._worth(0)
 
 
@@ -51,7 +52,7 @@ def test_a_cut_beside_the_line_too_short_too_shallow_or_pressed_too_hard_is_wort
         assert not is_good, fault
         assert reward < best - 0.3 * DECLARED, fault
     copies = begun()
-    copies._ways[0], copies._peak[0] = way_along(copies), 1.5 * MOST_FORCE
+    copies._ways[0].points, copies._ways[0].peak = way_along(copies), 1.5 * MOST_FORCE
     reward, is_good = copies._worth(0)
     assert not is_good
     assert reward == pytest.approx(best - 0.5 * DECLARED)
@@ -61,7 +62,7 @@ def test_a_way_that_is_no_cut_is_missed():
     copies = begun()
     assert copies._worth(0) == (-MISSED, False), "nothing was touched"
     there = way_along(copies)
-    copies._ways[0] = [*there, *there[::-1], *there]
+    copies._ways[0].points = [*there, *there[::-1], *there]
     assert copies._worth(0) == (-MISSED, False), "it comes back to itself, which a cut must not"
 
 
@@ -83,8 +84,8 @@ def test_a_steady_hand_cuts_well_and_the_same_on_any_number_of_threads():
     ends = [one for step in found for one in step if one > 1.0]
     assert len(ends) == 3, "all three were worth something"
     assert min(ends) > 0.2 * DECLARED
-    assert np.all(copies._peak < MOST_FORCE)
-    assert all(np.array(way)[:, 3].max() > 0.0 for way in copies._ways)
+    assert all(way.peak < MOST_FORCE for way in copies._ways)
+    assert all(np.array(way.points)[:, 3].max() > 0.0 for way in copies._ways)
     _, others = finished(2)
     assert others == found
 
@@ -93,5 +94,5 @@ def test_the_blade_touches_where_the_tissue_was_before_the_guard_moved_it():
     """The way is in rest coordinates: it lies on the surface at rest, though the guard has dented it."""
     copies, _ = finished(1)
     for way in copies._ways:
-        points = np.array(way)[:, :3]
+        points = np.array(way.points)[:, :3]
         np.testing.assert_allclose(np.linalg.norm(points, axis=1), 0.03, atol=3e-4)

@@ -49,6 +49,7 @@ BENCHMARKS = {
     ),
     "contact": ("tissue_sim.bench.contact", "time of a contact set with two tools in touch"),
     "pinch": ("tissue_sim.bench.pinch", "two tools compress the organ: time of a tick, inverted cells, force"),
+    "grasp": ("tissue_sim.bench.grasp", "jaws at organs' poles: force at which they slip, against Coulomb's; creep"),
     "cut": (
         "tissue_sim.bench.cutting.command",
         "cuts: their time and that of the ticks around them; with --accuracy, error against finite elements",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.stats import qmc
@@ -55,6 +57,24 @@ class Shape:
     def _at(self, which: int, points: Floats) -> Floats:
         where = np.moveaxis((points - self._low) / SPACING, -1, 0)
         return np.asarray(map_coordinates(self._grids[which], where, order=1, mode="nearest"))
+
+
+def shape_of(surface: Floats, triangles: Ints) -> Shape:
+    """Return the Shape of a surface (n, 3) m with triangles (t, 3), computed once: it takes seconds.
+
+    Parameters
+    ----------
+    surface : Floats, shape (n, 3), m
+        Its points.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    """
+    return _shape_of(surface.astype(np.float64).tobytes(), triangles.astype(np.int64).tobytes())
+
+
+@lru_cache(maxsize=2)
+def _shape_of(surface: bytes, triangles: bytes) -> Shape:
+    return Shape(np.frombuffer(surface).reshape(-1, 3), np.frombuffer(triangles, dtype=np.int64).reshape(-1, 3))
 
 
 class Belief:

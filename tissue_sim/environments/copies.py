@@ -61,7 +61,7 @@ class TaskCopies:
         self._fresh = self.batch.save([0])[0]
         self._place, self._outward, self._half, self._start, self._tip, self._shift = np.zeros((6, count, 3))
         self._node = np.zeros(count, dtype=np.int64)
-        self._wanted, self._angle, self._heading = np.zeros(count), np.zeros(count), np.zeros(count)
+        self._wanted, self._angle, self._blade, self._heading = np.zeros((4, count))
         self._turned = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))  # of the tools, in the organs' frames
         self._held = np.zeros(count, dtype=np.int64)
 
@@ -132,6 +132,8 @@ class TaskCopies:
                 place=self.outside(self._place),
                 outward=turned_about_z(self._outward, self._heading),
                 wanted=self._wanted,
+                half=turned_about_z(self._half, self._heading),
+                blade=self._blade,
             ),
         )
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs, Mask
-from tissue_sim.environments.belief import TOUCH, Belief, Shape
+from tissue_sim.environments.belief import TOUCH, Belief, shape_of
 from tissue_sim.environments.steering import TURN
 from tissue_sim.environments.tasks import HINGE, RADIUS, Palpate
 from tissue_sim.errors import UserError
@@ -118,7 +118,7 @@ class PalpatePolicy(Policy):
         known = Organ.shipped(Palpate.organ) if organ is None else organ
         node = Palpate.node_over_tumour(known)
         self._place, self._outward = known.surface_positions[node], known.surface_normals[node]
-        self._belief = Belief(Shape(known.surface_positions, known.surface_triangles), count, Palpate.shift, TURN)
+        self._belief = Belief(shape_of(known.surface_positions, known.surface_triangles), count, Palpate.shift, TURN)
 
     def forget(self, agents: Longs) -> None:
         """Begin new episodes of some agents."""

@@ -25,6 +25,8 @@ class Sensed(NamedTuple):
     place: Floats  # (n, 3) m of the goal
     outward: Floats  # (n, 3) normal there
     wanted: Floats  # (n,) N, or m of a cut
+    half: Floats  # (n, 3) m from there to an end of the line of a cut
+    blade: Floats  # (n,) m that the blade of a cut protrudes
 
 
 def clipped(actions: Floats) -> Floats:
@@ -76,6 +78,9 @@ def observation_of(task: Task, sensed: Sensed) -> dict[str, Singles]:
         seen["angle"] = sensed.angle[:, None]
     if task.shows_goal:
         seen["goal"] = np.hstack([sensed.place, sensed.outward, sensed.wanted[:, None]])
+    if task.has_blade:
+        seen["line"] = np.hstack([sensed.place - sensed.half, sensed.place + sensed.half])
+        seen["blade"] = sensed.blade[:, None]
     return {name: values.astype(np.float32) for name, values in seen.items()}
 
 

@@ -68,6 +68,7 @@ class Task:
 
     organ, actions = "kidney", 3  # the shipped organ; velocity, and what else a step takes
     has_jaws, declares = False, False  # whether the last action moves jaws, or says: here it is
+    has_blade = False
     ends = True  # whether an episode ends where the goal is met for HELD steps
     shift = 0.005  # m by which the organ is moved at most, along each axis
     shows_goal = True
@@ -239,7 +240,7 @@ class Retract(Task):
 class Cut(Task):
     """Cut along a line to a depth: slide a guard over the tissue, below which a blade protrudes; see CutCopies."""
 
-    actions, declares = 5, True
+    actions, declares, has_blade = 5, True, True
     ends = False
 
     def tool(self) -> Tool:

@@ -8,17 +8,23 @@ import pytest
 
 pytest.importorskip("gymnasium")
 
+from diagnostic_msgs.msg import DiagnosticArray
+
 from helpers.paths import CONFIG
+from helpers.patience import wait_for
 from helpers.ros.processes import UNHURRIED, Process, shipped, start_node
 from helpers.scenes import ball_of_cells
 from tissue_sim.contact.tools import Tool
-from tissue_sim.environments.copies import TaskCopies
+from tissue_sim.environments.blade_way import GOOD_DEPTH
+from tissue_sim.environments.cut_copies import copies_of
 from tissue_sim.environments.policies import Learned
 from tissue_sim.environments.steering import observation_of
 from tissue_sim.environments.tasks import FOUND, PRECISION, RADIUS, Palpate, task_of
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bridge.driven_tool import DrivenTool, Goal, check_tool
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.qos import LATCHED
 
 FORCE = 0.25  # N
 
@@ -84,19 +90,42 @@ def test_a_learned_policy_finds_the_tumour_over_dds(tmp_path):
     assert np.linalg.norm(tip - organ.surface_positions[node] - RADIUS * organ.surface_normals[node]) < FOUND
 
 
-def test_what_is_seen_over_ros_is_what_the_environment_shows():
+@pytest.mark.extended
+def test_a_learned_policy_cuts_along_the_line_over_dds(tmp_path, graph):
+    """What the node reports of the cut is checked here, not by what the command says of itself."""
+    given = ["--depth", "0.012", "--length", "0.02", "--along", "0", "0", "1"]
+    cuts = client.NewestMessage(graph, DiagnosticArray, "/tissue_sim/cuts", LATCHED)
+    with node_of(tmp_path, "guard.yaml"):
+        none = Learned("Cut", np.zeros(6))
+        none.save(tmp_path / "none.json")
+        text, code = driven(tmp_path, str(tmp_path / "none.json"), *given, "--seconds", "0.5")
+        assert code == 1
+        assert "Cut: goal not met: not finished" in text
+        assert cuts.take() is None, "nothing was cut"
+        text, code = driven(tmp_path, "cut", *given)
+        assert code == 0, text
+        (cut,) = wait_for(cuts.take, text).status
+    values = {item.key: float(item.value) for item in cut.values if item.key.endswith(("_m", "_m2"))}
+    assert values["depth_m"] == pytest.approx(0.012, rel=GOOD_DEPTH)
+    assert values["area_m2"] == pytest.approx(0.012 * 0.02, rel=0.35)
+
+
+@pytest.mark.parametrize("task", ["Press", "Cut"])
+def test_what_is_seen_over_ros_is_what_the_environment_shows(task):
     """The same tool, wrench and goal give the same observations, in an environment whose organ lies straight."""
-    copies = TaskCopies("Press", 1, ball_of_cells())
+    copies = copies_of(task, 1, ball_of_cells())
     copies.begin(np.arange(1), [np.random.default_rng(1)])
     copies._heading[:], copies._shift[:] = 0.0, 0.0
     for _ in range(8):
-        copies.step(-copies._outward)
+        copies.step(np.hstack([-copies._outward, [[0.5, 0.0]]])[:, : copies.task.actions])
     seen = copies.observe()
     assert np.linalg.norm(seen["wrench"][0, :3]) > 0.01, "it touches"
     driver = DrivenTool.__new__(DrivenTool)
     driver.wrench, driver._turn, driver._angle = copies.batch.wrenches[0, 0], np.array([0.0, 0.0, 0.0, 1.0]), 0.0
-    goal = Goal(int(copies._node[0]), *[copies._place[0]] * 2, copies._outward[0], float(copies._wanted[0]))
-    over_ros = observation_of(task_of("Press"), driver._sensed(copies._tip[0], goal))
+    driver._blade = copies._blade
+    wanted, half = float(copies._wanted[0]), copies._half[0]
+    goal = Goal(int(copies._node[0]), *[copies._place[0]] * 2, copies._outward[0], wanted, half=half)
+    over_ros = observation_of(task_of(task), driver._sensed(copies._tip[0], goal))
     assert list(over_ros) == list(seen)
     for name, values in seen.items():
         np.testing.assert_allclose(over_ros[name], values, atol=1e-6, err_msg=name)
@@ -106,6 +135,7 @@ def test_what_is_seen_over_ros_is_what_the_environment_shows():
     ("tool", "task", "message"),
     [
         (Tool("left"), "Press", "radius of 5 mm; .* -p left.shape:=sphere -p left.radius:=0.008$"),
+        (Tool("left"), "Cut", "radius of 5 mm; .* -p left.shape:=sphere -p left.radius:=0.002$"),
         (Tool("left", radius=RADIUS), "Retract", "isn't the gripper .* --params-file config/gripper.yaml$"),
     ],
 )
@@ -119,6 +149,7 @@ def test_another_tool_than_the_one_that_was_learned_with_is_refused(tool, task, 
     [
         (["nowhere.json"], "there is no policy 'nowhere.json'"),
         (["press", "--place", "0", "nan", "0"], "--place has numbers that are not finite"),
+        (["cut", "--along", "inf", "0", "0"], "--along has numbers that are not finite"),
         (["press", "--force", "0"], "0 is outside 0.01..20 N"),
         (["press", "--wait", "0.1", "--node", "nobody"], "no answer from /nobody/get_parameters within 0.1 s"),
     ],

@@ -15,8 +15,10 @@ from tissue_sim.ros.bridge.served import served_by, write_missing
 from tissue_sim.ros.shared import client
 
 if TYPE_CHECKING:
+    from tissue_sim.environments.blade_way import MadeCut
     from tissue_sim.environments.policies import Learned
     from tissue_sim.environments.tasks import Task
+    from tissue_sim.ros.bridge.cutter import Cutter
     from tissue_sim.ros.bridge.driven_tool import Done, Goal
     from tissue_sim.ros.shared.tool_link import ToolLink
 
@@ -37,14 +39,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " the front; of Retract the lower pole)",
     )
     add("--force", type=client.number(0.01, 20.0, "N"), default=0.3, help="wanted force, N")
+    add("--depth", type=client.number(0.002, 0.02, "m"), default=0.01, help="wanted depth of Cut, m")
+    add("--length", type=client.number(0.008, 0.1, "m"), default=0.02, help="length of the line of Cut, m")
+    add(
+        "--along",
+        type=float,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="direction of the line of Cut in the organ's frame (default: the organ's longest axis)",
+    )
     add("--seconds", type=client.number(0.1, 3600.0, "s"), help="longest time (default: that of the task's episodes)")
     add("--wait", type=client.number(0.0, 3600.0, "s"), default=30.0, help="longest wait for the node, s")
 
 
 def run(args: argparse.Namespace) -> int:
     """Drive; return 0, or 1 where the goal isn't met or the node doesn't answer."""
-    if args.place is not None and not np.isfinite(args.place).all():
-        raise UserError("--place has numbers that are not finite")
+    for name in ("place", "along"):
+        if getattr(args, name) is not None and not np.isfinite(getattr(args, name)).all():
+            raise UserError(f"--{name} has numbers that are not finite")
     try:
         from tissue_sim.environments.policies import Learned
         from tissue_sim.environments.registration import NAMES
@@ -53,9 +65,9 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"policies need {error.name}: pip install 'tissue_sim[learn]'") from None
     learned = Learned.load(args.policy)
     task = task_of(learned.task)
-    if learned.task == "Cut":
-        raise UserError("a node has no tool like the blade of Cut, which meets no resistance; cut by the service ~/cut")
 
+    from tissue_sim.organ.normals import surface_normals
+    from tissue_sim.ros.bridge.cutter import Cutter
     from tissue_sim.ros.bridge.driven_tool import CLEAR, DrivenTool
     from tissue_sim.ros.shared.node_parameters import NodeParameters
 
@@ -65,10 +77,12 @@ def run(args: argparse.Namespace) -> int:
         if served is None:
             return 0 if stop else 1
         link = link_of(served.values, args, task)
-        goal = goal_of(*client.mesh_arrays(served.mesh), args, task)
+        vertices, triangles = client.mesh_arrays(served.mesh)
+        goal = goal_of(vertices, triangles, args, task)
         radius = 0.0 if task.has_jaws else task.tool().radius
         start = goal.place + (radius + CLEAR) * goal.outward
-        tool = DrivenTool(node, args.node, link, served.prefix)
+        tool = DrivenTool(node, args.node, link, served.prefix, (vertices, surface_normals(vertices, triangles)))
+        cutter = Cutter(node, args.node, served.prefix, args.wait, stop) if task.has_blade else None
         with progress.task(f"waiting for wrenches of '{link.tool.name}'"):
             is_there = tool.meet(start, goal, args.wait, stop)
         if not is_there:
@@ -78,8 +92,35 @@ def run(args: argparse.Namespace) -> int:
         steps = NAMES[learned.task] if args.seconds is None else round(args.seconds / STEP)
         done = tool.drive(learned, goal, start, steps, stop)
         tool.leave(done.tip, goal)
-    print(result_line(learned, goal, done, STEP))
-    return 0 if done.is_met or bool(stop) else 1
+        made = None
+        if cutter is not None and not stop:
+            made = made_cut(cutter, done, goal, served.values["frame_id"])
+    print(result_line(learned, goal, done, STEP) if cutter is None else cut_line(done, made, STEP))
+    is_met = done.is_met if cutter is None else made is not None and made.is_good
+    return 0 if is_met or bool(stop) else 1
+
+
+def made_cut(cutter: Cutter, done: Done, goal: Goal, frame_id: str) -> MadeCut | None:
+    """Cut along the way of a blade, as the environment does; None where there is no such cut, or it is refused."""
+    way = done.way
+    if way is None or not done.is_met or (planned := way.planned()) is None:
+        return None
+    with progress.task("cutting along the blade's way"):
+        depth = cutter.cut(planned.polyline, -goal.outward, planned.depth, frame_id)
+    return way.judge(planned, depth)
+
+
+def cut_line(done: Done, made: MadeCut | None, step: float) -> str:
+    """Return the line about a cut."""
+    after = f"after {step * done.steps:.2f} s; {done.late} of {done.steps} steps late"
+    peak = 0.0 if done.way is None else done.way.peak
+    if made is None:
+        reason = "the blade was in the tissue along too short a way" if done.is_met else "not finished"
+        return f"Cut: goal not met: {reason}, at most {peak:.3f} N, {after}"
+    return (
+        f"Cut: goal {'' if made.is_good else 'not '}met: {1e3 * made.beside:.2f} mm beside the line,"
+        f" {100.0 * made.off:.1f} % beside the depth, at most {peak:.3f} N, {after}"
+    )
 
 
 def result_line(learned: Learned, goal: Goal, done: Done, step: float) -> str:
@@ -129,6 +170,13 @@ def goal_of(vertices: Floats, triangles: Any, args: argparse.Namespace, task: Ta
         place = np.array(args.place)
     node = int(np.argmin(np.linalg.norm(vertices - place, axis=1)))
     outward = surface_normals(vertices, triangles)[node]
+    if task.has_blade:
+        along = lower_pole(vertices)[0] if args.along is None else np.array(args.along)
+        along = along - (along @ outward) * outward
+        if (size := float(np.linalg.norm(along))) < 1e-6:
+            raise UserError("--along points out of the organ at the place; name a direction along its surface")
+        half = 0.5 * args.length / size * along
+        return Goal(node, vertices[node], vertices[node], outward, args.depth, half=half)
     if not isinstance(task, Retract):
         return Goal(node, vertices[node], vertices[node], outward, args.force)
     grasp = task.grasp(vertices, triangles, lower_pole(vertices)[0] if args.place is None else outward)

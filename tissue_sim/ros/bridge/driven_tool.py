@@ -13,6 +13,7 @@ from sensor_msgs.msg import PointCloud2
 
 from tissue_sim.array_types import Floats, Mask
 from tissue_sim.contact.tools import Tool
+from tissue_sim.environments.blade_way import BladeWay, Line, moved_blade
 from tissue_sim.environments.policies import Learned
 from tissue_sim.environments.steering import Sensed, clipped, declared, moved_jaws, moved_tip, observation_of
 from tissue_sim.environments.tasks import HELD, STEP, Judged, Now, Task, task_of
@@ -35,20 +36,22 @@ class Goal(NamedTuple):
     rest: Floats  # (3,) m, where that node is at rest
     place: Floats  # (3,) m
     outward: Floats  # (3,)
-    wanted: float  # N of force, or m of the width between jaws
+    wanted: float  # N of force, m of the width between jaws, or m of the depth of a cut
     turn: Floats = np.array([0.0, 0.0, 0.0, 1.0])  # (4,) of the tool, xyzw
     angle: float = 0.0  # rad between its jaws at the beginning
+    half: Floats = np.zeros(3)  # (3,) m from the place to an end of the line of a cut
 
 
 class Done(NamedTuple):
     """What it did."""
 
-    is_met: bool  # the goal was met for as many steps as in the environment, or the agent said: here it is
+    is_met: bool  # the goal was met for as many steps as in the environment, or the agent said: here it is, or finished
     steps: int
     fraction: float  # of the steps in which the goal was met
     late: int  # steps that began more than a tenth of a step late
     tip: Floats  # (3,) m, where the tool was in the end
     force: Floats  # (3,) N on the hand then
+    way: BladeWay | None = None  # of the blade of a cut
 
 
 class DrivenTool:
@@ -64,9 +67,11 @@ class DrivenTool:
         The tool.
     below : str
         What comes before the topics of the organ.
+    rest : tuple[Floats, Floats], shapes (n, 3) m and (n, 3)
+        Points of its surface at rest, and their normals.
     """
 
-    def __init__(self, node: Node, target: str, link: ToolLink, below: str) -> None:
+    def __init__(self, node: Node, target: str, link: ToolLink, below: str, rest: tuple[Floats, Floats]) -> None:
         self._has_jaws = link.tool.has_jaws
         self._tool = ScriptedTool(node, link, self._has_jaws)
         topic = f"/{target}/{link.tool.name}/wrench"
@@ -75,6 +80,7 @@ class DrivenTool:
         self.wrench, self.answers = np.zeros(6), 0
         self._moved = np.zeros((0, 3))
         self._turn, self._angle = np.array([0.0, 0.0, 0.0, 1.0]), 0.0
+        self._blade, self._rest = np.zeros(1), rest
 
     def meet(self, start: Floats, goal: Goal, longest: float, stop: client.Stop) -> bool:
         """Hold the tool outside until the node answers; return whether it does within some s."""
@@ -104,6 +110,8 @@ class DrivenTool:
             Tells whether a signal has come.
         """
         task, tip, held, met, late, count = task_of(learned.task), start, 0, 0, 0, 0
+        way = BladeWay(Line(goal.place, goal.half, goal.outward, goal.wanted)) if task.has_blade else None
+        self._blade = np.zeros(1)
         learned.begin()
         began = time.monotonic()
         while count < steps and not stop:
@@ -118,12 +126,16 @@ class DrivenTool:
                 self._angle = before_angle + fraction * (opened - before_angle)
                 self._send(before + fraction * (tip - before), began + (count + fraction) * STEP)
             count += 1
-            judged = self._judge(task, goal, tip, declared(task, given))
+            if way is None:
+                judged = self._judge(task, goal, tip, declared(task, given))
+            else:
+                self._blade = moved_blade(self._blade, given)
+                judged = self._note(way, tip, declared(task, given))
             held = held + 1 if judged.is_good[0] else 0
             met += bool(judged.is_good[0])
             if judged.is_over[0] or (task.ends and held >= HELD):
-                return Done(True, count, met / count, late, tip, self.wrench[:3])
-        return Done(not task.ends and held >= HELD, count, met / max(count, 1), late, tip, self.wrench[:3])
+                return Done(True, count, met / count, late, tip, self.wrench[:3], way)
+        return Done(not task.ends and held >= HELD, count, met / max(count, 1), late, tip, self.wrench[:3], way)
 
     def leave(self, tip: Floats, goal: Goal) -> None:
         """Take the tool out of the tissue."""
@@ -151,12 +163,26 @@ class DrivenTool:
             place=goal.place[None],
             outward=goal.outward[None],
             wanted=np.array([goal.wanted]),
+            half=goal.half[None],
+            blade=self._blade,
         )
 
-    def _judge(self, task: Task, goal: Goal, tip: Floats, says: Mask) -> Judged:
+    def _note(self, way: BladeWay, tip: Floats, says: Mask) -> Judged:
+        """Note where the blade is; the cut itself is judged when it is made."""
+        moved, force = self._surface_now(), float(np.linalg.norm(self.wrench[:3]))
+        if len(moved) == len(self._rest[0]):
+            way.note(tip, float(self._blade[0]), force, moved, self._rest)
+        return Judged(np.zeros(1), np.zeros(1, dtype=np.bool_), says)
+
+    def _surface_now(self) -> Floats:
+        """Return the newest points (n, 3) m of the surface; none before they come."""
         if (surface := self._surface.take()) is not None:
             self._moved = client.cloud_array(surface)[:, :3].astype(np.float64)
-        there = self._moved[goal.node] if goal.node < len(self._moved) else goal.rest
+        return self._moved
+
+    def _judge(self, task: Task, goal: Goal, tip: Floats, says: Mask) -> Judged:
+        moved = self._surface_now()
+        there = moved[goal.node] if goal.node < len(moved) else goal.rest
         force = self.wrench[:3]
         return task.judge(
             Now(

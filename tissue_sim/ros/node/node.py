@@ -30,6 +30,7 @@ from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.writer import Split
 from tissue_sim.ros.node.contact.contact_search import ContactSearch, OrganContactSearch
 from tissue_sim.ros.node.contact.contact_worker import ContactWorker
+from tissue_sim.ros.node.input.followed_frame import FollowedFrame
 from tissue_sim.ros.node.input.respiration import RespirationInput
 from tissue_sim.ros.node.input.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.node.output.contact_kernels import compile_beside
@@ -263,6 +264,9 @@ class TissueNode(GuardedNode):
             values[f"{name}.passivity_damping"],
             self.organs.settings,
         )
+        if frame_id := values[f"{name}.tf_frame"]:
+            port.input.follows = frame_id
+            FollowedFrame(self, self._lookup, frame_id, port.input, 1.0 / values["rate"])
         return port
 
     def _cutting(self, searches: Sequence[ContactSearch]) -> list[OrganCutting]:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import Parameter, ParameterType
 from rcl_interfaces.srv import SetParameters
@@ -22,6 +22,7 @@ from tissue_sim.ros.probes.graph import NODE, START_TIME, first_within
 from tissue_sim.ros.probes.poke_probe import NodeReport, node_report_of
 from tissue_sim.ros.probes.tool_driver import DEPTH, RADIUS, SWING, Hand
 from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.cut_path import cut_path
 from tissue_sim.ros.shared.executors import make_executor
 from tissue_sim.ros.shared.qos import RELIABLE
 
@@ -131,7 +132,7 @@ class CutProbe(Hand):
         value = Parameter(name="cut_depth")
         value.value.type, value.value.double_value = ParameterType.PARAMETER_DOUBLE, place.depth
         self._call("set_parameters", SetParameters.Request(parameters=[value]))
-        self._path.publish(_path_of(place))
+        self._path.publish(cut_path(place.polyline, place.direction, "organ"))
         found = self._window(AFTER, Trigger.Request())
         if not found.answer:
             raise UserError(f"the node made no cut within {START_TIME:g} s")
@@ -200,20 +201,3 @@ def _cut_answer(answer: Trigger.Response) -> str:
     if not answer.success:
         raise UserError(f"the node made no cut: {answer.message}")
     return str(answer.message)
-
-
-def _path_of(place: CutPlace) -> Path:
-    """Return the path of a cut, in the organ's frame."""
-    turn = (*np.cross([0.0, 0.0, 1.0], place.direction), 1.0 + place.direction[2])
-    if np.linalg.norm(turn) < 1e-6:  # straight down, half a turn about any axis
-        turn = (1.0, 0.0, 0.0, 0.0)
-    x, y, z, w = (np.array(turn) / np.linalg.norm(turn)).tolist()
-    message = Path()
-    message.header.frame_id = "organ"
-    for point in place.polyline:
-        stamped = PoseStamped()
-        at, q = stamped.pose.position, stamped.pose.orientation
-        at.x, at.y, at.z = point.tolist()
-        q.x, q.y, q.z, q.w = x, y, z, w
-        message.poses.append(stamped)
-    return message

@@ -141,6 +141,7 @@ TOOL_SPECS = (
     Spec("allow_empty_frame", False, "accept messages without a frame_id, as expressed in frame_id"),
     Spec("allow_zero_stamp", False, "accept messages with a stamp of 0, which marks invalid data, as of their arrival"),
     Spec("measured_cp", "", "topic of its poses; empty for <tool>/measured_cp"),
+    Spec("tf_frame", "", "frame of tf whose pose the tool has, in place of measured_cp; empty for none"),
     Spec("measured_js", "", "topic of a gripper's opening angle, rad; empty for <tool>/gripper/measured_js"),
     Spec("external_cf", "", "topic of external forces on the tissue at its tip; empty for none"),
     Spec("servo_cf", "", "topic of the wrench for the device; empty for <tool>/servo_cf"),

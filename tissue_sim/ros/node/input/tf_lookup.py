@@ -42,17 +42,25 @@ class TfLookup:
         asked, answer = self._answers.get(frame_id, (-KEPT, None))
         if answer is not None and now - asked < KEPT:
             return answer
+        _, answer = self.newest(frame_id)
+        self._answers[frame_id] = (now, answer)
+        return answer
+
+    def newest(self, frame_id: str) -> tuple[int, Transform]:
+        """Return the stamp, ns, and the newest transform from a frame to the target; raise UnknownFrame as above.
+
+        The stamp is 0 where all transforms between them are static.
+        """
         if self._buffer is None:
             self._buffer = tf2_ros.Buffer()
             self._listener = tf2_ros.TransformListener(self._buffer, self._node)
         try:
-            found = self._buffer.lookup_transform(self.target, frame_id, Time()).transform
+            found = self._buffer.lookup_transform(self.target, frame_id, Time())
         except tf2_ros.TransformException as error:
             raise UnknownFrame(f"tf has no transform from it to '{self.target}' ({shown(str(error), 200)})") from None
-        offset, turn = found.translation, found.rotation
+        offset, turn, stamp = found.transform.translation, found.transform.rotation, found.header.stamp
         try:
             answer = Transform.of_pose((offset.x, offset.y, offset.z, turn.x, turn.y, turn.z, turn.w))
         except ValueError as error:
             raise UnknownFrame(f"tf's transform to '{self.target}' {error}") from None
-        self._answers[frame_id] = (now, answer)
-        return answer
+        return 1_000_000_000 * stamp.sec + stamp.nanosec, answer

@@ -82,6 +82,7 @@ class ToolInput:
         self._bag_pose = NumbersTemplate(PoseStamped(), N_POSE, tool.organ_frame)
         self._bag_force = NumbersTemplate(WrenchStamped(), N_WRENCH, tool.organ_frame)
         self._bag_angle = NumbersTemplate(Float64MultiArray(data=[0.0]), 1)
+        self.follows = ""  # a frame of tf, in place of poses on the topic
         qos, names = RELIABLE if topics.reliable else STREAM, topics.names
         poses = node.create_subscription(self._pose_type.message, names["measured_cp"], self._on_pose, qos, raw=True)
         self._subscriptions = [poses]
@@ -114,8 +115,8 @@ class ToolInput:
 
     @property
     def bridges(self) -> int:
-        """Number of publishers of its poses."""
-        return self._count_publishers(self.topic)
+        """Number of publishers of its poses; 1 for a tool that follows a frame of tf."""
+        return 1 if self.follows else self._count_publishers(self.topic)
 
     def place(self, values: tuple[float, ...], frame_id: str, to_organ: Transform) -> None:
         """Take up a pose (7,) in the organ's frame that no message brought.
@@ -131,6 +132,18 @@ class ToolInput:
         if not all(map(math.isfinite, values)):
             raise Refused("nan_pose", "it contains a value that is not finite")
         self._take(Stamped(UNSTAMPED, "", values), frame_id, to_organ, b"")
+
+    def follow(self, message: Stamped) -> None:
+        """Take up a pose that tf brought, in the frame that tf was asked for. Raises Refused.
+
+        Parameters
+        ----------
+        message : Stamped
+            The pose.
+        """
+        self._check_order(message.stamp)
+        to_organ = self._tool.frames.to_organ(message.frame_id)
+        self._take(message._replace(values=to_organ.of(message.values)), message.frame_id, to_organ, b"")
 
     def move_newest(self, pose: Floats, to_organ: Transform) -> None:
         """Say where a tool is now that the ticks have forgotten: at a pose (7,) in the organ's frame."""
@@ -158,7 +171,10 @@ class ToolInput:
     def _on_pose(self, raw: bytes) -> None:
         if not self.enabled or not self._pose_gate.passes():
             return
-        with self._refusing("pose"):
+        with self.refusing("pose"):
+            if self.follows:
+                name = self._tool.name
+                raise Refused("not_followed", f"the tool follows '{self.follows}' (parameter {name}.tf_frame)")
             message, frame_id, to_organ = self._read(raw, self._pose_type, N_POSE, "pose", self._pose_freshness)
             if not to_organ.is_identity:
                 message = message._replace(values=to_organ.of(message.values))
@@ -191,7 +207,7 @@ class ToolInput:
 
     def _on_angle(self, message: JointState) -> None:
         """Keep an angle, which counts from the next pose on: alone it must not keep a stale tool in touch."""
-        with self._refusing("angle"):
+        with self.refusing("angle"):
             if not message.position:
                 raise Refused("no_angle", "it contains no position")
             at, wanted = 0, self._tool.jaw_joint
@@ -206,7 +222,7 @@ class ToolInput:
     def _on_force(self, raw: bytes) -> None:
         if not self.enabled or not self._force_gate.passes():
             return
-        with self._refusing("force"):
+        with self.refusing("force"):
             message, _, to_organ = self._read(raw, self._force_type, N_WRENCH, "force", self._force_freshness)
             self._force_freshness.came(message.stamp)
             if not self._is_as_bagged(message, to_organ) or self._force_type is not FORCE_TYPES["WrenchStamped"]:
@@ -247,9 +263,14 @@ class ToolInput:
         if message.stamp == 0:
             remedy = f"parameter {tool.name}.allow_zero_stamp uses the time of arrival instead"
             raise Refused("no_stamp", f"its stamp is 0, which marks invalid data ({remedy})")
-        if (before := freshness.last_stamp - message.stamp) > 0:
-            raise Refused("backward_stamp", f"its stamp is {1e-9 * before:.3f} s before the last one")
+        self._check_order(message.stamp, freshness)
         return message, frame_id, to_organ
+
+    def _check_order(self, stamp: int, freshness: Freshness | None = None) -> None:
+        """Raise Refused for a stamp before the last one of poses, or of others."""
+        last = (self._pose_freshness if freshness is None else freshness).last_stamp
+        if (before := last - stamp) > 0:
+            raise Refused("backward_stamp", f"its stamp is {1e-9 * before:.3f} s before the last one")
 
     def _is_as_bagged(self, message: Stamped, to_organ: Transform) -> bool:
         """Return whether a bag may hold it as it came; there everything has the organ's frame."""
@@ -268,8 +289,19 @@ class ToolInput:
             raise Refused(name, str(error)) from None
 
     @contextmanager
-    def _refusing(self, what: str) -> Iterator[None]:
-        """Count what is refused in here, and log it now and then."""
+    def refusing(self, what: str) -> Iterator[None]:
+        """Count what is refused in here, and log it now and then.
+
+        Parameters
+        ----------
+        what : str
+            Name of what came.
+
+        Yields
+        ------
+        Iterator[None]
+            Nothing.
+        """
         try:
             yield
         except Refused as refused:

@@ -32,13 +32,16 @@ class Buffer:
 
 
 class TransformListener:
-    """Hears TransformStamped on /tf_static; tf2_msgs isn't among the wheels."""
+    """Hears TransformStamped on /tf_static and /tf; tf2_msgs isn't among the wheels."""
 
     def __init__(self, buffer: Buffer, node: Node, *, spin_thread: bool = False) -> None:
         qos = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.subscription = node.create_subscription(
-            TransformStamped, "/tf_static", lambda message: buffer.set_transform(message, "test"), qos
-        )
+        self.subscriptions = [
+            node.create_subscription(
+                TransformStamped, topic, lambda message: buffer.set_transform(message, "test"), profile
+            )
+            for topic, profile in (("/tf_static", qos), ("/tf", QoSProfile(depth=100)))
+        ]
 
 
 class _Broadcaster:
