@@ -268,7 +268,7 @@ class TissueNode(GuardedNode):
     def _cutting(self, searches: Sequence[ContactSearch]) -> list[OrganCutting]:
         """Return what cuts each organ: those of cells that move as a whole."""
         values, recorders = self.parameters, self.recorder.of_organ
-        parts = CuttingParts(self.loop, self.scene.joined, searches, recorders, self.live.renew, self.frame_id)
+        parts = CuttingParts(self.loop, self.scene.joined, searches, recorders, self.live, self.frame_id)
         return [
             OrganCutting(
                 self, one, number, parts, lambda: frames_of_node(values, self._lookup), lambda: values["cut_depth"]
