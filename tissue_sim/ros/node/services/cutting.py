@@ -342,6 +342,7 @@ def _status(number: int, cut: CutReport) -> DiagnosticStatus:
         "free_pieces": cut.free_pieces,
         "cells_cut": cut.cells_cut,
         "critical_step_s": cut.critical_step_after,
+        "stiffer_cells": cut.stiffer_cells,
     }
     status.values = [KeyValue(key=key, value=f"{value:.6g}") for key, value in values.items()]
     return status
