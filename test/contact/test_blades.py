@@ -288,7 +288,7 @@ def test_scissors_cut_what_is_between_their_blades_off():
         ({"cautery_speed": 0.02, "cautery_stiffening": 0.5}, "cautery_stiffening 0.5 is outside 1..20"),
         ({"cautery_speed": 0.02, "cautery_stiffening": float("nan")}, "cautery_stiffening nan is outside 1..20"),
         ({"cautery_speed": 0.02, "cautery_spread": 0.02}, "cautery_spread 0.02 m is outside 0..0.01"),
-        ({"cautery_stiffening": 3.0}, "set cautery_speed above 0, or cautery_stiffening to 1"),
+        ({"cautery_stiffening": 3.0}, "cautery_stiffening 3 is that of a hot tool, and without a cautery_speed"),
     ],
 )
 def test_a_blade_out_of_range_is_refused(changes, said):

@@ -20,7 +20,7 @@ from tissue_sim.model.cutting.sheet import Sheet
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
-from tissue_sim.ros.node.contact.contact_search import ContactSearch
+from tissue_sim.ros.node.contact.contact_worker import ContactWorker
 from tissue_sim.ros.node.services.cut_process import CutProcess, SomeCut
 from tissue_sim.ros.node.services.simulation_parts import Prepared
 from tissue_sim.ros.node.settings.live_settings import LiveSettings
@@ -277,8 +277,8 @@ class CuttingParts:
         The loop.
     joined : Joined
         The organs, as settings see them.
-    searches : Sequence[ContactSearch]
-        Contact search of each organ.
+    contacts : ContactWorker
+        Contact search of all organs.
     recorders : Sequence[OrganRecorder]
         Part of the bag of each organ.
     settings : LiveSettings
@@ -291,14 +291,14 @@ class CuttingParts:
         self,
         loop: Loop,
         joined: Joined,
-        searches: Sequence[ContactSearch],
+        contacts: ContactWorker,
         recorders: Sequence[OrganRecorder],
         settings: LiveSettings,
         frame_id: str,
     ) -> None:
         self.loop, self._joined, self.frame_id = loop, joined, frame_id
-        self._searches, self._recorders, self._settings = searches, recorders, settings
-        self.coagulations = searches[0].finder.tools.coagulations  # of each tool
+        self._contacts, self._recorders, self._settings = contacts, recorders, settings
+        self.coagulations = contacts.tools.coagulations  # of each tool
         self.process = CutProcess()
 
     def exchange(self, number: int, made: Prepared, patience: float | None = None) -> None:
@@ -313,8 +313,8 @@ class CuttingParts:
         patience : float | None, s, optional
             How long to wait for the tick that takes it up; None: as long as a running loop may take.
         """
-        search, recorder, simulation = self._searches[number], self._recorders[number], made.simulation
-        finder = search.finder_of(made.surface)
+        recorder, simulation = self._recorders[number], made.simulation
+        finder = self._contacts.finder_of(number, made.surface)
         plan = self._joined.plan_exchange(number, simulation)
         # The loop goes on with its own settings, and a stiffer organ needs more substeps from its first tick on.
         self._settings.refine(number, int(simulation.settings.substeps))
@@ -322,7 +322,7 @@ class CuttingParts:
             tick = recorder.physics.exchange(simulation, plan, patience)
             recorder.cut(tick, simulation, made.file)
         self._joined.exchange(number, simulation, plan)
-        search.exchange(finder)
+        self._contacts.exchange(number, finder, recorder.physics.version)
         self._settings.renew(number)
 
 
