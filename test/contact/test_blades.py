@@ -10,9 +10,12 @@ from helpers.slabs import MIDDLE, SIZE, slab
 from tissue_sim.contact.edges import ALONG
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_batch import SceneBatch
-from tissue_sim.contact.tools import Tool
+from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model.contact.blade import find_blades
+from tissue_sim.model.cutting.blade_path import BladePath
+from tissue_sim.model.cutting.sheet import Coagulation
+from tissue_sim.model.elasticity.cells import shapes_of
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -265,6 +268,37 @@ def test_a_cautery_hook_parts_tissue_without_force_at_its_speed():
     assert made.force[2] > 0.1
 
 
+def test_a_hot_hook_stiffens_the_walls_of_its_cut_until_the_reset():
+    """By the volume within the spread of the area that it has cut, as the front is advanced a little more."""
+    made = Cutting(tool=knife(cautery_speed=0.02, cautery_stiffening=4.0, cautery_spread=0.002))
+    made.step(SPEED, 600)
+    (report,) = made.simulation.cuts
+    whole, hot = slab(), made.simulation.organ
+    assert made.simulation.settings.substeps > Simulation(whole).settings.substeps
+    volume = [shapes_of(one.rest_positions, one.cell_nodes)[1] @ one.cell_mu / whole.cell_mu[0] for one in (whole, hot)]
+    stiffer = (volume[1] - volume[0]) / 3.0
+    assert stiffer == pytest.approx(2.0 * 0.002 * report.area, rel=0.4)
+    assert stiffer > 2.0 * 0.002 * 0.99 * report.area
+    assert made.simulation.state.count.faults == 0
+    made.scene.reset()
+    assert made.simulation.organ.cell_mu is slab().cell_mu
+    made.height = SIZE[2] + 0.002
+    made.step(0.0, 2)
+    assert made.simulation.settings.substeps == Simulation(whole).settings.substeps
+
+
+def test_a_cold_knife_that_goes_on_with_a_hot_cut_leaves_its_walls_stiff():
+    hot, cold = Coagulation(4.0, 0.002), Coagulation(1.0, 0.001)
+    simulation = Simulation(slab(), shapes=ToolSet([knife()]).shapes)
+    path = BladePath(slab(), 1)
+    edge, ahead, along = np.linspace([MIDDLE, 0.0, 0.02], [MIDDLE, SIZE[1], 0.02], 9), [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]
+    for heat, deep in ((cold, 0.0), (hot, 0.004), (cold, 0.008)):
+        path.heat(heat)
+        path.note(edge - [0.0, 0.0, deep], np.array(ahead), np.array(along))
+        simulation = simulation.prepared_sheet(path.sheet())
+        assert bool(simulation.cuts[-1].stiffer_cells) == (deep > 0.0)
+
+
 def test_two_runs_have_the_same_bits():
     words = []
     for _ in range(2):
@@ -299,6 +333,10 @@ def test_scissors_cut_what_is_between_their_blades_off():
         ({"length": 0.0}, "length 0 m of its edge"),
         ({"height": 0.0}, "height 0 m"),
         ({"cautery_speed": 1.0}, "cautery_speed 1 m/s"),
+        ({"cautery_speed": 0.02, "cautery_stiffening": 0.5}, "cautery_stiffening 0.5 is outside 1..20"),
+        ({"cautery_speed": 0.02, "cautery_stiffening": float("nan")}, "cautery_stiffening nan is outside 1..20"),
+        ({"cautery_speed": 0.02, "cautery_spread": 0.02}, "cautery_spread 0.02 m is outside 0..0.01"),
+        ({"cautery_stiffening": 3.0}, "cautery_stiffening 3 is that of a hot tool, and without a cautery_speed"),
     ],
 )
 def test_a_blade_out_of_range_is_refused(changes, said):

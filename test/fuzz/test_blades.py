@@ -20,7 +20,7 @@ FASTEST = 1.0  # m/s, of a tool
 TOOLS = (
     Tool("tool", shape="blade", radius=0.001, length=0.02),
     Tool("tool", shape="blade", radius=0.0005, length=0.04, height=0.03),
-    Tool("tool", shape="blade", radius=0.002, length=0.01, cautery_speed=0.02),
+    Tool("tool", shape="blade", radius=0.002, length=0.01, cautery_speed=0.02, cautery_stiffening=10.0),
     Tool("tool", shape="scissors", radius=0.001, length=0.03),
 )
 

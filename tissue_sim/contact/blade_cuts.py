@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -11,7 +11,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.blade_path import BladePath
-from tissue_sim.model.cutting.sheet import Sheet
+from tissue_sim.model.cutting.sheet import Coagulation, Sheet
 from tissue_sim.model.simulation import Simulation
 
 LEAST_STRETCH = 0.05  # determinant of a deformation that still tells directions
@@ -24,10 +24,12 @@ class BladeCuts:
     ----------
     simulation : Simulation
         Simulation of the organ.
+    coagulations : Sequence[Coagulation]
+        What the heat of each tool does to the walls of its cuts.
     """
 
-    def __init__(self, simulation: Simulation) -> None:
-        self._organ = simulation.uncut_organ
+    def __init__(self, simulation: Simulation, coagulations: Sequence[Coagulation]) -> None:
+        self._organ, self._coagulations = simulation.uncut_organ, coagulations
         blades = simulation.shapes.blades
         self._edges = {body: np.flatnonzero((blades.body == body) & (blades.width > 0.0)) for body in set(blades.body)}
         self._paths: dict[int, BladePath] = {}  # by tool
@@ -84,6 +86,7 @@ class BladeCuts:
             swept = np.concatenate([places - reach, places, places + reach])
             if tool not in self._paths:
                 self._first[tool], self._paths[tool] = body, self._path(places, forward, along)
+                self._paths[tool].heat(self._coagulations[tool])
             if self._first[tool] == body:
                 self._paths[tool].note(swept, forward, along)
             else:

@@ -33,7 +33,7 @@ class ContactOrgan:
         self.finder = self._uncut_finder = ContactFinder.of(simulation, tools)
         self.contacts: ContactSet | None = None
         self._ticks_a_set = ticks_a_set
-        self.blade_cuts = BladeCuts(simulation)
+        self.blade_cuts = BladeCuts(simulation, tools.coagulations)
         self.set_goal: Floats | None = None  # the bodies' poses at the last contact set
 
     def with_simulation(self, simulation: Simulation) -> ContactOrgan:

@@ -8,12 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.errors import UserError
+from tissue_sim.model.cutting.sheet import Coagulation
 from tissue_sim.model.data.blades import Blades, make_blades
 
 ALONG = 8  # places along an edge
 BEHIND = 2  # rows of places on the flanks behind it
 LEAST_EDGE = 1e-3  # m
 MOST_SPEED = 0.1  # m/s of cautery
+MOST_STIFFENING = 20.0  # of the walls of its cut
+MOST_SPREAD = 0.01  # m of its heat
 
 
 class Edge(NamedTuple):
@@ -24,6 +27,7 @@ class Edge(NamedTuple):
     length: float  # m
     height: float  # m of the blade behind it
     speed: float  # m/s at which it parts tissue without force; 0: it cuts by force
+    coagulation: Coagulation  # what its heat does to the walls of its cut
 
 
 def check_edge(name: str, edge: Edge) -> None:
@@ -47,6 +51,16 @@ def check_edge(name: str, edge: Edge) -> None:
         raise UserError(f"tool '{name}': height {edge.height:g} m is outside 0..0.5")
     if not 0.0 <= edge.speed <= MOST_SPEED:
         raise UserError(f"tool '{name}': cautery_speed {edge.speed:g} m/s is outside 0..{MOST_SPEED:g}")
+    stiffening, spread = edge.coagulation
+    if not 1.0 <= stiffening <= MOST_STIFFENING:
+        raise UserError(f"tool '{name}': cautery_stiffening {stiffening:g} is outside 1..{MOST_STIFFENING:g}")
+    if not 0.0 <= spread <= MOST_SPREAD:
+        raise UserError(f"tool '{name}': cautery_spread {spread:g} m is outside 0..{MOST_SPREAD:g}")
+    if stiffening > 1.0 and edge.speed == 0.0:
+        raise UserError(
+            f"tool '{name}': cautery_stiffening {stiffening:g} is that of a hot tool, and without a cautery_speed it"
+            " is a cold blade; set cautery_speed above 0, or cautery_stiffening to 1"
+        )
 
 
 def edges_of(edges: Sequence[Edge | None], bodies: Sequence[Sequence[int]]) -> Blades:

@@ -18,6 +18,7 @@ from tissue_sim.contact.gripper import Jaws, jaw_poses
 from tissue_sim.contact.quaternions import multiply, rotate
 from tissue_sim.contact.urdf import Instrument, Part, read_instrument
 from tissue_sim.errors import UserError
+from tissue_sim.model.cutting.sheet import Coagulation
 from tissue_sim.model.data.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes
 from tissue_sim.organ.shipped import shipped_file
 
@@ -64,6 +65,10 @@ class Tool:
         Height, m, of a blade behind its edge.
     cautery_speed : float
         Speed, m/s, at which a blade parts tissue without force, as a cautery hook does; 0: it cuts by force.
+    cautery_stiffening : float
+        Factor by which its heat stiffens the tissue at the walls of its cut; 1: not at all.
+    cautery_spread : float
+        Distance, m, from its cut that this heat reaches.
     """
 
     name: str
@@ -77,6 +82,8 @@ class Tool:
     jaw_joint: str = ""
     height: float = 0.01
     cautery_speed: float = 0.0
+    cautery_stiffening: float = 1.0
+    cautery_spread: float = 0.001
 
     @property
     def n_bodies(self) -> int:
@@ -114,7 +121,12 @@ class Tool:
         if self.shape not in ("blade", "scissors"):
             return None
         ahead = 1.0 if self.shape == "blade" else -1.0
-        return Edge(ahead, self.radius, self.length, self.height, self.cautery_speed)
+        return Edge(ahead, self.radius, self.length, self.height, self.cautery_speed, self.coagulation)
+
+    @property
+    def coagulation(self) -> Coagulation:
+        """What its heat does to the walls of its cut."""
+        return Coagulation(self.cautery_stiffening, self.cautery_spread)
 
     @property
     def jaws(self) -> Jaws:
@@ -177,6 +189,11 @@ class ToolSet:
         members = zip(self.tools, self.bodies, strict=True)
         self.shapes = self.shapes._replace(blades=edges_of([tool.edge for tool in self.tools], self.bodies))
         self.shapes.smoothing[:] = [tool.smoothing for tool, own in members for _ in own]
+
+    @property
+    def coagulations(self) -> list[Coagulation]:
+        """What the heat of each tool does to the walls of its cut."""
+        return [tool.coagulation for tool in self.tools]
 
     def index(self, tool: int | str) -> int:
         """Return the number of a tool that is given by its name or its number; negative ones count from the last.

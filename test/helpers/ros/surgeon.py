@@ -18,23 +18,22 @@ DOWN = (-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))  # turns z to y
 
 
 class Surgeon(Client):
-    """A client that cuts, and hears what becomes of the organ."""
+    """A client that cuts, and hears what becomes of the organ, or of one organ of a scene."""
 
-    def __init__(self):
-        super().__init__()
+    def __init__(self, organ=""):
+        super().__init__(markers=not organ)
+        self.below = f"{self.target}/{organ}" if organ else self.target
         self.meshes, self.versions, self.events, self.clouds = [], [], [], []
         for kind, topic, received in (
             (Mesh, "mesh", self.meshes),
             (UInt32, "mesh_version", self.versions),
             (DiagnosticArray, "cuts", self.events),
         ):
-            self.node.create_subscription(kind, f"{self.target}/{topic}", received.append, LATCHED)
-        self.node.create_subscription(
-            PointCloud2, f"{self.target}/surface", self.clouds.append, qos_profile_sensor_data
-        )
+            self.node.create_subscription(kind, f"{self.below}/{topic}", received.append, LATCHED)
+        self.node.create_subscription(PointCloud2, f"{self.below}/surface", self.clouds.append, qos_profile_sensor_data)
         self.contacts = []
         self.node.create_subscription(PointCloud2, f"{self.target}/left/contacts", self.contacts.append, 1)
-        self.path = self.node.create_publisher(Path, f"{self.target}/cut_path", 1)
+        self.path = self.node.create_publisher(Path, f"{self.below}/cut_path", 1)
 
     def send_path(self, edge, quaternion=DOWN, frame="organ"):
         message = Path()
@@ -61,7 +60,7 @@ class Surgeon(Client):
 
         Meanwhile the hand stays at a place.
         """
-        service = self.node.create_client(Trigger, f"{self.target}/cut")
+        service = self.node.create_client(Trigger, f"{self.below}/cut")
         assert service.wait_for_service(30.0)
         asked = service.call_async(Trigger.Request())
         assert self.spin_until(lambda: (hand is not None and self.ask(hand)) or asked.done())

@@ -9,7 +9,7 @@ import pytest
 from helpers.paths import ROOT
 from tissue_sim.ros.bags.config import check_config, read_config
 from tissue_sim.ros.bags.differences import Described, differences
-from tissue_sim.ros.bags.recording import Recording
+from tissue_sim.ros.bags.recording import Recording, tools_of
 
 NEEDED = ["format", "package_version", "organ", "organ.name", "organ.digest", "parameters", "parameters.rate"]
 NEEDED += ["parameters.model", "parameters.local_region", "parameters.left.radius", "parameters.left.length"]
@@ -37,6 +37,18 @@ def test_that_of_a_recording_passes(whole):
     for name in ("parameters.integrator", "parameters.return_target"):  # of a version before them
         config, owner, key = placed(whole, name)
         del owner[key]
+        check(config)
+
+
+def test_the_heat_of_a_tool_comes_back_and_older_bags_have_cold_tools(whole):
+    config = copy.deepcopy(whole)
+    heat = {"cautery_speed": 0.02, "cautery_stiffening": 4.0, "cautery_spread": 0.002}
+    config["parameters"] |= {f"left.{name}": value for name, value in heat.items()}
+    check(config)
+    assert tools_of(config)[0].coagulation == (4.0, 0.002)
+    assert tools_of(whole)[0].coagulation.stiffening == 1.0
+    config["parameters"]["left.cautery_stiffening"] = "hot"
+    with pytest.raises(ValueError, match=r"'parameters\.left\.cautery_stiffening' is of another type"):
         check(config)
 
 

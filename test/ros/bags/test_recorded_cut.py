@@ -6,6 +6,7 @@ import pytest
 from helpers.slabs import INCISION, slab
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.cutting.cut_cells import sides_of
+from tissue_sim.model.cutting.sheet import Coagulation, sheet_of
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags.recorded_cut import fields_of_cut, recorded_cuts
 
@@ -31,6 +32,15 @@ def test_a_cut_comes_back(made, fields):
         assert np.array_equal(ours, theirs)
     for ours, theirs in zip(cut.surface, made.cut_organ.surface, strict=True):
         assert np.array_equal(ours, theirs)
+
+
+def test_coagulated_walls_come_back_bit_for_bit():
+    sheet = sheet_of(slab(), *INCISION)._replace(coagulation=Coagulation(4.0, 0.002))
+    hot = Simulation(slab()).prepared_sheet(sheet)
+    (cut,) = recorded_cuts([fields_of_cut(1, 10, hot, hot.organ.to_bytes())])
+    assert hot.cuts[0].stiffer_cells
+    assert np.array_equal(cut.organ.cell_mu, hot.organ.cell_mu)
+    assert np.array_equal(cut.organ.cell_lambda, hot.organ.cell_lambda)
 
 
 @pytest.mark.parametrize("kept", [slice(0, -1), slice(1, None), slice(0, 0), [*range(10), *range(10)]])

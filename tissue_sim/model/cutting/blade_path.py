@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.model.cutting.sheet import LEAST_DEPTH, Sheet, across, heights
+from tissue_sim.model.cutting.sheet import LEAST_DEPTH, Coagulation, Sheet, across, heights
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.line_hits import line_hits
@@ -54,6 +54,7 @@ class BladePath:
         self._axes: Floats | None = None  # (3, 3) along the cut, into the organ, and across both
         self._deepest: dict[int, float] = {}  # m, by bin
         self._aside: dict[int, float] = {}  # m
+        self._coagulation = Coagulation()  # of the hottest tool that has been in it
         self._met: set[int] = set()  # bins in which both blades of scissors have passed each other
         self._ends = (np.inf, -np.inf)  # m along the cut
         # As the last sheet was made, and as that was which has been opened: the organ may refuse one.
@@ -86,6 +87,16 @@ class BladePath:
             if deep > self._deepest.get(number, -np.inf):
                 self._deepest[number] = deep
                 self._aside.setdefault(number, off)
+
+    def heat(self, coagulation: Coagulation) -> None:
+        """Note that a tool is in the cut: its next sheets have the walls of the tool that stiffens them most.
+
+        Parameters
+        ----------
+        coagulation : Coagulation
+            What the tool does to the walls.
+        """
+        self._coagulation = max(self._coagulation, coagulation)
 
     def meet(self, places: Floats) -> None:
         """Note where the other edge of scissors is: where both have passed each other, all between them is cut.
@@ -213,7 +224,8 @@ class BladePath:
             )
         self._made = _Extent(dict(self._deepest), self._ends, len(self._met))
         rise = min(rise, CUT_EDGES * self._edge) + self._edge
-        return Sheet(corners, into, float(depth.max()), rise, across(into), reached, depth, self._mark)
+        far, frame = float(depth.max()), across(into)
+        return Sheet(corners, into, far, rise, frame, reached, depth, self._mark, self._coagulation)
 
     def _is_through(self, number: int) -> bool:
         """Return whether scissors have cut through at a bin: what is left beside that is less than an edge long."""

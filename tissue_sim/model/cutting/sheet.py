@@ -36,6 +36,13 @@ class Place(NamedTuple):
     below: Floats  # (k,) m from the polyline along the direction
 
 
+class Coagulation(NamedTuple):
+    """What the heat of a tool does to the tissue at the walls of its cut."""
+
+    stiffening: float = 1.0  # factor on its moduli; 1: none, as a cold blade's
+    spread: float = 0.0  # m from the cut that the heat reaches
+
+
 class Sheet(NamedTuple):
     """Ruled surface between a polyline and the same polyline moved by the depth along a direction."""
 
@@ -47,6 +54,7 @@ class Sheet(NamedTuple):
     reached: float  # m, how deep below the surface it ends, where it is deepest
     depths: Floats  # (m,) m, of each corner of the polyline, and linear between them
     mark: int = 0  # number of the blade's cut that it is a stage of; 0: it is no blade's
+    coagulation: Coagulation = Coagulation()
 
     @property
     def flat(self) -> Floats:

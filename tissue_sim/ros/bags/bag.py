@@ -71,6 +71,14 @@ class PairRow(Record):
     pairs: int  # their number
 
 
+class PairSurfaceRow(Record):
+    """Surface of an organ after a cut, or after the reset of its cuts, on which pairs of organs were found."""
+
+    organ: int
+    number: int  # of the cut
+    pairs: int  # number of the first pairs on it
+
+
 class RespirationRow(Record):
     """Where the breath was to be."""
 

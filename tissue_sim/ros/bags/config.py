@@ -66,6 +66,7 @@ def check_config(config: Mapping[str, Any]) -> None:
         later: dict[str, Fits] = {"smoothing": _is_number, "links": _is_names}
         later |= {"tip_link": _is_name, "jaw_joint": _is_name}
         later |= {"height": _is_number, "cautery_speed": _is_number}
+        later |= {"cautery_stiffening": _is_number, "cautery_spread": _is_number}
         chosen |= {f"{tool}.{name}": fits for name, fits in later.items() if f"{tool}.{name}" in parameters}
     _check(parameters, "parameters.", chosen)
     if parameters.get("return_target", "rest") != "rest":

@@ -32,6 +32,7 @@ class JoinedPlayer:
         self._found_from = dict(zip(rows["pairs"]["pairs"].tolist(), rows["pair_ticks"].tolist(), strict=True))
         self._needed = [set(ticks) for ticks in rows["pair_ticks"].T.tolist()]
         self._kept: list[dict[int, Floats]] = [{} for _ in organs]
+        self._surfaces = rows["pair_surfaces"].tolist()  # after cuts, on which pairs were not looked for yet
 
     @cached_property
     def _finder(self) -> OrganContactFinder:
@@ -75,4 +76,7 @@ class JoinedPlayer:
         for tick, kept in zip(ticks, self._kept, strict=True):
             for old in [one for one in kept if one < tick]:  # sets come in the order of their surfaces
                 del kept[old]
+        while self._surfaces and self._surfaces[0][2] <= sequence:
+            organ, number, _ = self._surfaces.pop(0)
+            self._finder.exchange(organ, self._organs[organ].surface_after(number))
         return self._finder.find([kept[tick] for tick, kept in zip(ticks, self._kept, strict=True)])

@@ -30,6 +30,8 @@ class JoinedRecorder:
         self._messages, self._joined, self._box = messages, loop.joined, loop.joined_box
         self._read = 0  # rows of the loop's journal
         self._notes: list[tuple[int, Sequence[int]]] = []
+        self._surfaces: dict[int, tuple[int, int, int]] = {}  # by organ, the newest bag.PairSurfaceRow
+        self._surface_notes: list[tuple[int, int, int]] = []
         self._newest: tuple[int, Longs] | None = None  # number and words of a set
         self._newest_fraction = (0, 0.0)  # number, and fraction of the breath's way
         self._fractions = [self._newest_fraction]
@@ -38,6 +40,7 @@ class JoinedRecorder:
     def begin(self) -> None:
         """Begin a bag; call it with `together` held."""
         self._read, self._notes, self._state_tick = int(self._box.journal_written[0]), [], -1
+        self._surface_notes = list(self._surfaces.values())
         self._fractions = [self._newest_fraction]
         if self._newest is not None:
             self._whole_set(*self._newest)
@@ -89,6 +92,22 @@ class JoinedRecorder:
         if self._state_tick < 0 or min(ticks) <= self._state_tick or touches_itself:
             self._whole_set(*self._newest)
 
+    def surface(self, organ: int, number: int) -> None:
+        """Record that pairs are found on the surface of an organ after a cut from now on.
+
+        Call it with `together` held.
+
+        Parameters
+        ----------
+        organ : int
+            Index of the organ.
+        number : int
+            Number of the cut.
+        """
+        self._surfaces[organ] = organ, number, int(self._box.pairs.sequence[0]) + 1
+        if self._messages.active:
+            self._surface_notes.append(self._surfaces[organ])
+
     def respiration(self, sequence: int, fraction: float) -> None:
         """Record where the breath is to be; call it with `together` held since it was posted.
 
@@ -112,11 +131,13 @@ class JoinedRecorder:
         self._read = written
         noted, self._notes = self._notes, []
         fractions, self._fractions = self._fractions, []
+        surfaces, self._surface_notes = self._surface_notes, []
         n_organs = len(self._joined.simulations)
         return {
             "joined": self._box.journal[chosen],
             "respiration": np.array(fractions, dtype=bag.RespirationRow.dtype),
             "pairs": np.array([(sequence,) for sequence, _ in noted], dtype=bag.PairRow.dtype),
+            "pair_surfaces": np.array(surfaces, dtype=bag.PairSurfaceRow.dtype),
             "pair_ticks": np.array([ticks for _, ticks in noted], dtype=np.int64).reshape(-1, n_organs),
         }
 

@@ -22,9 +22,12 @@ from tissue_sim.ros.shared.cdr import parse_octets
 _ROWS = {
     "joined": JoinedRow,
     "pairs": bag.PairRow,
+    "pair_surfaces": bag.PairSurfaceRow,
     "respiration": bag.RespirationRow,
     "wrenches": bag.WrenchRow,
 }
+
+_LATER = {"pair_surfaces": np.zeros(0, dtype=bag.PairSurfaceRow.dtype)}  # bags from before them lack these
 
 
 @dataclass
@@ -65,7 +68,8 @@ class JoinedRecording:
                 "it does not contain the ligaments of its organs: the recording was too short or interrupted"
             )
         journal = {
-            kind: np.concatenate([rows[kind] for rows in unpacked["journal"]]) for kind in (*_ROWS, "pair_ticks")
+            kind: np.concatenate([(_LATER | rows)[kind] for rows in unpacked["journal"]])
+            for kind in (*_ROWS, "pair_ticks")
         }
         _check_journal(journal, len(sizes))
         fields = unpacked["joined"][0]
@@ -163,6 +167,9 @@ def _check_journal(journal: Mapping[str, np.ndarray], n_organs: int) -> None:
     for kind, record in _ROWS.items():
         if journal[kind].dtype != record.dtype or journal[kind].ndim != 1:
             raise ValueError(f"its journal's {kind} have another type")
+    organ = journal["pair_surfaces"]["organ"]
+    if len(organ) and not 0 <= organ.min() <= organ.max() < n_organs:
+        raise ValueError("its journal names a surface of an organ that doesn't exist")
     if not np.all(np.abs(journal["respiration"]["share"]) <= MOST):
         raise ValueError("its journal contains a breathing displacement that is not finite")
     ticks = journal["pair_ticks"]

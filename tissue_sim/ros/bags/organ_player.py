@@ -210,6 +210,19 @@ class OrganPlayer:
         self._finders.append((found.first_set, self._finder_of(found)))
         return made
 
+    def surface_after(self, number: int) -> TouchedSurface:
+        """Return the surface that the organ had after a cut, or after the reset of its cuts.
+
+        Parameters
+        ----------
+        number : int
+            Number of the cut.
+        """
+        cut = next((cut for cut in self.recording.cuts if cut.number == number), None)
+        if cut is None:
+            raise UserError(f"the bag has no cut number {number}; its recording lost messages")
+        return TouchedSurface(cut.organ, cut.surface)
+
     def _finder_of(self, cut: RecordedCut) -> ContactFinder:
         return ContactFinder(TouchedSurface(cut.organ, cut.surface), self.tools)
 

@@ -29,6 +29,7 @@ class RecordedCut(NamedTuple):
     origin: Longs  # (n,) node before whose place each node takes
     surface: CutSurface | None  # None without cuts
     sides: Sides | None  # None in bags without blades
+    number: int  # how many organs were exchanged until this one
 
 
 def organ_in(file: bytes) -> Organ:
@@ -113,7 +114,8 @@ def _cut_of(fields: Mapping[str, NDArray[Any]]) -> RecordedCut:
     organ = organ_in(file.tobytes())
     if surface is not None:  # bags of earlier versions have points that no triangle has
         surface = without_idle_points(surface, organ.n_surface)
-    return RecordedCut(_whole(fields, "tick"), NEVER, organ, origin.astype(np.int64), surface, _sides_of(fields, organ))
+    tick, number = _whole(fields, "tick"), _whole(fields, "number")
+    return RecordedCut(tick, NEVER, organ, origin.astype(np.int64), surface, _sides_of(fields, organ), number)
 
 
 def _sides_of(fields: Mapping[str, NDArray[Any]], organ: Organ) -> Sides | None:

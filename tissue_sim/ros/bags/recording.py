@@ -184,6 +184,8 @@ def tools_of(config: dict[str, Any]) -> list[Tool]:
             jaw_joint=parameters.get(f"{name}.jaw_joint", ""),
             height=parameters.get(f"{name}.height", Tool.height),
             cautery_speed=parameters.get(f"{name}.cautery_speed", 0.0),
+            cautery_stiffening=parameters.get(f"{name}.cautery_stiffening", Tool.cautery_stiffening),
+            cautery_spread=parameters.get(f"{name}.cautery_spread", Tool.cautery_spread),
         )
         for name in config["tools"]
     ]

@@ -8,7 +8,6 @@ whose callbacks store the newest pose.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -137,7 +136,7 @@ class TissueNode(GuardedNode):
         self.diagnostics = Diagnostics(self, self.scene.title)
         freshness = [port.pose_freshness for port in self.ports]
         self.live = LiveSettings(self.scene, values, self._post_settings, freshness)
-        self.cutting = self._cutting(searches)
+        self.cutting = self._cutting()
         self.loop.before_reset += [one.heal for one in self.cutting]
         self.namesakes = DuplicateNodes(self)
         self.pausing = Pausing(self, self.loop, self.sim_clock, lambda: values["step_ticks"], self.contacts)
@@ -269,10 +268,10 @@ class TissueNode(GuardedNode):
             FollowedFrame(self, self._lookup, frame_id, port.input, 1.0 / values["rate"])
         return port
 
-    def _cutting(self, searches: Sequence[ContactSearch]) -> list[OrganCutting]:
+    def _cutting(self) -> list[OrganCutting]:
         """Return what cuts each organ: those of cells that move as a whole."""
         values, recorders = self.parameters, self.recorder.of_organ
-        parts = CuttingParts(self.loop, self.scene.joined, searches, recorders, self.live.renew, self.frame_id)
+        parts = CuttingParts(self.loop, self.scene.joined, self.contacts, recorders, self.live, self.frame_id)
         return [
             OrganCutting(
                 self, one, number, parts, lambda: frames_of_node(values, self._lookup), lambda: values["cut_depth"]

@@ -134,6 +134,8 @@ TOOL_SPECS = (
     Spec("jaw_joint", "", "joint of a URDF that measured_js moves, by its name there; empty for none"),
     Spec("height", 0.01, "m of a blade behind its edge", 1e-3, 0.5),
     Spec("cautery_speed", 0.0, "m/s at which a blade parts tissue without force; 0: it cuts by force", 0.0, 0.1),
+    Spec("cautery_stiffening", 1.0, "factor by which cautery stiffens the walls of its cut; 1: not at all", 1.0, 20.0),
+    Spec("cautery_spread", 0.001, "m from its cut that the heat of cautery reaches", 0.0, 0.01),
     Spec("smoothing", 1.0, "fraction of the time between two poses in which the tool moves to the newer one", 0.0, 1.0),
     Spec("device_damping", 0.0, "N s/m of the device, which limits the coupling; 0: unknown", 0.0, 100.0, True),
     Spec("passivity_damping", 0.0, "N s/m, most that a passivity observer adds; 0: none", 0.0, 100.0, True),

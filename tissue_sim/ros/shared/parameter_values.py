@@ -30,7 +30,8 @@ def tool_of(values: Values, name: str) -> Tool:
     name : str
         Name of the tool.
     """
-    keys = "shape", "radius", "length", "mesh", "smoothing", "tip_link", "jaw_joint", "height", "cautery_speed"
+    keys = ["shape", "radius", "length", "mesh", "smoothing", "tip_link", "jaw_joint", "height"]
+    keys += ["cautery_speed", "cautery_stiffening", "cautery_spread"]
     links = tuple(link for link in values[f"{name}.links"] if link)
     return Tool(name, **{key: values[f"{name}.{key}"] for key in keys}, links=links)
 

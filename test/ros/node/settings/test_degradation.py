@@ -160,6 +160,17 @@ def test_coupling_is_no_stiffer_than_the_devices_bear():
     assert made.coupling_stiffness == 100.0
 
 
+def test_settings_are_refined_before_a_stiffer_organ_comes_and_never_made_coarser():
+    made, posted = live("off")
+    own = int(made._served.simulations[0].settings.substeps)
+    made.refine(0, own)
+    assert not posted
+    made.refine(0, own + 3)
+    assert posted[-1][1].substeps == own + 3
+    made.renew(0)
+    assert posted[-1][1].substeps == own
+
+
 BOUNDED = {"coupling_stiffness": 2000.0, "left.device_damping": 4.0}
 
 

@@ -192,9 +192,35 @@ class OrganContactSearch:
         self._positions = [np.zeros_like(one.simulation.organ.rest_positions) for one in organs.each]
         self._last_key: tuple[int, ...] = (0,)
         self._last_empty = True
+        # By organ, its surface after a cut, and the number of that.
+        self._next: dict[int, tuple[TouchedSurface, int]] = {}
+
+    def exchange(self, organ: int, surface: TouchedSurface, number: int) -> None:
+        """Search on another surface of an organ from the next search on, after the loop has gone on with it.
+
+        Parameters
+        ----------
+        organ : int
+            Index of the organ.
+        surface : TouchedSurface
+            The surface.
+        number : int
+            Number of the cut.
+        """
+        self._next[organ] = surface, number
+
+    def _take_surfaces(self) -> None:
+        """Take the newest surfaces, where there are any."""
+        while self._next:
+            organ, (surface, number) = self._next.popitem()
+            self.finder.exchange(organ, surface)
+            self._last_key = self._last_key[:1]
+            with self._recorder.together:
+                self._recorder.surface(organ, number)
 
     def refresh(self) -> bool:
         """Find pairs, where any organ has moved; return whether one has."""
+        self._take_surfaces()
         key = (self._organs.loop.resets, *self._organs.surface_sequences)
         if key == self._last_key:
             self.unchanged_skips += 1

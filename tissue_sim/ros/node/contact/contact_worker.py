@@ -8,6 +8,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.contact.tools import ToolSet
+from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.ros.node.contact.contact_search import ContactSearch, OrganContactSearch, ToolsNow
 from tissue_sim.ros.node.tools.tool_port import ToolPort
 from tissue_sim.ros.shared.report import RepeatedFailure, Report
@@ -36,6 +39,39 @@ class ContactWorker:
         self._pass_ended = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="contact", daemon=True)
         self._idle = self._organs_move = False
+
+    @property
+    def tools(self) -> ToolSet:
+        """The tools."""
+        return self._searches[0].finder.tools
+
+    def finder_of(self, organ: int, surface: TouchedSurface) -> ContactFinder:
+        """Return a finder on another surface of an organ; this takes a while.
+
+        Parameters
+        ----------
+        organ : int
+            Index of the organ.
+        surface : TouchedSurface
+            The surface.
+        """
+        return self._searches[organ].finder_of(surface)
+
+    def exchange(self, organ: int, finder: ContactFinder, number: int) -> None:
+        """Search on another surface of an organ from the next search on, after the loop has gone on with it.
+
+        Parameters
+        ----------
+        organ : int
+            Index of the organ.
+        finder : ContactFinder
+            The finder on that surface.
+        number : int
+            Number of the cut.
+        """
+        self._searches[organ].exchange(finder)
+        if self._pairs is not None:
+            self._pairs.exchange(organ, finder.surface, number)
 
     def start(self) -> None:
         """Start the thread."""

@@ -20,9 +20,10 @@ from tissue_sim.model.cutting.sheet import Sheet
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
-from tissue_sim.ros.node.contact.contact_search import ContactSearch
+from tissue_sim.ros.node.contact.contact_worker import ContactWorker
 from tissue_sim.ros.node.services.cut_process import CutProcess, SomeCut
 from tissue_sim.ros.node.services.simulation_parts import Prepared
+from tissue_sim.ros.node.settings.live_settings import LiveSettings
 from tissue_sim.ros.node.shared.deferred_service import DeferredService, Work
 from tissue_sim.ros.node.shared.guarded_node import GuardedNode
 from tissue_sim.ros.node.shared.served_organ import ServedOrgan
@@ -78,7 +79,7 @@ class OrganCutting:
         self._cuts = node.create_publisher(DiagnosticArray, f"{below}/cuts", LATCHED)
         self._subscription = node.create_subscription(Path, f"{below}/cut_path", self._on_path, RELIABLE)
         DeferredService(node, Trigger, f"{below}/cut", self._on_cut)
-        self._blades = BladeCuts(served.physics.simulation)
+        self._blades = BladeCuts(served.physics.simulation, parts.coagulations)
         self._waits = False  # for the reset to take the blades out of the tissue
         if self._blades:
             node.create_timer(BLADE_PERIOD, self._follow_blades)
@@ -276,12 +277,12 @@ class CuttingParts:
         The loop.
     joined : Joined
         The organs, as settings see them.
-    searches : Sequence[ContactSearch]
-        Contact search of each organ.
+    contacts : ContactWorker
+        Contact search of all organs.
     recorders : Sequence[OrganRecorder]
         Part of the bag of each organ.
-    renew_settings : Callable[[int], None]
-        Computes and posts the settings of an organ anew.
+    settings : LiveSettings
+        The settings of the organs.
     frame_id : str
         Frame of the organs.
     """
@@ -290,13 +291,14 @@ class CuttingParts:
         self,
         loop: Loop,
         joined: Joined,
-        searches: Sequence[ContactSearch],
+        contacts: ContactWorker,
         recorders: Sequence[OrganRecorder],
-        renew_settings: Callable[[int], None],
+        settings: LiveSettings,
         frame_id: str,
     ) -> None:
         self.loop, self._joined, self.frame_id = loop, joined, frame_id
-        self._searches, self._recorders, self._renew_settings = searches, recorders, renew_settings
+        self._contacts, self._recorders, self._settings = contacts, recorders, settings
+        self.coagulations = contacts.tools.coagulations  # of each tool
         self.process = CutProcess()
 
     def exchange(self, number: int, made: Prepared, patience: float | None = None) -> None:
@@ -311,15 +313,17 @@ class CuttingParts:
         patience : float | None, s, optional
             How long to wait for the tick that takes it up; None: as long as a running loop may take.
         """
-        search, recorder, simulation = self._searches[number], self._recorders[number], made.simulation
-        finder = search.finder_of(made.surface)
+        recorder, simulation = self._recorders[number], made.simulation
+        finder = self._contacts.finder_of(number, made.surface)
         plan = self._joined.plan_exchange(number, simulation)
+        # The loop goes on with its own settings, and a stiffer organ needs more substeps from its first tick on.
+        self._settings.refine(number, int(simulation.settings.substeps))
         with recorder.exchanging:
             tick = recorder.physics.exchange(simulation, plan, patience)
             recorder.cut(tick, simulation, made.file)
         self._joined.exchange(number, simulation, plan)
-        search.exchange(finder)
-        self._renew_settings(number)
+        self._contacts.exchange(number, finder, recorder.physics.version)
+        self._settings.renew(number)
 
 
 def _status(number: int, cut: CutReport) -> DiagnosticStatus:
@@ -338,6 +342,7 @@ def _status(number: int, cut: CutReport) -> DiagnosticStatus:
         "free_pieces": cut.free_pieces,
         "cells_cut": cut.cells_cut,
         "critical_step_s": cut.critical_step_after,
+        "stiffer_cells": cut.stiffer_cells,
     }
     status.values = [KeyValue(key=key, value=f"{value:.6g}") for key, value in values.items()]
     return status

@@ -75,6 +75,22 @@ class LiveSettings:
                 if _differ(settings, old):
                     self._post(organ, copy_of(settings))
 
+    def refine(self, organ: int, substeps: int) -> None:
+        """Post an organ's settings with more substeps, before it is exchanged for one of a larger frequency.
+
+        Parameters
+        ----------
+        organ : int
+            Number of the organ.
+        substeps : int
+            How many the next organ needs; fewer than there are change nothing.
+        """
+        with self._lock:
+            settings = copy_of(self._served.simulations[organ].settings)
+            if substeps > settings.substeps:
+                settings.substeps = settings.region_substeps = substeps
+                self._post(organ, settings)
+
     def renew(self, organ: int) -> None:
         """Post an organ's settings after it was exchanged for one of another largest frequency.
 
