@@ -17,8 +17,9 @@ from helpers.scenes import ball, changed, free_ball, kidney
 from helpers.states import assert_same, snapshot
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.settings import LOCAL_REGIONS
+from tissue_sim.model.data.shapes import sphere_tools
 from tissue_sim.model.elasticity.forces import elastic_forces
-from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.rest_recovery import QUIET_TICKS
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -23,7 +23,8 @@ from tissue_sim.model.data.settings import LocalRegion
 from tissue_sim.model.data.state import Region
 from tissue_sim.model.elasticity.hop_distances import hop_table
 from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
-from tissue_sim.model.simulation import Simulation, moves_whole
+from tissue_sim.model.regions.region_tables import moves_whole
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ

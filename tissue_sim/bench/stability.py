@@ -21,7 +21,7 @@ from tissue_sim.bench.sweeps.trial_simulations import made_for, organ_of, simula
 from tissue_sim.calibration.cohort import on_cluster
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.settings import LOCAL_REGIONS
-from tissue_sim.model.simulation import moves_whole
+from tissue_sim.model.regions.region_tables import moves_whole
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.outputs import write_json

@@ -5,8 +5,9 @@ import pytest
 
 from helpers.kernels import by_reference
 from helpers.scenes import ball, kidney
+from tissue_sim.model.data.shapes import sphere_tools
 from tissue_sim.model.data.state import FAULT_NAMES
-from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.guard import (
     CELLS_A_TICK,
     KEEP_EVERY,
