@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tissue_sim.array_types import Floats, Ints
+from tissue_sim.array_types import Array, Floats, Ints
 from tissue_sim.errors import UserError, shown
+from tissue_sim.json_types import JsonObject
 from tissue_sim.npz import read_npz
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.shipped import shipped_organ
@@ -420,12 +420,12 @@ def check_law(whose: str, **law: float) -> None:
         raise UserError(f"{whose}relaxation needs a fraction and a time, or neither")
 
 
-def _frozen(name: str, value: Any, dtype: type) -> NDArray[Any]:
+def _frozen(name: str, value: Any, dtype: type) -> Array:
     given = np.asarray(value)
     if given.dtype.kind not in "fiub":
         raise UserError(f"organ: {name} contains {given.dtype.name}, not numbers")
     with np.errstate(all="ignore"):  # looked at below
-        array: NDArray[Any] = np.array(given, dtype=dtype, order="C")
+        array: Array = np.array(given, dtype=dtype, order="C")
     if dtype is np.float64 and not np.all(np.isfinite(array)):
         raise UserError(f"organ: {name} contains values that are not finite")
     if dtype is np.int32 and not np.array_equal(array, given):
@@ -434,7 +434,7 @@ def _frozen(name: str, value: Any, dtype: type) -> NDArray[Any]:
     return array
 
 
-def _check_shape(name: str, array: NDArray[Any], shape: tuple[int | str, ...], sizes: dict[str, int]) -> None:
+def _check_shape(name: str, array: Array, shape: tuple[int | str, ...], sizes: dict[str, int]) -> None:
     if array.ndim != len(shape):
         raise UserError(f"organ: {name} must have {len(shape)} dimensions, has {array.ndim}")
     for actual, wanted in zip(array.shape, shape, strict=True):
@@ -443,7 +443,7 @@ def _check_shape(name: str, array: NDArray[Any], shape: tuple[int | str, ...], s
             raise UserError(f"organ: {name} has shape {array.shape}, expected {shape} with {wanted} = {expected}")
 
 
-def _header(text: str) -> dict[str, Any] | None:
+def _header(text: str) -> JsonObject | None:
     """Return what an organ file's header says; None where it is no header."""
     try:
         header = json.loads(text)
@@ -462,14 +462,14 @@ def _header(text: str) -> dict[str, Any] | None:
     return dict(header)
 
 
-def content_digest(text: str, arrays: Mapping[str, NDArray[Any]]) -> str:
+def content_digest(text: str, arrays: Mapping[str, Array]) -> str:
     """Return the SHA-256 (hex) of an organ file's header and arrays, which the file itself holds.
 
     Parameters
     ----------
     text : str
         The header.
-    arrays : Mapping[str, NDArray[Any]]
+    arrays : Mapping[str, Array]
         Arrays by name.
 
     Returns

@@ -18,7 +18,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Array, Floats, Longs
 from tissue_sim.errors import shown
 from tissue_sim.memory import limited
 from tissue_sim.organ.imaging.itk_output import silenced
@@ -163,7 +163,7 @@ class _Words:
             raise ValueError("a negative count")
         return value
 
-    def numbers(self, count: int, kind: str) -> NDArray[Any]:
+    def numbers(self, count: int, kind: str) -> Array:
         """Return the next `count` numbers of a numpy type such as `f4`."""
         if self.binary:
             self.at += 1  # the line's end
@@ -188,7 +188,7 @@ class _Words:
                 self.line()
 
 
-def _cast(values: Floats, kind: str) -> NDArray[Any]:
+def _cast(values: Floats, kind: str) -> Array:
     """Return numbers as a numpy type; raises ValueError for invalid ones, turns those too large into infinity."""
     if np.dtype(kind).kind in "iu":
         limits = np.iinfo(kind)

@@ -7,14 +7,13 @@ Coordinates here are those of the wall's own grid: millimetres along its voxel a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from skimage.measure import marching_cubes, mesh_surface_area
 
-from tissue_sim.array_types import Floats, Ints, Mask
+from tissue_sim.array_types import Array, Floats, Ints, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
@@ -245,7 +244,7 @@ def _smoothed(rough: NDArray[np.float32], sampling: Floats) -> NDArray[np.float3
     return smooth
 
 
-def _enclosed(level: NDArray[Any], h: float) -> float:
+def _enclosed(level: Array, h: float) -> float:
     """Return the volume inside a level set, mm, in voxels; those on the wall count by how far they lie inside."""
     return float(np.clip(0.5 - level / h, 0.0, 1.0).sum(dtype=np.float64))
 
