@@ -140,6 +140,12 @@ def write_inverse(a: Floats, inverse: Floats) -> None:
 
 
 @kernel
+def is_known(back: Floats) -> bool:
+    """Return whether a matrix (9,) tells how displacements turn into those at rest; see write_inverse."""
+    return back[0] != 0.0 or back[4] != 0.0 or back[8] != 0.0
+
+
+@kernel
 def corner_at(cells: CutCells, cell: int, corner: int, position: Floats, axis: int) -> float:
     """Return a coordinate, m, of a corner of a cell, between its copies on both sides of a cut."""
     part = cells.part[cell, corner]

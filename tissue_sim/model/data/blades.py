@@ -55,6 +55,7 @@ class BladeRow(Record):
     along: Vector
     normal: Vector
     back: Annotated[Floats, (9,)]  # from displacements to those at rest, row by row
+    borrowed: bool  # of another place, as its own cell is inverted
     stiffness: float  # N s/m, impulse that moves the middle by a metre
     across_stiffness: float  # likewise what the flank touches
     at_front: bool  # of what its edge has cut: further on there is something to cut
