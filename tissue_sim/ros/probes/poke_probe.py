@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
@@ -146,12 +147,12 @@ class PokeProbe(Hand):
         return found
 
 
-def node_report_of(stamp: Any, values: Mapping[str, str]) -> NodeReport:
+def node_report_of(stamp: Time, values: Mapping[str, str]) -> NodeReport:
     """Return a report of the node's physics.
 
     Parameters
     ----------
-    stamp : Any
+    stamp : Time
         Its stamp.
     values : Mapping[str, str]
         Its values.
