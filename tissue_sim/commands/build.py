@@ -251,7 +251,7 @@ def _parameters(args: argparse.Namespace) -> SegmentationParameters:
 def _check_counts(args: argparse.Namespace) -> None:
     """Refuse at once what would otherwise be refused after the segmentation."""
     from tissue_sim.organ.interior import check_interior
-    from tissue_sim.organ.organ import check_law
+    from tissue_sim.organ.organ_file import check_law
     from tissue_sim.organ.skeletons.skeleton import check_atoms
     from tissue_sim.organ.surfaces.balloon import check_points
     from tissue_sim.organ.topology import check_tissue

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from tissue_sim.errors import UserError
@@ -13,7 +13,6 @@ from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.organ_topics import path_of
 
 if TYPE_CHECKING:
-    from tissue_sim.ros.shared.parameter_values import Values
     from tissue_sim.ros.shared.tool_link import ToolLink
 
 VERSION = "0.2.0"  # of sros2's format
@@ -77,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def fitted(node: str, values: Values) -> str:
+def fitted(node: str, values: Mapping[str, Any]) -> str:
     """Return the policy, XML, for a node of this name (with its namespace) and these parameters."""
     root = ElementTree.Element("policy", version=VERSION)
     root.append(ElementTree.Comment(ABOUT))
@@ -89,7 +88,7 @@ def fitted(node: str, values: Values) -> str:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
-def enclaves_of(node: str, values: Values) -> dict[str, Allowed]:
+def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
     """Return what each process may do, by its enclave."""
     from tissue_sim.ros.camera.topic_names import CAMERA, EYES, NODES, POSE, TOPICS
     from tissue_sim.ros.node.services.simulation_services import SERVICES
@@ -176,7 +175,7 @@ def _topics(namespace: str, link: ToolLink, *topics: str) -> list[str]:
     return [name if name.startswith("/") else f"{namespace}/{name}" for name in names if name]
 
 
-def _of_organs(own: str, values: Values, *names: str) -> list[str]:
+def _of_organs(own: str, values: Mapping[str, Any], *names: str) -> list[str]:
     """Return topics of every organ: below its name in a scene."""
     return [topic for organ in [*values["organs"]] or [""] for topic in _below(path_of(own, organ), *names)]
 

@@ -13,7 +13,8 @@ from tissue_sim.array_types import Array, Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.length_units import UNITS, is_organ
-from tissue_sim.organ.meshes.mesh_formats import FORMATS, MeshFile, Piece, read_pieces
+from tissue_sim.organ.meshes.mesh_file import MeshFile, Piece
+from tissue_sim.organ.meshes.mesh_formats import FORMATS, read_pieces
 from tissue_sim.organ.meshes.mesh_holes import area_of, capped_volume
 from tissue_sim.organ.meshes.mesh_parts import choose, closed_part, split
 from tissue_sim.organ.meshes.mesh_repair import longest_side

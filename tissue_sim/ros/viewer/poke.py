@@ -75,7 +75,7 @@ class Poke:
         self._gone = threading.Event()  # of the hand that holds it now
         self._next_look = -np.inf
         gui = server.gui
-        self._box: viser.GuiCheckboxHandle = gui.add_checkbox(
+        self._box: Any = gui.add_checkbox(
             f"Poke with {self.name}",
             False,
             disabled=True,
