@@ -86,9 +86,9 @@ class Place(NamedTuple):
         return np.concatenate([self.point + (depth - form.ahead) * self.way, turn.as_quat()])
 
 
-def locations_on(organ: Organ, count: int, seed: int = 5) -> list[Place]:
+def locations_on(organ: Organ, count: int) -> list[Place]:
     """Draw places evenly from the area of a surface, clear of its clamp."""
-    corners, rng = organ.surface_positions[organ.surface_triangles], np.random.default_rng(seed)
+    corners, rng = organ.surface_positions[organ.surface_triangles], np.random.default_rng(5)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(cross, axis=1)
     held = organ.surface_positions[organ.fixed]

@@ -159,7 +159,7 @@ class Wall:
         return triangles if np.linalg.det(self.direction) > 0.0 else np.ascontiguousarray(triangles[:, ::-1])
 
 
-def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
+def make_wall(mask: Volume) -> Wall:
     """Return the smooth wall of a mask's largest part, without cavities or handles (a topological ball).
 
     Cavities are filled; handles are cut or filled with the least change (`solid_ball.as_ball`).
@@ -168,8 +168,6 @@ def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
     ----------
     mask : Volume
         The voxels of the organ.
-    spacing : float | None, mm, optional
-        Spacing of the isotropic grid; None for the mask's finest.
 
     Returns
     -------
@@ -195,7 +193,7 @@ def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
     if thinnest < 3:
         raise UserError(f"{name} is {thinnest} voxels thick, too thin for an organ; use a finer image")
     first = np.array([s.start for s in box[::-1]]) - _MARGIN
-    h = float(spacing or mask.spacing.min())
+    h = float(mask.spacing.min())
     rough = _signed_distance(solid, mask.spacing[::-1])
     smooth = _smoothed(rough, mask.spacing[::-1])
     level = _exact_away(_resample(smooth, mask.spacing[::-1], h), h)
