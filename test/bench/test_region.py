@@ -8,7 +8,8 @@ import pytest
 from helpers.scenes import ball, ball_of_cells, kidney
 from tissue_sim.bench.region import SMALL, WHOLE_NONLINEAR, as_json, measure, measure_sizes, off, places
 from tissue_sim.cli import main
-from tissue_sim.model.simulation import MOST_WHOLE, Simulation
+from tissue_sim.model.regions.region_tables import MOST_WHOLE
+from tissue_sim.model.simulation import Simulation
 
 
 @pytest.fixture(scope="module", params=["springs", "cells"])

@@ -11,7 +11,8 @@ import pytest
 
 from helpers.eggs import forked_egg
 from tissue_sim.cli import main
-from tissue_sim.organ.organ import SCHEMA_VERSION, Organ
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.organ_file import SCHEMA_VERSION
 from tissue_sim.organ.reporting.description import describe
 from tissue_sim.organ.tool_resolution import mean_edge, points_for
 

@@ -3,15 +3,9 @@
 import pytest
 
 from helpers.fuzz import misdeeds
-from helpers.fuzz.child import Child, Input
+from helpers.fuzz.child import Input
 
 pytestmark = pytest.mark.extended
-
-
-@pytest.fixture(scope="module")
-def child(tmp_path_factory):
-    with Child(tmp_path_factory.mktemp("child")) as begun:
-        yield begun
 
 
 @pytest.mark.parametrize(

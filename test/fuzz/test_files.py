@@ -5,7 +5,6 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 
 from helpers.fuzz.bags import bags
-from helpers.fuzz.child import Child
 from helpers.fuzz.examples import examples
 from helpers.fuzz.images import images
 from helpers.fuzz.meshes import meshes
@@ -14,12 +13,6 @@ from helpers.fuzz.segmentations import segmentations
 
 KINDS = {"organ": organs(), "image": images(), "segmentation": segmentations(), "mesh": meshes(), "bag": bags()}
 SECONDS = {"bag": 300.0}  # for one input; a bag may list a part thrice
-
-
-@pytest.fixture(scope="module")
-def child(tmp_path_factory):
-    with Child(tmp_path_factory.mktemp("child")) as begun:
-        yield begun
 
 
 @pytest.mark.extended

@@ -6,14 +6,7 @@ from hypothesis import strategies as st
 
 from helpers.fuzz import node
 from helpers.fuzz.acts import acts
-from helpers.fuzz.child import Child
 from helpers.fuzz.examples import examples
-
-
-@pytest.fixture(scope="module")
-def child(tmp_path_factory):
-    with Child(tmp_path_factory.mktemp("child")) as begun:
-        yield begun
 
 
 @pytest.mark.extended

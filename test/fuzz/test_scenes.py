@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given
 
 from helpers.fuzz import scenes
-from helpers.fuzz.child import Child
 from helpers.fuzz.examples import examples
 from helpers.fuzz.plays import ALONE, JOINED, Hand, Load, Play, plays
 from helpers.paths import ROOT
@@ -16,12 +15,6 @@ FOUND = json.loads((ROOT / "test" / "fuzz" / "found_plays.json").read_text())
 
 # There may be any number of examples, each of which has a time limit.
 pytestmark = [pytest.mark.extended, pytest.mark.timeout(0)]
-
-
-@pytest.fixture(scope="module")
-def child(tmp_path_factory):
-    with Child(tmp_path_factory.mktemp("child")) as begun:
-        yield begun
 
 
 @examples(4)

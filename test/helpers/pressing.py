@@ -11,7 +11,18 @@ PROBE = Tool("left", radius=0.008)
 
 
 def top_of(organ):
-    return organ.surface_positions[np.argmax(organ.surface_positions[:, 2])]
+    return organ.surface_positions[top_node(organ)]
+
+
+def top_node(organ):
+    return int(np.argmax(organ.surface_positions[:, 2]))
+
+
+def poke(simulation, ticks, force=(0.1, 0.0, -0.5)):
+    """Step with a force, N, on the top node."""
+    for _ in range(ticks):
+        simulation.apply_force(top_node(simulation.organ), force)
+        simulation.step()
 
 
 def lead(scene, tool, path, hold=0):

@@ -121,3 +121,10 @@ def fold(gap: float = 0.006, radius: float = 0.006, leg: float = 0.02) -> Organ:
         fixed=np.flatnonzero(surface[:, 2] < -0.6 * bend),
         provenance={"source": "test"},
     )
+
+
+def uneven(organ: Organ, seed: int = 0) -> Organ:
+    """The organ with cells of many stiffnesses."""
+    organ = with_cells(organ)
+    factor = np.exp(np.random.default_rng(seed).normal(size=(2, len(organ.cell_mu))))
+    return replace(organ, cell_mu=factor[0] * organ.cell_mu, cell_lambda=factor[1] * organ.cell_lambda)

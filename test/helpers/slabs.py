@@ -39,11 +39,11 @@ def opened(tools, way: float = 0.006, **options) -> Scene:
     return scene
 
 
-def hold_open(scene: Scene, way: float, ticks: int = 100) -> None:
+def hold_open(scene: Scene, way: float) -> None:
     """Lead both ends outward, and wait until all is at rest."""
     rest = scene.simulation.model.rest
     left, right = ends(slab())
     nodes, shift = np.r_[left, right], np.zeros((len(left) + len(right), 3))
     shift[: len(left), 0], shift[len(left) :, 0] = -way, way
-    scene.simulation.prescribe(nodes, rest[nodes] + shift, ticks)
-    scene.step(ticks + 200)
+    scene.simulation.prescribe(nodes, rest[nodes] + shift, 100)
+    scene.step(300)

@@ -125,7 +125,7 @@ def y_tube(radius=7.0, arm_radius=6.0, angle=35.0, length=55.0):
     ]
 
 
-def vessel_tree(scale=1.0, bend=4.0):
+def vessel_tree():
     """A trunk that forks into two, each of which forks again, out of plane and tapered: 7 branches.
 
     Radii at a fork follow Murray's law (the cubes of the daughters' radii make up the mother's).
@@ -151,18 +151,15 @@ def vessel_tree(scale=1.0, bend=4.0):
     for k, (a, b, r, s) in enumerate(links):
         t = np.linspace(0.0, 1.0, 31)[:, None]
         side = np.cross(b - a, [0.3, 1.0, 0.2 * k])
-        side *= bend / np.linalg.norm(side)
-        tubes.append(tube(scale * (a + t * (b - a) + np.sin(np.pi * t) * side), scale * r, scale * s))
+        side *= 4.0 / np.linalg.norm(side)
+        tubes.append(tube(a + t * (b - a) + np.sin(np.pi * t) * side, r, s))
     return tubes
 
 
-def trunk_with_sides(radius=9.0, side_radius=4.0, side=34.0):
+def trunk_with_sides():
     """A trunk with three thin branches off its side, two of them slanted: 7 branches."""
-    trunk = tube([[0, 0, -70.0], [0, 0, 70.0]], radius)
+    trunk = tube([[0, 0, -70.0], [0, 0, 70.0]], 9.0)
     roots = [np.array([0, 0, -35.0]), np.array([0, 0, 0.0]), np.array([0, 0, 35.0])]
     ways = [np.array([1.0, 0.0, 0.0]), np.array([-0.75, 0.35, 0.55]), np.array([0.3, 0.75, 0.6])]
-    sides = [
-        tube(np.stack([p, p + w / np.linalg.norm(w) * (radius + side)]), side_radius)
-        for p, w in zip(roots, ways, strict=True)
-    ]
+    sides = [tube(np.stack([p, p + w / np.linalg.norm(w) * 43.0]), 4.0) for p, w in zip(roots, ways, strict=True)]
     return [trunk, *sides]

@@ -13,19 +13,17 @@ from numba.core.runtime import _nrt_python, rtsys
 from scipy.sparse.linalg import LinearOperator, cg
 
 from helpers.naive import angular_energy, return_energy, spring_energy
+from helpers.pressing import poke, top_node
 from helpers.scenes import ball, changed, free_ball, kidney
 from helpers.states import assert_same, snapshot
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.settings import LOCAL_REGIONS
+from tissue_sim.model.data.shapes import sphere_tools
 from tissue_sim.model.elasticity.forces import elastic_forces
-from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.rest_recovery import QUIET_TICKS
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def top_of(organ):
-    return int(np.argmax(organ.surface_positions[:, 2]))
 
 
 def organ_for(region):
@@ -40,12 +38,6 @@ def woken(organ, speed=0.0, **options):
     nodes = simulation.model.moving
     simulation.velocities[nodes] = speed * np.random.default_rng(0).standard_normal((len(nodes), 3))
     return simulation
-
-
-def poke(simulation, ticks, force=(0.1, 0.0, -0.5)):
-    for _ in range(ticks):
-        simulation.apply_force(top_of(simulation.organ), force)
-        simulation.step()
 
 
 # rest ------------------------------------------------------------------------------------------
@@ -128,7 +120,7 @@ def test_node_on_a_return_spring_alone_oscillates_at_its_closed_form():
     """Through the whole tick with all its substeps: the discrete solution of a single mass."""
     organ = changed(ball(held=False), spring_stiffness=0.0, angular_stiffness=0.0, damping=0.0, return_stiffness=40.0)
     simulation = woken(organ)
-    node = top_of(organ)
+    node = top_node(organ)
     simulation.positions[node, 0] += 0.004
     path = []
     for _ in range(200):
@@ -242,7 +234,7 @@ def test_positions_without_the_compiler_agree(tmp_path):
     simulation = Simulation(organ)
     poke(simulation, 4)
     subprocess.run(
-        [sys.executable, "-c", UNCOMPILED, tmp_path / "ball.npz", str(top_of(organ)), tmp_path / "positions.npy"],
+        [sys.executable, "-c", UNCOMPILED, tmp_path / "ball.npz", str(top_node(organ)), tmp_path / "positions.npy"],
         cwd=ROOT,
         env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
         check=True,
@@ -271,7 +263,7 @@ def test_reset_brings_the_rest_shape_back_and_the_counters_go_on():
 
 def test_reset_forgets_a_force_that_was_not_yet_used():
     simulation = Simulation(ball())
-    simulation.apply_force(top_of(ball()), [0.0, 0.0, 1.0])
+    simulation.apply_force(top_node(ball()), [0.0, 0.0, 1.0])
     simulation.reset()
     simulation.step()
     assert simulation.asleep
@@ -281,7 +273,7 @@ def test_reset_forgets_a_force_that_was_not_yet_used():
 def test_force_lasts_one_tick_and_adds_up():
     organ = free_ball()
     simulation = Simulation(organ)
-    node = top_of(organ)
+    node = top_node(organ)
     simulation.apply_force([node, node], [[0.0, 0.0, 0.1], [0.2, 0.0, 0.0]])
     simulation.apply_force(node, [0.0, 0.3, 0.0])
     simulation.step()
@@ -344,7 +336,7 @@ def test_velocity_that_is_not_finite_never_shows(bad, region):
     simulation = Simulation(organ_for(region), local_region=region)
     poke(simulation, 20, force=(0.0, 0.0, -0.05))
     before = simulation.positions.copy()
-    simulation.velocities[top_of(simulation.organ), 1] = bad
+    simulation.velocities[top_node(simulation.organ), 1] = bad
     checked_steps(simulation, 1)
     assert simulation.state.count.faults == 1
     # Around a modal region the last good tick's edge is a micrometre from where it was shown.
@@ -362,7 +354,7 @@ def test_runaway_force_never_shows_and_the_organ_goes_on(region):
     simulation = Simulation(organ_for(region), local_region=region)
     poke(simulation, 20, force=(0.0, 0.0, -0.05))
     normal = simulation.state.status.substeps
-    simulation.apply_force(top_of(simulation.organ), [0.0, 0.0, 1e9])
+    simulation.apply_force(top_node(simulation.organ), [0.0, 0.0, 1e9])
     checked_steps(simulation, 1)
     assert simulation.state.count.faults == 1
     checked_steps(simulation, 1)
@@ -377,7 +369,7 @@ def test_runaway_force_never_shows_and_the_organ_goes_on(region):
 def test_force_that_runs_away_tick_after_tick_is_counted_each_time():
     simulation = Simulation(ball())
     for _ in range(10):
-        simulation.apply_force(top_of(ball()), [1e9, 0.0, 0.0])
+        simulation.apply_force(top_node(ball()), [1e9, 0.0, 0.0])
         checked_steps(simulation, 1)
     assert simulation.state.count.faults == 10
     assert simulation.state.status.substeps <= 8 * simulation.settings.substeps
@@ -439,7 +431,7 @@ def test_fault_on_the_way_back_does_not_return_to_the_false_shape():
     checked_steps(simulation, 100)
     here = simulation.positions.copy()
     assert np.abs(here - simulation.model.rest).max() < 0.002
-    simulation.apply_force(top_of(simulation.organ), [0.0, 0.0, 1e9])
+    simulation.apply_force(top_node(simulation.organ), [0.0, 0.0, 1e9])
     checked_steps(simulation, 1)
     assert simulation.state.count.faults == 1
     np.testing.assert_array_equal(simulation.positions, here)
@@ -497,7 +489,7 @@ def test_kernels_of_a_step_allocate_no_arrays():
 # settle ----------------------------------------------------------------------------------------
 def loads_of(organ, size):
     forces = np.zeros((organ.n_surface, 3))
-    forces[top_of(organ)] = size * np.array([0.2, 0.1, -1.0])
+    forces[top_node(organ)] = size * np.array([0.2, 0.1, -1.0])
     return forces
 
 

@@ -12,7 +12,8 @@ import trimesh
 from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.errors import UserError
 from tissue_sim.organ.inclusions import Inclusion, with_inclusions
-from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, content_digest
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.organ_file import SCHEMA_VERSION, content_digest
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.organ.surface_checks import check_surface, signed_volume
 from tissue_sim.organ.topology import assemble_like, assemble_organ

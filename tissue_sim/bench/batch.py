@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_batch import SceneBatch
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
@@ -185,7 +186,7 @@ def differing(scene: Scene, presses: Presses, steps: int = 30) -> int:
     return int(sum(np.count_nonzero(~one) for one in same))
 
 
-def as_json(organ: Organ, measured: list[Measured], peers: list[Measured], size: int, different: int) -> dict[str, Any]:
+def as_json(organ: Organ, measured: list[Measured], peers: list[Measured], size: int, different: int) -> JsonObject:
     """Return the figures, and their bounds."""
     one = measured[0]
     # While other programs take the cores, a ratio of times says nothing about this one.
@@ -223,7 +224,7 @@ def _amdahl(serial: float, cores: int) -> float:
     return 1.0 / (serial + (1.0 - serial) / cores)
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as a table."""
     head = ["", "threads", "steps/s", "steps/s and core", "force N, median of the highest"]
     table = [head] + [

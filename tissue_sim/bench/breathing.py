@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from tissue_sim.calibration.dynamics import Forces, Start, Steps, swing
 from tissue_sim.calibration.fem import Body
 from tissue_sim.contact.attachments import Breathing
 from tissue_sim.contact.scene import Scene
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.stepping.breathing import inhaled_fraction
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -99,7 +100,7 @@ def _breathed(organ: Organ, body: Body, rate: float, name: str, way: Floats) -> 
     return Breathed(rate, name, bent, off, most_off, float(count.asleep_ticks) / float(simulation.state.status.tick))
 
 
-def as_json(found: Sequence[Breathed]) -> dict[str, Any]:
+def as_json(found: Sequence[Breathed]) -> JsonObject:
     """Return all figures, and the bound on the slowest breath."""
     slow = [one for one in found if one.rate == min(row.rate for row in found)]
     worst = 100.0 * max(one.most_off for one in slow) / WAY
@@ -109,7 +110,7 @@ def as_json(found: Sequence[Breathed]) -> dict[str, Any]:
     return {"way_m": WAY, "breaths": [one._asdict() for one in found], "bounds": [one.as_json() for one in bounds]}
 
 
-def text(organ: Organ, found: dict[str, Any]) -> str:
+def text(organ: Organ, found: JsonObject) -> str:
     """Return the figures as a table, a row for each breath."""
     table = [
         ["breaths a minute", "way", "bends mm", "error mm rms", "error mm worst", "of the displacement %", "asleep %"]

@@ -22,6 +22,7 @@ from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.bare_loop import MOST_OF_BARE, POINTS_BEYOND, RATE, bare, late_percent
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, last_line, ticks
@@ -64,13 +65,13 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(found, check=args.check)
 
 
-def measure(organ_file: str, seconds: float, words: list[str], topics: tuple[str, ...]) -> dict[str, Any]:
+def measure(organ_file: str, seconds: float, words: list[str], topics: tuple[str, ...]) -> JsonObject:
     """Return the figures of a node without a real-time priority and, where that is allowed, of one with it.
 
     seconds: of poking without and with a camera each; words: arguments of the camera; topics: what is counted, below
     its name. Raises UserError when rclpy is not installed, or a process does not start or report.
     """
-    nodes: list[dict[str, Any]] = []
+    nodes: list[JsonObject] = []
     with rows.until_stopped():
         for priority in rows.each([0, PRIORITY] if is_allowed(PRIORITY) else [0], "nodes"):
             nodes.append({"realtime_priority": priority, "turns": {ALONE: [], BESIDE: []}})
@@ -78,7 +79,7 @@ def measure(organ_file: str, seconds: float, words: list[str], topics: tuple[str
     return as_json([node for node in nodes if node["turns"][BESIDE]], words)
 
 
-def _measure_node(path: str, seconds: float, node: dict[str, Any], filmed: tuple[list[str], tuple[str, ...]]) -> None:
+def _measure_node(path: str, seconds: float, node: JsonObject, filmed: tuple[list[str], tuple[str, ...]]) -> None:
     """Fill in the turns of one node, each when it is over."""
     priority, length = node["realtime_priority"], min(seconds, TURN)
     with Graph() as graph:
@@ -150,7 +151,7 @@ def _turn(hand: PokeProbe, length: float, priority: int, times: Callable[[], Pic
 # telling -------------------------------------------------------------------------------------------
 
 
-def as_json(nodes: list[dict[str, Any]], words: list[str]) -> dict[str, Any]:
+def as_json(nodes: list[JsonObject], words: list[str]) -> JsonObject:
     """Return the medians of each node's turns, and the bounds.
 
     Late ticks beside a camera are compared with those without one, or with those of a bare loop beside the same camera,

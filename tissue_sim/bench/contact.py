@@ -20,6 +20,7 @@ from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_co
 from tissue_sim.bench.timing import in_one_thread, noise_burst
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
@@ -51,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(found, check=args.check)
 
 
-def measure(organ: Organ) -> dict[str, Any]:
+def measure(organ: Organ) -> JsonObject:
     """Return the figures of every pair of tools; meant for a process of one thread."""
     with tempfile.TemporaryDirectory() as folder:
         measured = []
@@ -62,10 +63,10 @@ def measure(organ: Organ) -> dict[str, Any]:
     return as_json(measured, noise_burst(2000))
 
 
-def as_json(measured: Sequence[Pressed], bursts: Floats) -> dict[str, Any]:
+def as_json(measured: Sequence[Pressed], bursts: Floats) -> JsonObject:
     """Return all figures, and the bound on the first pair; bursts: s of a fixed loop, in the same run."""
     loop = float(np.median(bursts))
-    found: list[dict[str, Any]] = [
+    found: list[JsonObject] = [
         {
             "tools": one.name,
             "p50_us": 1e6 * float(np.percentile(one.seconds, 50)),
@@ -133,7 +134,7 @@ def pressed(organ: Organ, name: str, tools: list[Tool]) -> Pressed:
     return Pressed(name, touching, points[0], scene.finder.counters.narrow_phases, scene.finder.counters.sets, force)
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as a table."""
     table = [["", "p50 us", "p99 us", "p50 relative to loop", "points", "sets", "FCL queries", "force N"]]
     for row in found["rows"]:

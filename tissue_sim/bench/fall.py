@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.calibration.cases import held_out_cases, tractions
 from tissue_sim.calibration.evaluation import LONGEST, RAMP, TOLERANCE
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.elasticity.cells import swelling
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
@@ -99,7 +100,7 @@ def fallen(simulation: Simulation, fraction: float, kind: str, force: Floats) ->
     )
 
 
-def as_json(found: Sequence[SuddenLoad]) -> dict[str, Any]:
+def as_json(found: Sequence[SuddenLoad]) -> JsonObject:
     """Return all figures, and the bounds on loads of at most JUDGED."""
     judged = [one for one in found if one.traction <= JUDGED]
     up_to = f"up to {JUDGED:g} E"
@@ -113,7 +114,7 @@ def as_json(found: Sequence[SuddenLoad]) -> dict[str, Any]:
     return {"loads": [one._asdict() for one in found], "bounds": [bound.as_json() for bound in bounds]}
 
 
-def text(organ: Organ, found: dict[str, Any]) -> str:
+def text(organ: Organ, found: JsonObject) -> str:
     """Return the figures as a table, a row for each traction."""
     table = [
         ["traction / E", "loads", "settled", "deepest mm", "difference % worst", "inverted", "least volume", "faults"]

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from tissue_sim.bench.device_loop import (
 from tissue_sim.bench.devices import DEVICES, GRIP, NO_HAND, Device
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, save
 from tissue_sim.bench.rows import each, report, stopped, until_stopped
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.contact.virtual_coupling import passive_stiffness
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -191,7 +192,7 @@ def _tissue(organ: str) -> Tissue:
 # reporting -----------------------------------------------------------------------------------------
 
 
-def as_json(rows: Sequence[Row], bare: Sequence[Bare]) -> dict[str, Any]:
+def as_json(rows: Sequence[Row], bare: Sequence[Bare]) -> JsonObject:
     """Return all figures, and the bounds."""
     textbook = [row.ratio for row in rows if row.device == DEVICES[-1].name]
     bounds = [
@@ -224,7 +225,7 @@ def dry_limit(device: Device) -> float | None:
     return 2.0 * device.friction / device.quantum if device.quantum > 0.0 else None
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables."""
     grip = f"held: by {1e3 * GRIP.mass:g} g, {GRIP.damping:g} N s/m, {GRIP.stiffness:g} N/m (assumed: a light grip)"
     observed = any(row["observed"] is not None for row in found["rows"])
@@ -262,7 +263,7 @@ def _found(stiffness: float | None) -> str:
     return f">= {stiffness:.0f}" if math.isclose(stiffness, STIFFEST) else f"{stiffness:.0f}"
 
 
-def _data(device: dict[str, Any]) -> str:
+def _data(device: JsonObject) -> str:
     limit = "" if device["dry_limit"] is None else f"; 2 c / quantum = {device['dry_limit']:.0f} N/m"
     return (
         f"{1e3 * device['mass']:g} g, b = {device['damping']:g} N s/m, c = {device['friction']:g} N,"

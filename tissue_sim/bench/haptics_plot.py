@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tissue_sim.figures import empty_figure, hide_box
+from tissue_sim.json_types import JsonObject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def drawn(found: dict[str, Any]) -> Figure:
+def drawn(found: JsonObject) -> Figure:
     """Draw a panel for each device and a colour for each rate; lines: found, dotted: theory with delay."""
     names = list(dict.fromkeys(row["device"] for row in found["rows"]))
     rates = list(dict.fromkeys(row["rate"] for row in found["rows"]))

@@ -20,6 +20,7 @@ from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
 from tissue_sim.bench.processor_load import processor_load_during, processor_seconds
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
 
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(found, check=args.check)
 
 
-def measure(organ_file: str, seconds: float) -> dict[str, Any]:
+def measure(organ_file: str, seconds: float) -> JsonObject:
     """Return the processor use of node and peers in turns of TURN. Raises UserError where the node can't run."""
     with Graph() as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.probes.viewer import Viewer
@@ -76,7 +77,7 @@ def measure(organ_file: str, seconds: float) -> dict[str, Any]:
     return as_json(turns, seen_after)
 
 
-def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> dict[str, Any]:
+def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> JsonObject:
     """Return percent of a core in every turn, and s until a viewer had the organ, as figures and bounds.
 
     A machine under load makes every waking more expensive, so that the least of the turns is compared with the bound.

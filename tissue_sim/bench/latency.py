@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from tissue_sim.bench import latency_busy, rows, smoothing
 from tissue_sim.bench.arguments import add_priority, add_shared, check_priority, check_shared
 from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
@@ -61,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 # measuring -----------------------------------------------------------------------------------------
 
 
-def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[str, Any]:
+def measure(organ_file: str | None, seconds: float, priority: int = 0) -> JsonObject:
     """Return the figures of the node, the echo and the bare loop, measured for `seconds` each.
 
     priority: real-time priority of the node's loop and of the bare one; echo and node answer with the one below. Raises
@@ -137,7 +138,7 @@ def names() -> list[str]:
 
 def as_json(
     seconds: float, trips: dict[str, dict[str, float]], ticks: tuple[float, float], bare_late: Floats, busy: float
-) -> dict[str, Any]:
+) -> JsonObject:
     """Return all figures, and the bounds.
 
     trips: those of `names`, as Trip.as_json has them; ticks: number of the node's ticks, and of late ones; bare_late:
@@ -167,7 +168,7 @@ def as_json(
     }
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables."""
     table = [["from a pose, us", "p50", "p99", "p99.9", "trips", "lost"]]
     for name, trip in found["round_trips"].items():

@@ -11,7 +11,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from tissue_sim.bench import rows
 from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
 from tissue_sim.bench.printing import Bound, aligned, bound_lines
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
@@ -41,7 +42,7 @@ MOST_LACKING = 1.0  # % of the ticks
 SPINNING = "while True: pass"
 
 
-def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[str, Any]:
+def measure(organ_file: str | None, seconds: float, priority: int = 0) -> JsonObject:
     """Return the figures of a node without a real-time priority and of one with it, with phases of `seconds` each.
 
     priority: of the second node's loop; 0 for PRIORITY. Where the system doesn't allow it, only the first is measured.
@@ -52,7 +53,7 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
     priority = priority or PRIORITY
     path = organ_file or str(shipped_organ())
     wanted = [0, priority] if is_allowed(priority) else [0]
-    nodes: list[dict[str, Any]] = []
+    nodes: list[JsonObject] = []
     with rows.until_stopped():
         for one in rows.each(wanted, "nodes"):
             nodes.append({"realtime_priority": one, "seconds_until_back": None, "phases": {}})
@@ -61,7 +62,7 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
     return as_json(seconds, priority, nodes)
 
 
-def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
+def _measure_node(path: str, seconds: float, node: JsonObject) -> None:
     """Fill in the phases of one node, each when it is over."""
     priority, phases = node["realtime_priority"], node["phases"]
 
@@ -111,7 +112,7 @@ def spinning() -> Iterator[None]:
             program.stop()
 
 
-def _phase(hand: PokeProbe, seconds: float, priority: int, watch: Callable[[], object]) -> dict[str, Any]:
+def _phase(hand: PokeProbe, seconds: float, priority: int, watch: Callable[[], object]) -> JsonObject:
     found = hand.poke(seconds, watch)
     turns = max(1, round(BARE_FRACTION * seconds / BARE_TURN))
     late = []
@@ -125,7 +126,7 @@ def _phase(hand: PokeProbe, seconds: float, priority: int, watch: Callable[[], o
 # telling -------------------------------------------------------------------------------------------
 
 
-def phase_json(found: PokeFigures, bare_percent: float) -> dict[str, Any]:
+def phase_json(found: PokeFigures, bare_percent: float) -> JsonObject:
     """Return the figures of one phase: the node's between its first report and its last, and the forces."""
     first, last = found.reports[0], found.reports[-1]
     done, wall = last.tick - first.tick, last.seconds - first.seconds
@@ -142,7 +143,7 @@ def phase_json(found: PokeFigures, bare_percent: float) -> dict[str, Any]:
     }
 
 
-def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[str, Any]:
+def as_json(seconds: float, priority: int, nodes: list[JsonObject]) -> JsonObject:
     """Return all figures, and the bounds.
 
     nodes: of the one without a priority, and of the one with it if there was one; each with its phases.
@@ -185,7 +186,7 @@ def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[
     }
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables."""
     rows = [["node", "ticks/s", "late", "bare loop", "dropped", "simulated", "peak force", "worst", "longest gap"]]
     remarks = []
@@ -225,6 +226,6 @@ def text(found: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _whose(node: dict[str, Any]) -> str:
+def _whose(node: JsonObject) -> str:
     priority = node["realtime_priority"]
     return f"priority {priority}" if priority else "no priority"

@@ -24,6 +24,7 @@ from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
 from tissue_sim.bench.processor_load import processor_load_during, processor_seconds
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
@@ -147,14 +148,14 @@ def turn(spent: Mapping[str, Callable[[], float]], both: Viewer) -> dict[str, di
 # telling -------------------------------------------------------------------------------------------
 
 
-def as_json(turns: Mapping[str, Sequence[Mapping[str, Mapping[str, float]]]]) -> dict[str, Any]:
+def as_json(turns: Mapping[str, Sequence[Mapping[str, Mapping[str, float]]]]) -> JsonObject:
     """Return medians of the turns of each colouring, and the bounds.
 
     A node that falls behind rightly slows its markers: the cost of one is reported, and that at the requested rate.
     """
     table, bounds = [], []
     for colouring, measured in turns.items():
-        row: dict[str, Any] = {"colouring": colouring, "turns": len(measured)}
+        row: JsonObject = {"colouring": colouring, "turns": len(measured)}
         for name in MARKERS:
             percent, hz = (float(np.median([one[name][key] for one in measured])) for key in ("percent", "hz"))
             each = 0.01 * percent / max(hz, 1.0)

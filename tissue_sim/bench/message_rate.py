@@ -13,6 +13,7 @@ from typing import Any
 
 from tissue_sim.bench.organs import bean
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, figure
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.probes.graph import NODE, Graph, last_line, ticks
 from tissue_sim.ros.probes.lossy_link import lossy_link
@@ -24,7 +25,7 @@ SENDER = "sender"
 UNDAMPED = "damping_scale:=0.0"  # it keeps moving when the tool is gone
 
 
-def behind_link(organ_file: str, loss: float, seconds: float) -> dict[str, Any]:
+def behind_link(organ_file: str, loss: float, seconds: float) -> JsonObject:
     """Return the rates of surfaces, Hz, behind a link that loses a fraction of the packets.
 
     Parameters
@@ -38,7 +39,7 @@ def behind_link(organ_file: str, loss: float, seconds: float) -> dict[str, Any]:
 
     Returns
     -------
-    dict[str, Any]
+    JsonObject
         Rates and bounds.
 
     Raises
@@ -66,7 +67,7 @@ def behind_link(organ_file: str, loss: float, seconds: float) -> dict[str, Any]:
     return as_json(about, rates, LINK_LEAST)
 
 
-def of_large_organ(points: int, seconds: float) -> dict[str, Any]:
+def of_large_organ(points: int, seconds: float) -> JsonObject:
     """Return the rates of markers and surfaces, Hz, of a large organ.
 
     Parameters
@@ -78,7 +79,7 @@ def of_large_organ(points: int, seconds: float) -> dict[str, Any]:
 
     Returns
     -------
-    dict[str, Any]
+    JsonObject
         Rates and bounds.
 
     Raises
@@ -111,7 +112,7 @@ def of_large_organ(points: int, seconds: float) -> dict[str, Any]:
     return as_json(f"an organ of {points} points; {LARGE_RATE:g} Hz are sent", rates, LARGE_LEAST)
 
 
-def as_json(about: str, rates: Mapping[str, float], least: float) -> dict[str, Any]:
+def as_json(about: str, rates: Mapping[str, float], least: float) -> JsonObject:
     """Return the rates by topic, of the node and of the sender beside it, and the bounds of the node's."""
     own = {topic.rpartition("/")[2]: hz for topic, hz in rates.items() if topic.startswith(f"/{NODE}/")}
     rows = {kind: {"node_hz": hz, "sender_hz": rates[f"/{SENDER}/{kind}"]} for kind, hz in own.items()}

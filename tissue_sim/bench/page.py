@@ -27,6 +27,7 @@ from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_co
 from tissue_sim.bench.processor_load import processor_load_during, processor_seconds
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.shipped import shipped_file
 from tissue_sim.ports import free_port
 from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, last_line, ticks
@@ -75,7 +76,7 @@ def far(delay: float) -> Iterator[tuple[str, Sequence[str]]]:
         yield ADDRESSES[0], ("ip", "netns", "exec", there)
 
 
-def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) -> dict[str, Any]:
+def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) -> JsonObject:
     """Return the frames of each organ, bytes, and processor use.
 
     host: address at which the page is served; within: the command, if any, that runs the watcher. Raises UserError when
@@ -139,7 +140,7 @@ def as_json(
     sent: Sequence[float],
     percents: Mapping[str, float],
     seconds: float,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Return the frames per second of each organ, on average and in the worst second, and the bounds.
 
     arrivals: see `page_watcher.watch`; sent: when the node sent a surface, s. Raises UserError where there was no
@@ -150,7 +151,7 @@ def as_json(
     moving = np.histogram(sent, edges)[0] >= MOVING
     if not moving.any():
         raise UserError(f"the node never sent {MOVING} surfaces in a second: this machine is too slow, or too busy")
-    rows: list[dict[str, Any]] = []
+    rows: list[JsonObject] = []
     for name, organ in zip(scene.names, scene.organs, strict=True):
         came = np.array(arrivals["came"].get(f"/organ/{name}", []))
         count = np.histogram(came, edges)[0][moving]

@@ -6,7 +6,6 @@ import argparse
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from tissue_sim.bench.pinch_tools import Pinch, pairs, pinched
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines
 from tissue_sim.bench.timing import in_one_thread, noise_burst
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.outputs import write_json
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(found, check=args.check)
 
 
-def table_of(args: argparse.Namespace, organ: Organ) -> dict[str, Any] | None:
+def table_of(args: argparse.Namespace, organ: Organ) -> JsonObject | None:
     """Return the forces of finite elements that are compared with the organ's; None for an organ that has none.
 
     Raises UserError for a file that is no such table or another organ's, and as Body does.
@@ -83,9 +83,9 @@ def measure(organ: Organ) -> tuple[list[Pinch], Floats]:
         return found, noise_burst(2000)
 
 
-def as_json(pinches: Sequence[Pinch], bursts: Floats, reference: dict[str, Any] | None = None) -> dict[str, Any]:
+def as_json(pinches: Sequence[Pinch], bursts: Floats, reference: JsonObject | None = None) -> JsonObject:
     """Return all figures and bounds; bursts: s of a fixed loop, in the same run; reference: pinch_reference.as_json."""
-    table: list[dict[str, Any]] = [
+    table: list[JsonObject] = [
         {
             "tools": one.tools,
             "axis": "xyz"[one.axis],
@@ -126,7 +126,7 @@ def as_json(pinches: Sequence[Pinch], bursts: Floats, reference: dict[str, Any] 
     return found
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as a table."""
     names = ["tools", "axis", "%", "tick p50", "p99 us", "substeps", "turned", "held", "least J", "after", "faults"]
     table = [[*names, "force N"]]

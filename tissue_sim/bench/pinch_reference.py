@@ -12,7 +12,7 @@ import json
 import math
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from tissue_sim.calibration.reference import LEFT
 from tissue_sim.calibration.sphere_compression import CompressionStep, compressed, touchable
 from tissue_sim.contact.scene import Scene
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.elasticity.cells import swelling
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_file
@@ -78,7 +79,7 @@ def stored() -> Path | None:
     return shipped_file(STORED)
 
 
-def make(organ: Organ) -> dict[str, Any]:
+def make(organ: Organ) -> JsonObject:
     """Squeeze finite elements along every axis by every fraction.
 
     Parameters
@@ -88,7 +89,7 @@ def make(organ: Organ) -> dict[str, Any]:
 
     Returns
     -------
-    dict[str, Any]
+    JsonObject
         The table.
 
     Raises
@@ -105,12 +106,12 @@ def make(organ: Organ) -> dict[str, Any]:
     return {"organ": organ.name, "fits": fits(organ), "seconds": round(time.monotonic() - start), "rows": found}
 
 
-def by_elements(organ: Organ, where: Place, axis: int) -> list[dict[str, Any]]:
+def by_elements(organ: Organ, where: Place, axis: int) -> list[JsonObject]:
     """Return a row for every fraction: force on the tools (2, 3) N on both meshes, and the corrected one."""
     coarse, fine = (_compressed_between(organ, where, axis, mesh) for mesh in MESHES)
     found_rows = []
     for fraction, one, other in zip(FRACTIONS, coarse, fine, strict=True):
-        row: dict[str, Any] = {"axis": "xyz"[axis], "share_percent": 100.0 * fraction, "force_n": None}
+        row: JsonObject = {"axis": "xyz"[axis], "share_percent": 100.0 * fraction, "force_n": None}
         if one is not None and other is not None:
             force = -other.forces - LEFT * (other.forces - one.forces)
             found = {"force_n": force, "coarse_n": -one.forces, "fine_n": -other.forces}
@@ -145,7 +146,7 @@ def meets_clamp(organ: Organ, where: Place) -> NDArray[np.bool_]:
     return np.asarray((apart < SPHERE).any(axis=1))
 
 
-def read(path: Path, organ: Organ) -> dict[str, Any]:
+def read(path: Path, organ: Organ) -> JsonObject:
     """Return a stored table.
 
     Parameters
@@ -157,7 +158,7 @@ def read(path: Path, organ: Organ) -> dict[str, Any]:
 
     Returns
     -------
-    dict[str, Any]
+    JsonObject
         The table.
 
     Raises
@@ -186,14 +187,14 @@ def read(path: Path, organ: Organ) -> dict[str, Any]:
 # ours ----------------------------------------------------------------------------------------------
 
 
-def measure(organ: Organ, table: dict[str, Any]) -> list[Compared]:
+def measure(organ: Organ, table: JsonObject) -> list[Compared]:
     """Squeeze the organ as the table's rows were: slowly, until the force is constant.
 
     Parameters
     ----------
     organ : Organ
         The organ.
-    table : dict[str, Any]
+    table : JsonObject
         The table.
 
     Returns
@@ -248,7 +249,7 @@ def slowly(organ: Organ, axis: int) -> list[tuple[Floats, float]]:
 # telling -------------------------------------------------------------------------------------------
 
 
-def as_json(found: list[Compared]) -> dict[str, Any]:
+def as_json(found: list[Compared]) -> JsonObject:
     """Return all figures, and the bound.
 
     Parameters
@@ -258,7 +259,7 @@ def as_json(found: list[Compared]) -> dict[str, Any]:
 
     Returns
     -------
-    dict[str, Any]
+    JsonObject
         The figures by name.
     """
     table = [
@@ -281,12 +282,12 @@ def as_json(found: list[Compared]) -> dict[str, Any]:
     }
 
 
-def lines(rows: list[dict[str, Any]]) -> list[str]:
+def lines(rows: list[JsonObject]) -> list[str]:
     """Return the figures as a table.
 
     Parameters
     ----------
-    rows : list[dict[str, Any]]
+    rows : list[JsonObject]
         The figures.
 
     Returns

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tissue_sim.errors import UserError
 from tissue_sim.figures import empty_figure, hide_box
+from tissue_sim.json_types import JsonObject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,12 +16,12 @@ if TYPE_CHECKING:
 _OURS, _THEIRS, _LIMIT = "#2166ac", "#b2182b", "#777777"
 
 
-def write_plots(found: dict[str, Any], folder: Path) -> list[Path]:
+def write_plots(found: JsonObject, folder: Path) -> list[Path]:
     """Write tick.png and growth.png from the figures of `bench tick`.
 
     Parameters
     ----------
-    found : dict[str, Any]
+    found : JsonObject
         The figures.
     folder : Path
         The folder.
@@ -45,7 +46,7 @@ def write_plots(found: dict[str, Any], folder: Path) -> list[Path]:
     return paths
 
 
-def _rows(found: dict[str, Any]) -> Figure:
+def _rows(found: JsonObject) -> Figure:
     """Return a figure of the median and p99 of every row, on a logarithmic scale."""
     rows = [row for row in found["rows"] if row["median_us"] is not None][::-1]
     figure = empty_figure(9.0, 0.36 * len(rows) + 1.3)
@@ -68,7 +69,7 @@ def _rows(found: dict[str, Any]) -> Figure:
     return figure
 
 
-def _growth(found: dict[str, Any]) -> Figure:
+def _growth(found: JsonObject) -> Figure:
     """Return a figure of whole tick, substep and modal tick over the number of points."""
     sizes = found["growth"]["sizes"]
     points = [size["points"] for size in sizes]

@@ -23,6 +23,7 @@ from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_file, shipped_organ
 
@@ -85,9 +86,9 @@ class Place(NamedTuple):
         return np.concatenate([self.point + (depth - form.ahead) * self.way, turn.as_quat()])
 
 
-def locations_on(organ: Organ, count: int, seed: int = 5) -> list[Place]:
+def locations_on(organ: Organ, count: int) -> list[Place]:
     """Draw places evenly from the area of a surface, clear of its clamp."""
-    corners, rng = organ.surface_positions[organ.surface_triangles], np.random.default_rng(seed)
+    corners, rng = organ.surface_positions[organ.surface_triangles], np.random.default_rng(5)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(cross, axis=1)
     held = organ.surface_positions[organ.fixed]
@@ -240,7 +241,7 @@ def at_place(
 # reporting -----------------------------------------------------------------------------------------
 
 
-def as_json(pressed: Sequence[Pressed]) -> dict[str, Any]:
+def as_json(pressed: Sequence[Pressed]) -> JsonObject:
     """Return the figures of all presses, and by organ, tool and motion. Raises UserError when there are none."""
     if not pressed:
         raise UserError(f"no point of the organs resists a slow press with {LEAST_FORCE:g} N; try other ORGANs")
@@ -280,7 +281,7 @@ def figures(pressed: Sequence[Pressed]) -> dict[str, float]:
     }
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables."""
     table = [["", "presses", "failed", f"within {MOST_OFF:g} %", "median difference", "p95", "worst"]]
     for name, one in (("all", found["all"]), *found["organs"].items(), *found["tools"].items()):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tissue_sim.bench import rows
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.outputs import write_json
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ class Bound(NamedTuple):
         held = bool(self.value >= self.limit if self.least else self.value <= self.limit)
         return None if held and rows.stopped() else held
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """Return its fields, and whether it is met."""
         return self._asdict() | {"met": self.met}
 
@@ -202,12 +203,12 @@ def noise_lines(noise: float | None) -> list[str]:
     ]
 
 
-def emit(found: dict[str, Any], text: str, json_to: str | None) -> None:
+def emit(found: JsonObject, text: str, json_to: str | None) -> None:
     """Print the text and write JSON to a file, or with - print the JSON instead; both say when it was stopped.
 
     Parameters
     ----------
-    found : dict[str, Any]
+    found : JsonObject
         The figures.
     text : str
         The text.

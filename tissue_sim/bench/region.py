@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse.linalg import splu
@@ -19,11 +19,13 @@ from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_co
 from tissue_sim.bench.timing import Phase, Ticks, Timing, interleave
 from tissue_sim.calibration.stiffness import Settings, prepared
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.data.settings import LocalRegion
 from tissue_sim.model.data.state import Region
 from tissue_sim.model.elasticity.hop_distances import hop_table
 from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
-from tissue_sim.model.simulation import Simulation, moves_whole
+from tissue_sim.model.regions.region_tables import moves_whole
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -216,7 +218,7 @@ def off(found: Floats, wanted: Floats) -> float:
     return float(100.0 * np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 
 
-def as_json(cases: list[PlaceErrors], sizes: list[SizeErrors]) -> dict[str, Any]:
+def as_json(cases: list[PlaceErrors], sizes: list[SizeErrors]) -> JsonObject:
     """Return the bounds on the worst errors of the modal region and of `auto`, every case and every size."""
     small = [case for case in cases if case.force == SMALL]
     bounds = [
@@ -236,7 +238,7 @@ def as_json(cases: list[PlaceErrors], sizes: list[SizeErrors]) -> dict[str, Any]
     }
 
 
-def text(organ: Organ, cases: list[PlaceErrors], sizes: list[SizeErrors], found: dict[str, Any]) -> str:
+def text(organ: Organ, cases: list[PlaceErrors], sizes: list[SizeErrors], found: JsonObject) -> str:
     """Return the tables and the bounds as text."""
     rows = [["point", "N", "indentation mm", "modal/linear %", "modal %", "auto %", "is", "frozen %", "linear %"]]
     for case in cases:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.linalg import eigh
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Array, Floats
 from tissue_sim.bench import rows
 from tissue_sim.bench.organs import bean, patch_load
 from tissue_sim.bench.timing import Phase, Ticks, Timing, interleave
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.model.elasticity.modes import Modes, lowest_modes, stiffness_matrix
@@ -104,7 +104,7 @@ def with_modes(organ: Organ, modes: Modes) -> Simulation:
     """Return a simulation with a modal region that uses these modes instead of computing and keeping its own."""
     own = reduction.remembered
     nothing = np.zeros((0, 0), dtype=np.float32)
-    made: dict[str, NDArray[Any]] = {"frequency": modes.frequency, "shape": modes.shape, "compliance": nothing}
+    made: dict[str, Array] = {"frequency": modes.frequency, "shape": modes.shape, "compliance": nothing}
     try:
         reduction.remembered = lambda kind, key, make: made
         return Simulation(organ, local_region="modal")
@@ -131,7 +131,7 @@ def carried_modes(coarse: Organ, coarse_modes: Modes, fine: Organ, model: Model)
     return Modes(np.sqrt(np.maximum(square, 0.0)), (basis @ mix).reshape(n, 3, m))
 
 
-def as_json(grown: list[Grown]) -> dict[str, Any]:
+def as_json(grown: list[Grown]) -> JsonObject:
     """Return the growth for machines; units stand in the names.
 
     Parameters
@@ -141,7 +141,7 @@ def as_json(grown: list[Grown]) -> dict[str, Any]:
 
     Returns
     -------
-    dict[str, Any]
+    JsonObject
         The figures by name.
     """
     points = [size.points for size in grown]

@@ -34,6 +34,7 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.data.world import World
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
@@ -292,7 +293,7 @@ def bounds(measured: Figures) -> list[Bound]:
     return found
 
 
-def as_json(organ: Organ, scene: SceneFile, measured: Figures) -> dict[str, Any]:
+def as_json(organ: Organ, scene: SceneFile, measured: Figures) -> JsonObject:
     """Return all figures for machines; units stand in the names."""
     return {
         "benchmark": "scene",
@@ -319,7 +320,7 @@ def as_json(organ: Organ, scene: SceneFile, measured: Figures) -> dict[str, Any]
     }
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the tables to be printed."""
     lines = [
         f"organ '{found['organ']}', {found['surface_points']} surface points, {1e3 * APART:g} mm from the next one;"
@@ -335,7 +336,7 @@ def text(found: dict[str, Any]) -> str:
     return "\n".join([*lines, "", *bound_lines(found["bounds"]), *noise_lines(found["noise"])])
 
 
-def _table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+def _table(rows: Sequence[JsonObject]) -> list[list[str]]:
     table = [["", "organs", "median us", "p99 us", "samples", ""]]
     for row in rows:
         figures = [figure(row[key]) for key in ("median_us", "p99_us")]

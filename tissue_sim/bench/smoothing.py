@@ -7,13 +7,14 @@ the largest change of the force within a tick while the hand oscillates in the t
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 
 RATE, POSE_RATES, SMOOTHINGS = 1000, (500, 100, 30), (1.0, 0.5, 0.0)  # Hz, Hz, fractions
@@ -75,7 +76,7 @@ def one(organ: Organ, smoothing: float, rate: float) -> Smoothed:
     return Smoothed(smoothing, rate, half, float(np.linalg.norm(np.diff(swung, axis=0), axis=1).max()))
 
 
-def as_json(found: list[Smoothed]) -> list[dict[str, Any]]:
+def as_json(found: list[Smoothed]) -> list[JsonObject]:
     """Return the figures for --json.
 
     Parameters
@@ -85,18 +86,18 @@ def as_json(found: list[Smoothed]) -> list[dict[str, Any]]:
 
     Returns
     -------
-    list[dict[str, Any]]
+    list[JsonObject]
         The figures by name.
     """
     return [one._asdict() for one in found]
 
 
-def table(found: list[dict[str, Any]]) -> list[list[str]]:
+def table(found: list[JsonObject]) -> list[list[str]]:
     """Return the figures as rows of cells, the first of which is the head.
 
     Parameters
     ----------
-    found : list[dict[str, Any]]
+    found : list[JsonObject]
         The figures by name.
 
     Returns

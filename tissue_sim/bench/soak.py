@@ -27,6 +27,7 @@ from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, save
 from tissue_sim.bench.soak_bag import BagFound, read_bag
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
@@ -222,7 +223,7 @@ def memory_of(seconds: Sequence[float], megabytes: Sequence[float]) -> dict[str,
     }
 
 
-def as_json(soaked: Soaked) -> dict[str, Any]:
+def as_json(soaked: Soaked) -> JsonObject:
     """Return all figures, and the bounds."""
     samples, turns, bag, problems, repeats = soaked.samples, soaked.turns, soaked.bag, soaked.problems, soaked.repeats
     first, last = samples[0], samples[-1]
@@ -272,7 +273,7 @@ def as_json(soaked: Soaked) -> dict[str, Any]:
     }
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables."""
     late, bag = found["late"], found["bag"]
 

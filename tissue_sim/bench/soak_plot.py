@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim.figures import empty_figure, hide_box
+from tissue_sim.json_types import JsonObject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 _NODE, _BARE, _GUIDE = "#2166ac", "#b2182b", "#777777"
 
 
-def drawn(found: dict[str, Any]) -> Figure:
+def drawn(found: JsonObject) -> Figure:
     """Draw memory and lateness over the minutes."""
     series = {name: np.array(values) for name, values in found["series"].items()}
     minutes = series["seconds"] / 60.0

@@ -9,7 +9,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from tissue_sim import progress
 from tissue_sim.bench import rows
@@ -20,8 +19,9 @@ from tissue_sim.bench.sweeps.trial import Record, run_cell
 from tissue_sim.bench.sweeps.trial_simulations import made_for, organ_of, simulation_of
 from tissue_sim.calibration.cohort import on_cluster
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.data.settings import LOCAL_REGIONS
-from tissue_sim.model.simulation import moves_whole
+from tissue_sim.model.regions.region_tables import moves_whole
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.outputs import write_json
@@ -143,7 +143,7 @@ def summary(records: Sequence[Record], seconds: float) -> str:
     return "\n".join(lines)
 
 
-def _report(records: Sequence[Record], organ: str, quick: bool, seconds: float) -> dict[str, Any]:
+def _report(records: Sequence[Record], organ: str, quick: bool, seconds: float) -> JsonObject:
     broken = violations(records)
     return {
         "organ": organ_of(organ).name,

@@ -25,6 +25,7 @@ from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, built_or_skipped, emit, exit_code, figure
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
@@ -93,10 +94,10 @@ def run(args: argparse.Namespace) -> int:
 # measuring -----------------------------------------------------------------------------------------
 
 
-def measure(organ: Path, wanted: Sequence[str]) -> dict[str, Any]:
+def measure(organ: Path, wanted: Sequence[str]) -> JsonObject:
     """Return figures of a process and of a node, with the kernels as wanted, and of the peers."""
     Organ.load(organ)  # reports what is wrong with it
-    starts: dict[str, dict[str, Any]] = {}
+    starts: dict[str, JsonObject] = {}
     nodes: dict[str, dict[str, float] | None] = {}
     peers: dict[str, list[Start]] = {name: [] for name in PEERS}
     remark = ""
@@ -130,7 +131,7 @@ def _cache(kernels: str) -> Iterator[dict[str, str]]:
         yield own | {"XDG_CACHE_HOME": empty}
 
 
-def first_start(organ: Path, environment: Mapping[str, str]) -> dict[str, Any]:
+def first_start(organ: Path, environment: Mapping[str, str]) -> JsonObject:
     """Return what `tissue_sim.bench.first_tick` reports, in a new process."""
     words = [sys.executable, "-m", "tissue_sim.bench.first_tick", str(time.monotonic()), str(organ.absolute())]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
@@ -195,7 +196,7 @@ def as_json(
     nodes: Mapping[str, Mapping[str, float] | None],
     peers: Mapping[str, Start],
     remark: str,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Return all figures, s, and the bounds; remark: why there are none of the node."""
     ends = [node["to_end"] for node in nodes.values() if node]
     bounds = [Bound(f"first tick of a new process, {name}", starts[name]["wall"], MOST[name], "s") for name in starts]

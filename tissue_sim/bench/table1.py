@@ -17,6 +17,7 @@ from tissue_sim.bench.organs import spread_nodes
 from tissue_sim.bench.printing import aligned, emit, noise_lines, print_pictures
 from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
@@ -138,7 +139,7 @@ def measure(organ: Organ, unit: float, quick: bool) -> tuple[dict[str, dict[str,
     return cells, timings["noise"]
 
 
-def as_json(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], noise: Timing) -> dict[str, Any]:
+def as_json(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], noise: Timing) -> JsonObject:
     """Return the table for machines; units stand in the names."""
     rows = []
     for index, force in enumerate(FORCES):
@@ -173,7 +174,7 @@ def as_json(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], noise
     }
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the table to be printed."""
     lines = [
         f"Table 1 of the paper on '{found['organ']}': {found['surface_points']} surface points,"

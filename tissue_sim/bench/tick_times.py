@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from tissue_sim.bench import scaling as growth
 from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
@@ -46,6 +46,7 @@ from tissue_sim.bench.tick_rows import (
 )
 from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.jit import is_compiled
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
@@ -152,7 +153,7 @@ def _percent(fraction: float | None) -> float | None:
     return None if fraction is None else 100.0 * fraction
 
 
-def as_json(organ: Organ, measured: Figures) -> dict[str, Any]:
+def as_json(organ: Organ, measured: Figures) -> JsonObject:
     """Return all figures for machines; units stand in the names."""
     whole = next((row.timing.median for row in measured.rows if row.name == WHOLE and row.timing), None)
     return {
@@ -184,7 +185,7 @@ def as_json(organ: Organ, measured: Figures) -> dict[str, Any]:
     }
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the tables to be printed."""
     lines = [
         f"organ '{found['organ']}', {found['surface_points']} surface points; a tick is 1 ms of simulated time;"
@@ -212,7 +213,7 @@ def text(found: dict[str, Any]) -> str:
     return "\n".join(lines + noise_lines(found["noise"]))
 
 
-def _growth_lines(found: dict[str, Any]) -> list[str]:
+def _growth_lines(found: JsonObject) -> list[str]:
     table = [["points", "whole us", "substeps", "us a substep", "modal us", "modal substeps", "nodes", "modes", "s"]]
     for size in found["sizes"]:
         row = [str(size["points"]), figure(size["whole_us"]), str(size["substeps"]), figure(size["substep_us"])]

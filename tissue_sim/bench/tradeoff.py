@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from tissue_sim.calibration.cases import held_out_cases, scale_to_depth
 from tissue_sim.calibration.fem import Body, volume_change
 from tissue_sim.calibration.reference import Refined, finer_reference_body, refined
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
@@ -232,7 +233,7 @@ def error_of(engine: Engine, case: Case, size: Sized) -> Error:
 # results -------------------------------------------------------------------------------------------
 
 
-def as_json(organ: Organ, found: Found, seconds: float) -> dict[str, Any]:
+def as_json(organ: Organ, found: Found, seconds: float) -> JsonObject:
     """Return all figures for machines; units stand in the names."""
     rows = [_row_as_json(row) for row in found.rows]
     for row, best in zip(rows, pareto([(row["ms_per_ms"], row["mean_percent"]) for row in rows]), strict=True):
@@ -264,7 +265,7 @@ def as_json(organ: Organ, found: Found, seconds: float) -> dict[str, Any]:
     }
 
 
-def _growth(sizes: list[dict[str, Any]]) -> dict[str, Any] | None:
+def _growth(sizes: list[JsonObject]) -> JsonObject | None:
     """Return how time and error of the calibrated organ change with its points; None for one size."""
     if len(sizes) < 2:
         return None
@@ -277,7 +278,7 @@ def _growth(sizes: list[dict[str, Any]]) -> dict[str, Any] | None:
     }
 
 
-def _row_as_json(row: Evaluated) -> dict[str, Any]:
+def _row_as_json(row: Evaluated) -> JsonObject:
     errors = row.errors
     sharp = [100.0 * error.relative for error in errors if error.kind == "sharp"]
     smooth = [100.0 * error.relative for error in errors if error.kind != "sharp"]
@@ -319,7 +320,7 @@ def pareto(costs: Sequence[tuple[float | None, float | None]]) -> list[bool]:
     return [time is not None and error is not None and not beaten(time, float(f"{error:.3g}")) for time, error in costs]
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the table to be printed."""
     reference, loads = found["reference"], found["loads"]
     sharp = sum(load["kind"] == "sharp" for load in loads)

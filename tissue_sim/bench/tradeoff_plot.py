@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from tissue_sim.bench.peers.rows import CALIBRATED
 from tissue_sim.bench.variants import BALANCED
 from tissue_sim.figures import empty_figure, hide_box
+from tissue_sim.json_types import JsonObject
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +35,7 @@ _SPRINGS = _Kind("the paper's springs", "#2f8f4e", "^", 1.0)
 _PEERS = _Kind("others", "#b5401f", "s", 1.0)
 
 
-def drawn(found: dict[str, Any]) -> Figure:
+def drawn(found: JsonObject) -> Figure:
     """Draw a line per row's name and a mark per size, log-log, with names beside marks of the organ's own size."""
     from matplotlib.ticker import FuncFormatter, LogLocator
 
@@ -94,7 +95,7 @@ def _kind(name: str, ours: bool) -> _Kind:
     return _CELLS if name.startswith(CALIBRATED) else _SPRINGS
 
 
-def _place(row: dict[str, Any]) -> tuple[float, float]:
+def _place(row: JsonObject) -> tuple[float, float]:
     return row["ms_per_ms"], max(row["mean_percent"], _LEAST)
 
 

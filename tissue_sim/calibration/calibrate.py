@@ -34,6 +34,7 @@ from tissue_sim.calibration.reference_process import Poke, Reference
 from tissue_sim.calibration.stiffening_fit import STEPS, fit_stiffening
 from tissue_sim.calibration.stiffness import ONE_STEP, Settings, first_stiffness, prepared, with_stiffness
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.stepping.critical_step import model_step, substeps_for
@@ -67,7 +68,7 @@ class Calibrated(NamedTuple):
     """Calibrated organ and everything that a report shows."""
 
     organ: Organ
-    figures: dict[str, Any]  # also in the organ's provenance, under `calibration`
+    figures: JsonObject  # also in the organ's provenance, under `calibration`
     cases: Cases  # held out
     wanted: Answer  # of the finite-element body
     linear: Floats  # (c, n_surface, 3) m, of the linear one
@@ -186,7 +187,7 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
         wanted, found = (Answer(*(part[kept] for part in answer)) for answer in (wanted, found))
     finally:
         reference.stop()
-    figures: dict[str, Any] = {
+    figures: JsonObject = {
         "made_of": organ.digest(),
         "version": __version__,
         "method": settings.method,
@@ -278,7 +279,7 @@ def _near_buckling(cases: Cases, linear: Floats, wanted: Answer, stiffens: bool 
     return found
 
 
-def held_out_figures(cases: Cases, wanted: Answer, linear: Floats, found: Answer) -> dict[str, Any]:
+def held_out_figures(cases: Cases, wanted: Answer, linear: Floats, found: Answer) -> JsonObject:
     """Return the errors in percent, separately for smooth and sharp loads, with those of the linear body."""
     error, by_linear = (
         100.0 * errors(found.displacement, wanted.displacement),
@@ -287,7 +288,7 @@ def held_out_figures(cases: Cases, wanted: Answer, linear: Floats, found: Answer
     off = np.linalg.norm(found.displacement - wanted.displacement, axis=2)
     deepest = 1e3 * np.linalg.norm(wanted.displacement, axis=2).max(axis=1)
     sharp = np.array([kind == "sharp" for kind in cases.kind], dtype=bool)
-    found_figures: dict[str, Any] = {}
+    found_figures: JsonObject = {}
     for name, some in (("smooth", ~sharp), ("sharp", sharp)):
         if not some.any():
             continue
@@ -311,7 +312,7 @@ def held_out_figures(cases: Cases, wanted: Answer, linear: Floats, found: Answer
     return found_figures
 
 
-def step_figures(organ: Organ) -> dict[str, Any]:
+def step_figures(organ: Organ) -> JsonObject:
     """Return the critical step and the substeps of a millisecond, as Simulation chooses them."""
     model = assemble(organ)
     critical = model_step(model, largest_frequency(model))

@@ -14,6 +14,7 @@ from tissue_sim.calibration.calibrate import Calibrated
 from tissue_sim.calibration.evaluation import errors
 from tissue_sim.errors import UserError
 from tissue_sim.figures import empty_figure, hide_box
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.reporting.render import Solid, View, draw, view_of
 
 if TYPE_CHECKING:
@@ -27,12 +28,12 @@ _SIDE = 420  # pixels
 _ERRORS, _COLOURS, _BANDS = "viridis", 256, 8  # colour map of errors, its colours, and how many are used
 
 
-def lines(figures: dict[str, Any]) -> Iterator[str]:
+def lines(figures: JsonObject) -> Iterator[str]:
     """Yield the figures as lines of text.
 
     Parameters
     ----------
-    figures : dict[str, Any]
+    figures : JsonObject
         Figures of a calibration.
 
     Yields

@@ -9,11 +9,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
+from tissue_sim.array_types import Array
 from tissue_sim.errors import UserError
 
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, Array]
 
 KEPT = "results"  # where in its folder
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm, dsyrk, dtrsm, sgemm, strsm
 from scipy.linalg.lapack import dpotrf
 
-from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.array_types import Array, Floats, Ints, Longs
 from tissue_sim.jit import kernel
 
 BALANCE = 0.3  # least fraction of elements in a part
@@ -41,8 +41,8 @@ class Front(NamedTuple):
 class Factor(NamedTuple):
     """Cholesky factor of one front."""
 
-    diagonal: NDArray[Any]  # (p, p) lower triangle
-    below: NDArray[Any]  # (b, p)
+    diagonal: Array  # (p, p) lower triangle
+    below: Array  # (b, p)
 
 
 class NotPositive(Exception):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tissue_sim.array_types import Floats, Ints
+from tissue_sim.array_types import Array, Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.organ import Organ
@@ -57,7 +57,7 @@ class FeMesh(NamedTuple):
     clamped: NDArray[np.bool_]  # (f,) whether that triangle is held
 
 
-def fill(organ: Organ, near: NDArray[Any] | None = None, grading: Grading | None = None) -> FeMesh:
+def fill(organ: Organ, near: Array | None = None, grading: Grading | None = None) -> FeMesh:
     """Fill the organ's surface with tetrahedra, graded at the clamp's edge, under loads, and at inclusions.
 
     Netgen keeps surface nodes and triangles as they are; refinement then bisects longest edges (skfem). At the clamp's
@@ -67,7 +67,7 @@ def fill(organ: Organ, near: NDArray[Any] | None = None, grading: Grading | None
     ----------
     organ : Organ
         The organ.
-    near : NDArray[Any] | None, shape (k,), optional
+    near : Array | None, shape (k,), optional
         Surface nodes under loads; None for none.
     grading : Grading | None, optional
         Sizes of the elements; None for the usual ones.
@@ -138,7 +138,7 @@ def _rows(pairs: Ints, wanted: Ints, n: int) -> Ints:
     return order[np.searchsorted(known, keys(wanted), sorter=order)].astype(np.int32)
 
 
-def sources_of(organ: Organ, near: NDArray[Any] | None, grading: Grading) -> list[Source]:
+def sources_of(organ: Organ, near: Array | None, grading: Grading) -> list[Source]:
     """Return where elements are small: along the clamp's edge, under loads on some nodes (k,), and at inclusions."""
     positions, triangles = organ.surface_positions, organ.surface_triangles
     edge = float(np.linalg.norm(positions[triangles[:, 0]] - positions[triangles[:, 1]], axis=1).mean())

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array, csr_array
 
-from tissue_sim.array_types import Floats, Mask
+from tissue_sim.array_types import Array, Floats, Mask
 from tissue_sim.calibration.fe_mesh import FeMesh, Grading, coordinates, fill, libraries
 from tissue_sim.calibration.solid import Material, Solid
 from tissue_sim.errors import UserError
@@ -39,7 +39,7 @@ class Body:
 
     Parameters
     ----------
-    near : NDArray[Any] | None, shape (k,), optional
+    near : Array | None, shape (k,), optional
         Surface nodes under which the mesh is refined; None for none.
     grading : Grading | None, optional
         Sizes of the elements; None for the usual ones.
@@ -52,7 +52,7 @@ class Body:
         Where the organ has no clamp, an invalid material, or a surface that can't be filled.
     """
 
-    def __init__(self, organ: Organ, near: NDArray[Any] | None = None, grading: Grading | None = None) -> None:
+    def __init__(self, organ: Organ, near: Array | None = None, grading: Grading | None = None) -> None:
         _check_material(organ)
         self.organ = organ
         self.filling = fill(organ, near, grading)

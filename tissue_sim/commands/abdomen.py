@@ -16,6 +16,7 @@ from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.commands.calibrate_many import calibrate_many
 from tissue_sim.contact.scene_file import FORMAT, SceneFile
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.organ import Organ
 from tissue_sim.outputs import make_folder
@@ -170,7 +171,7 @@ def write_scene(organs: Mapping[str, Organ], path: Path, source: str) -> None:
         raise UserError(f"cannot write {path}: {error.strerror}") from None
 
 
-def _ligament(one: str, other: str, organs: Mapping[str, Organ]) -> dict[str, Any]:
+def _ligament(one: str, other: str, organs: Mapping[str, Organ]) -> JsonObject:
     apart = cKDTree(organs[other].surface_positions).query(organs[one].surface_positions)[0].min()
     within = round(float(apart) + LIGAMENT, 4)
     return {"between": [one, other], "within": within, "stiffness": 10.0, "damping": 0.05}

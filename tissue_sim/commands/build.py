@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from tissue_sim.commands.build_refine import HELP as REFINE_HELP
 from tissue_sim.commands.build_refine import parse_refine
 from tissue_sim.commands.law_options import add_law, law_of, with_law
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.build import EXTRA, digest_of, make, stem_of
 from tissue_sim.organ.build_record import STAGES, Progress
 from tissue_sim.organ.fixed_nodes import select_fixed
@@ -251,7 +251,7 @@ def _parameters(args: argparse.Namespace) -> SegmentationParameters:
 def _check_counts(args: argparse.Namespace) -> None:
     """Refuse at once what would otherwise be refused after the segmentation."""
     from tissue_sim.organ.interior import check_interior
-    from tissue_sim.organ.organ import check_law
+    from tissue_sim.organ.organ_file import check_law
     from tissue_sim.organ.skeletons.skeleton import check_atoms
     from tissue_sim.organ.surfaces.balloon import check_points
     from tissue_sim.organ.topology import check_tissue
@@ -342,7 +342,7 @@ def _stages_of(args: argparse.Namespace) -> list[str]:
     return [*stages, "report"] if args.report is not None else stages
 
 
-def _given(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
+def _given(args: argparse.Namespace) -> tuple[str, JsonObject]:
     """Return the kind of the input, and its options as the library takes them."""
     part = int(args.part) if args.part and args.part.isdigit() else args.part
     of_parts = {"part": part, "merge_parts": args.merge_parts}

@@ -8,14 +8,14 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.inclusions import check_stiffness
 
 
-def parse_inclusions(given: Sequence[str], label: str | None = None) -> dict[str, float]:
+def parse_inclusions(given: Sequence[str], label: str | None) -> dict[str, float]:
     """Return the stiffness factor of each label.
 
     Parameters
     ----------
     given : Sequence[str]
         Values of the option, N:TIMES each.
-    label : str | None, optional
+    label : str | None
         Label of the organ itself.
 
     Returns

@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from tissue_sim import progress
 from tissue_sim.calibration.calibrate import calibrate
@@ -28,6 +27,7 @@ from tissue_sim.commands.calibrate_many import (
 )
 from tissue_sim.commands.law_options import add_law, law_of, with_law
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.refined import refined
 from tissue_sim.outputs import check_organ_file, make_folder
@@ -188,7 +188,7 @@ def _settings(args: argparse.Namespace) -> Settings:
         raise UserError(f"--{error}") from None
 
 
-def _missed(figures: dict[str, Any]) -> Iterator[str]:
+def _missed(figures: JsonObject) -> Iterator[str]:
     """Yield the bounds that are missed."""
     held_out = figures["held_out"]
     smooth, sharp = held_out["smooth"], held_out.get("sharp")

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from tissue_sim import progress
 from tissue_sim.calibration.calibrate import Calibrated, Silent, calibrate
@@ -18,6 +18,7 @@ from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.cohort import spread
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.version import __version__
 
@@ -37,7 +38,7 @@ class Done(NamedTuple):
     """Calibrated organ, its figures, and the minutes that it took."""
 
     organ: Organ
-    figures: dict[str, Any]
+    figures: JsonObject
     minutes: float
 
 
@@ -102,7 +103,7 @@ def outputs_of(organs: Sequence[Path], folder: Path) -> list[Path]:
 
 def calibrate_many(
     organs: Sequence[Path], outputs: Sequence[Path], settings: Settings, jobs: int, scheduler: str | None
-) -> dict[str, dict[str, Any] | str]:
+) -> dict[str, JsonObject | str]:
     """Calibrate organ files into others, and print a table as they become ready.
 
     An output that was made from the same organ with the same settings isn't made again.
@@ -122,7 +123,7 @@ def calibrate_many(
 
     Returns
     -------
-    dict[str, dict[str, Any] | str]
+    dict[str, JsonObject | str]
         Figures by name, or the reason why there are none.
 
     Raises
@@ -130,7 +131,7 @@ def calibrate_many(
     UserError
         Where the scheduler doesn't answer.
     """
-    found: dict[str, dict[str, Any] | str] = {}
+    found: dict[str, JsonObject | str] = {}
     with progress.task("organs", len(organs)) as under_way:
 
         def report(name: str, cells: Sequence[str]) -> None:
@@ -187,7 +188,7 @@ def worked_out(task: Task | str) -> Done:
     return Done(found.organ, found.figures, (time.perf_counter() - began) / 60.0)
 
 
-def made_before(source: Path, out: Path, settings: Settings) -> dict[str, Any] | None:
+def made_before(source: Path, out: Path, settings: Settings) -> JsonObject | None:
     """Return the figures of an output made from the same organ with the same settings; None where there is none."""
     try:
         figures = Organ.load(out).provenance.get("calibration")
@@ -223,12 +224,12 @@ def write_whole(organ: Organ, out: Path) -> None:
         raise UserError(f"cannot write organ file {out}: {error.strerror}") from None
 
 
-def write_figures(found: dict[str, dict[str, Any] | str], path: Path) -> None:
+def write_figures(found: dict[str, JsonObject | str], path: Path) -> None:
     """Write all figures as JSON.
 
     Parameters
     ----------
-    found : dict[str, dict[str, Any] | str]
+    found : dict[str, JsonObject | str]
         Figures by name.
     path : Path
         The file.
@@ -244,7 +245,7 @@ def write_figures(found: dict[str, dict[str, Any] | str], path: Path) -> None:
         raise UserError(f"cannot write {path}: {error.strerror}") from None
 
 
-def cells_of(figures: dict[str, Any], minutes: str) -> list[str]:
+def cells_of(figures: JsonObject, minutes: str) -> list[str]:
     """Return an organ's row, without its name."""
     smooth, sharp = figures["held_out"]["smooth"], figures["held_out"].get("sharp")
     loads = [found for found in (smooth, sharp) if found]

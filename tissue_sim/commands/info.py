@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import Any
 
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.reporting.description import describe, file_header, text_lines
 from tissue_sim.organ.tool_resolution import (
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _for_cut(organ: Organ, depth: float) -> dict[str, Any]:
+def _for_cut(organ: Organ, depth: float) -> JsonObject:
     """Return what a cut of a depth, m, needs: edges there, or so many points everywhere."""
     edge = depth / CUT_EDGES
     return {

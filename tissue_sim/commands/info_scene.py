@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tissue_sim.contact.attachments import Attachment, links_of
 from tissue_sim.contact.scene_file import SceneFile
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.simulation import Simulation
 
 
-def describe_scene(path: Path) -> dict[str, Any]:
+def describe_scene(path: Path) -> JsonObject:
     """Return all figures of a scene, ready for JSON; units stand in the names.
 
     Parameters
@@ -22,7 +22,7 @@ def describe_scene(path: Path) -> dict[str, Any]:
 
     Returns
     -------
-    dict[str, Any]
+    JsonObject
         The figures by name.
 
     Raises
@@ -61,7 +61,7 @@ def describe_scene(path: Path) -> dict[str, Any]:
     }
 
 
-def _attachment(one: Attachment, said: SceneFile, simulations: list[Simulation]) -> dict[str, Any]:
+def _attachment(one: Attachment, said: SceneFile, simulations: list[Simulation]) -> JsonObject:
     near, far = one.organs
     links = links_of([one], simulations)
     return {
@@ -73,12 +73,12 @@ def _attachment(one: Attachment, said: SceneFile, simulations: list[Simulation])
     }
 
 
-def scene_lines(found: dict[str, Any]) -> list[str]:
+def scene_lines(found: JsonObject) -> list[str]:
     """Return the figures as lines of text.
 
     Parameters
     ----------
-    found : dict[str, Any]
+    found : JsonObject
         The figures by name.
 
     Returns

@@ -17,8 +17,9 @@ from tissue_sim.contact.coupling_setup import join
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError, shown
+from tissue_sim.model.elasticity.gravity import MOST_GRAVITY
 from tissue_sim.model.joined import Joined
-from tissue_sim.model.simulation import MOST_GRAVITY, Simulation
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.organ_contact import MOST_ORGANS
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.placement import placed

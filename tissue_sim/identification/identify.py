@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from tissue_sim.identification.uncertainty import (
     next_press,
 )
 from tissue_sim.identification.validation import HeldOut, held_out, places_of
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 
 CORRECTIONS = 2  # of a map, since a press feels more than the tissue right under it
@@ -180,10 +181,10 @@ def _remarks(map_pays: bool, is_mapped: bool) -> list[str]:
     ]
 
 
-def provenance_of(found: Identified) -> dict[str, Any]:
+def provenance_of(found: Identified) -> JsonObject:
     """Return what an organ's file tells about its identification, as JSON can hold it."""
     low, high = found.modulus_interval
-    record: dict[str, Any] = {
+    record: JsonObject = {
         "from": found.measurement.source,
         "presses": len(found.measurement.presses),
         "tool_radius_mm": 1e3 * found.measurement.radius,

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tissue_sim import progress
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Array, Floats
 from tissue_sim.errors import UserError
 from tissue_sim.identification.force_curves import ForceCurves, tabulated
 from tissue_sim.identification.measured import MeasuredPress, Measurement
@@ -25,7 +24,7 @@ REACH = 0.8e-3  # m, by which a curve goes beyond the deepest sample, for contac
 ASTRAY = 0.004  # m, distance of tool and surface at the first contact, beyond which the registration is wrong
 FAST = 0.01  # m/s, from which a press is simulated at its own speed, instead of being held at each depth
 
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, Array]
 Remember = Callable[[str, Callable[[], Arrays]], Arrays]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from tissue_sim.identification.measured import Measurement
 from tissue_sim.identification.mixed_effects import Fit
 from tissue_sim.identification.press_curves import Remember, forget
 from tissue_sim.identification.relaxation import Relaxation, relaxation_of
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 
 
@@ -26,9 +27,9 @@ class RateEffects(NamedTuple):
     damping: Damping | None
     lines: list[str]
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """Return the figures, as JSON can hold them."""
-        found: dict[str, Any] = {}
+        found: JsonObject = {}
         if self.friction is not None:
             found["friction"] = self.friction.coefficient
         if self.relaxation is not None:

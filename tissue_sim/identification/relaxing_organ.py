@@ -23,7 +23,8 @@ from tissue_sim.identification.places import flat_locations
 from tissue_sim.identification.press_curves import Arrays, Remember
 from tissue_sim.identification.pressing import Press, ball, lead, moving_forces
 from tissue_sim.identification.relaxation import LONG_ENOUGH, Relaxation, term_of
-from tissue_sim.organ.organ import LAW, Organ
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.organ_file import LAW
 
 CORRECTIONS = 3  # of fraction and time constant
 DECAYS = 5.0  # time constants for which the model is held at most

@@ -25,15 +25,14 @@ from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.records import words_of
 from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, LocalRegion, Settings
-from tissue_sim.model.data.shapes import CAPSULE, SPHERE, Shapes, make_shapes
+from tissue_sim.model.data.shapes import CAPSULE, NO_TOOLS, SPHERE, Shapes
 from tissue_sim.model.data.state import Region, State, make_state, state_like, take_fields
 from tissue_sim.model.data.world import make_world
-from tissue_sim.model.elasticity.adjacency import adjacency_of, with_cell_neighbours
 from tissue_sim.model.elasticity.assembly import assemble, model_of
 from tissue_sim.model.elasticity.energy import Energy, energy_of
 from tissue_sim.model.elasticity.frequency import largest_frequency
-from tissue_sim.model.elasticity.hop_distances import hop_table
-from tissue_sim.model.regions.reduction import reduce_model
+from tissue_sim.model.elasticity.gravity import acceleration_of
+from tissue_sim.model.regions.region_tables import moves_whole, stiffens_or_relaxes, with_region_tables
 from tissue_sim.model.stepping.critical_step import LONGEST_OF_CELLS, SAFETY, model_step, substeps_for
 from tissue_sim.model.stepping.equilibrium import residuals, settle
 from tissue_sim.model.stepping.relaxation import stiffest
@@ -62,14 +61,6 @@ FINE = 1e-3
 # no hand feels how fast they vibrate. The organ's own motion is that of its modes.
 REGION_STEP = 1e-3 / 6
 
-# Up to so many cells local_region auto moves the whole organ: 0.3 ms a tick (`bench region`). A region is less
-# accurate.
-MOST_WHOLE = 20_000
-
-MOST_GRAVITY = 100.0  # m/s^2
-
-NO_TOOLS = make_shapes([], [])
-
 
 class Simulation:
     """A deformable organ stepped at a fixed rate; `step()` allocates nothing and takes no lock.
@@ -86,7 +77,7 @@ class Simulation:
         off; frozen (the paper's: two layers around a small load move alone; of springs only); modal (a layer or two
         move by their springs or cells, the rest as a linear body; below 200 Hz the whole organ moves); or auto (modal
         while the load is small and hardly bends its surroundings, else the whole model; off where that takes little
-        time, which is up to MOST_WHOLE cells).
+        time, which is up to region_tables.MOST_WHOLE cells).
     shapes : Shapes, optional
         The rigid tools that may touch it.
     integrator : str, optional
@@ -167,7 +158,7 @@ class Simulation:
         pulled = acceleration_of(gravity, "gravity")
         borne = pulled if shape_gravity is None else acceleration_of(shape_gravity, "shape_gravity")
         assembled = assemble(organ, model, borne)
-        self.model: Model = self._with_tables(assembled, local_region)
+        self.model: Model = with_region_tables(assembled, local_region)
         self.set_gravity(pulled)
         # Nothing that a tool can do moves tissue by more than the organ's own size.
         self.settings.runaway_span = float(np.linalg.norm(np.ptp(self.model.rest, axis=0)))
@@ -190,19 +181,6 @@ class Simulation:
     def refer(self) -> None:
         """Hand the arrays to the kernels, at the start and whenever `model` was replaced."""
         self.world = handle(make_world(self.model, self.state, self.shapes, self.settings, self.scratch))
-
-    def _with_tables(self, model: Model, local_region: str) -> Model:
-        """Return the model with the tables that its local region needs."""
-        if local_region == "off":
-            return model
-        if model.tissue is None:
-            model = model._replace(hops=hop_table(model))
-        else:
-            model = with_cell_neighbours(model)
-        model = model._replace(adjacency=adjacency_of(model))
-        if local_region == "frozen":
-            return model
-        return model._replace(reduction=reduce_model(model))
 
     # what users read ---------------------------------------------------------------------------
     @property
@@ -453,7 +431,7 @@ class Simulation:
         Raises
         ------
         UserError
-            When it is not three finite numbers of at most MOST_GRAVITY together.
+            When it is not three finite numbers of at most gravity.MOST_GRAVITY together.
         """
         settings = self.settings
         settings.gravity_x, settings.gravity_y, settings.gravity_z = acceleration_of(gravity, "gravity")
@@ -663,58 +641,3 @@ class Simulation:
             displacements (n_surface, 3), m, and True when it settled
         """
         return settle(self, forces, tolerance, longest, ramp)
-
-
-def acceleration_of(given: ArrayLike, name: str) -> Floats:
-    """Return an acceleration as an array (3,), m/s^2.
-
-    Parameters
-    ----------
-    given : ArrayLike, m/s^2
-        Three numbers.
-    name : str
-        Name for the message.
-
-    Raises
-    ------
-    UserError
-        When it is not three finite numbers of at most MOST_GRAVITY together.
-    """
-    values = floats_of(given)
-    if values.shape != (3,) or not np.all(np.isfinite(values)) or np.linalg.norm(values) > MOST_GRAVITY:
-        raise UserError(f"{name} {given!r} is not three numbers, m/s^2, with a norm of at most {MOST_GRAVITY:g}")
-    return values
-
-
-def moves_whole(organ: Organ) -> bool:
-    """Return whether `auto` moves an organ's cells as a whole.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    """
-    return len(organ.cell_nodes) <= MOST_WHOLE
-
-
-def stiffens_or_relaxes(organ: Organ) -> bool:
-    """Return whether an organ's tissue stiffens or relaxes, which is computed for the whole organ only.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    """
-    return organ.stiffening > 0.0 or organ.relaxation_fraction > 0.0
-
-
-def sphere_tools(radius: ArrayLike) -> Shapes:
-    """Return the shapes of spherical tools, one for each radius.
-
-    Parameters
-    ----------
-    radius : ArrayLike, shape (k,), m
-        Their radii.
-    """
-    radii = np.atleast_1d(np.asarray(radius, dtype=np.float64))
-    return make_shapes(np.full(len(radii), SPHERE), np.stack([radii, np.zeros(len(radii))], axis=1))

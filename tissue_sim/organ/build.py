@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tissue_sim.arguments import finite
+from tissue_sim.array_types import Array
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.inclusions import Inclusion, check_stiffness
@@ -256,7 +257,7 @@ def _image(source: Any, name: str, given: Mapping[str, Any]) -> Volume:
     return _volume(np.asarray(source, dtype=np.float32), name, given)
 
 
-def _volume(voxels: NDArray[Any], name: str, given: Mapping[str, Any]) -> Volume:
+def _volume(voxels: Array, name: str, given: Mapping[str, Any]) -> Volume:
     """Return voxels (nx, ny, nz) as an image; the first one's centre is the origin."""
     from tissue_sim.organ.imaging.image import Volume
 

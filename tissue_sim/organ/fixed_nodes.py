@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from tissue_sim.array_types import Floats, Ints
+from tissue_sim.array_types import Array, Floats, Ints
 from tissue_sim.errors import UserError
 
 _FIXED = re.compile(r"([xyz])\s*([<>])\s*([0-9]*\.?[0-9]+)")
@@ -62,7 +61,7 @@ def _fixed_from_file(path: Path, count: int) -> Ints:
     return _indices(index, count, f"--fixed file {path}")
 
 
-def _indices(index: NDArray[Any], count: int, name: str) -> Ints:
+def _indices(index: Array, count: int, name: str) -> Ints:
     if index.ndim != 1 or not np.issubdtype(index.dtype, np.integer):
         raise UserError(f"{name} must hold a 1-D array of integers, has {index.dtype} {index.shape}")
     if len(index) and (index.min() < 0 or index.max() >= count):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import os
@@ -13,28 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tissue_sim.array_types import Floats, Ints
-from tissue_sim.errors import UserError, shown
-from tissue_sim.npz import read_npz
+from tissue_sim.array_types import Array, Floats, Ints
+from tissue_sim.errors import UserError
 from tissue_sim.organ.normals import surface_normals
+from tissue_sim.organ.organ_file import LAW, SCHEMA_VERSION, check_law, content_digest, read_fields
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.organ.surface_checks import check_surface, signed_volume
 
-# 2: interior_spoke; 3: springs that harden, gone; 4: cells; 5: inclusions; 6: virtual nodes; 7: tissue that stiffens or
-# relaxes
-SCHEMA_VERSION = 7
-# Fields of the header, with their types.
-_HEADER = {"name": str, "youngs_modulus": float, "poisson_ratio": float, "density": float, "provenance": dict}
-# Those of tissue that stiffens or relaxes: the value that other tissue has, which the header leaves out, and the range.
-LAW = {
-    "stiffening": (0.0, 0.0, 100.0),
-    "cell_stiffening": (1.0, 0.1, 10.0),
-    "relaxation_fraction": (0.0, 0.0, 0.9),
-    "relaxation_time": (0.0, 0.01, 60.0),
-}
-_SHOWN, _LONGEST_NAME = 40, 200  # characters of an array's name in a message, of an organ's at all
 _FARTHEST = 1e3  # m, from the origin: farther out a double resolves the organ poorly, and squares overflow
 # Range of every other number, in SI units: what lies outside is a mistake, and computing with it gives no number.
 _LEAST, _MOST = 1e-12, 1e12
@@ -333,53 +318,7 @@ class Organ:
         UserError
             Where the file is missing, not an organ, truncated, altered, or of an unknown schema version.
         """
-        try:
-            content = read_npz(Path(path))
-        except FileNotFoundError:
-            raise UserError(f"organ file {path} does not exist; make one with 'tissue_sim build'") from None
-        except IsADirectoryError:
-            raise UserError(f"organ file {path} is a folder; name the .npz file") from None
-        except OSError as error:
-            raise UserError(f"organ file {path} can't be read: {error.strerror}") from None
-        except ValueError as error:
-            raise UserError(
-                f"organ file {path} is damaged or not an organ file ({shown(str(error), 200)}); build it again"
-            ) from None
-        if "header" not in content or "sha256" not in content:
-            raise UserError(f"{path} is not an organ file: it has no header; make one with 'tissue_sim build'")
-        text = str(content.pop("header"))
-        digest = str(content.pop("sha256"))
-        header = _header(text)
-        if header is None:
-            raise UserError(f"organ file {path} has a damaged header; build it again")
-        version = header["schema_version"]
-        if version > SCHEMA_VERSION:
-            raise UserError(
-                f"organ file {path} has schema version {version}, this package reads up to {SCHEMA_VERSION};"
-                " update tissue_sim"
-            )
-        expected = {item.name for item in fields(cls) if "dtype" in item.metadata}
-        if version < 2:
-            expected -= {"interior_spoke"}
-        if version < 4:
-            expected -= {"cell_nodes", "cell_mu", "cell_lambda"}
-        if version < 5:
-            expected -= {name for name in expected if name.startswith("inclusion_")}
-        if version < 6:
-            expected -= {"virtual_of"}
-        if set(content) != expected:
-            odd = ", ".join(shown(name, _SHOWN) for name in sorted(expected ^ set(content)))
-            raise UserError(f"organ file {path} is damaged: missing or unknown arrays: {odd}")
-        if digest != content_digest(text, content):
-            raise UserError(f"organ file {path} was altered: its checksum does not match; build it again")
-        if header.get("hardening", 0.0):
-            raise UserError(
-                f"organ file {path} was calibrated with hardening springs, which are no longer supported; build and"
-                " calibrate it again, with cells, which harden as tissue does"
-            )
-        content.setdefault("interior_spoke", np.empty((0, 2)))  # version 1 had no interior atoms
-        whole: dict[str, Any] = {**{key: header[key] for key in (*_HEADER, *LAW) if key in header}, **content}
-        return cls(**whole)
+        return cls(**read_fields(path, {item.name for item in fields(cls) if "dtype" in item.metadata}))
 
     def digest(self) -> str:
         """Return the SHA-256 (hex) of the arrays: two organs with the same digest simulate alike."""
@@ -397,35 +336,12 @@ class Organ:
         return {name: getattr(self, name) for name in names if not name.startswith(without)}
 
 
-def check_law(whose: str, **law: float) -> None:
-    """Raise UserError unless a tissue can stiffen and relax so.
-
-    Parameters
-    ----------
-    whose : str
-        Beginning of the message.
-    law : float
-        Fields of the law by name, as Organ has them; others are those of neo-Hookean, elastic tissue.
-
-    Raises
-    ------
-    UserError
-        Where a number is out of range, or a relaxation lacks one.
-    """
-    for name, value in law.items():
-        usual, least, most = LAW[name]
-        if value != usual and not least <= value <= most:
-            raise UserError(f"{whose}{name.replace('_', ' ')} {value:g} is outside {least:g}..{most:g}")
-    if bool(law.get("relaxation_fraction")) != bool(law.get("relaxation_time")):
-        raise UserError(f"{whose}relaxation needs a fraction and a time, or neither")
-
-
-def _frozen(name: str, value: Any, dtype: type) -> NDArray[Any]:
+def _frozen(name: str, value: Any, dtype: type) -> Array:
     given = np.asarray(value)
     if given.dtype.kind not in "fiub":
         raise UserError(f"organ: {name} contains {given.dtype.name}, not numbers")
     with np.errstate(all="ignore"):  # looked at below
-        array: NDArray[Any] = np.array(given, dtype=dtype, order="C")
+        array: Array = np.array(given, dtype=dtype, order="C")
     if dtype is np.float64 and not np.all(np.isfinite(array)):
         raise UserError(f"organ: {name} contains values that are not finite")
     if dtype is np.int32 and not np.array_equal(array, given):
@@ -434,52 +350,10 @@ def _frozen(name: str, value: Any, dtype: type) -> NDArray[Any]:
     return array
 
 
-def _check_shape(name: str, array: NDArray[Any], shape: tuple[int | str, ...], sizes: dict[str, int]) -> None:
+def _check_shape(name: str, array: Array, shape: tuple[int | str, ...], sizes: dict[str, int]) -> None:
     if array.ndim != len(shape):
         raise UserError(f"organ: {name} must have {len(shape)} dimensions, has {array.ndim}")
     for actual, wanted in zip(array.shape, shape, strict=True):
         expected = sizes.setdefault(wanted, actual) if isinstance(wanted, str) else wanted
         if actual != expected:
             raise UserError(f"organ: {name} has shape {array.shape}, expected {shape} with {wanted} = {expected}")
-
-
-def _header(text: str) -> dict[str, Any] | None:
-    """Return what an organ file's header says; None where it is no header."""
-    try:
-        header = json.loads(text)
-        header["schema_version"] = int(header["schema_version"])
-        if header["schema_version"] > SCHEMA_VERSION:
-            return dict(header)
-        for key, kind in _HEADER.items():
-            header[key] = kind(header[key])
-        for key in LAW.keys() & header.keys():
-            header[key] = float(header[key])
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
-        return None
-    numbers = [header[key] for key in (*_HEADER, *LAW) if isinstance(header.get(key), float)]
-    if len(header["name"]) > _LONGEST_NAME or not np.all(np.isfinite(numbers)):
-        return None
-    return dict(header)
-
-
-def content_digest(text: str, arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Return the SHA-256 (hex) of an organ file's header and arrays, which the file itself holds.
-
-    Parameters
-    ----------
-    text : str
-        The header.
-    arrays : Mapping[str, NDArray[Any]]
-        Arrays by name.
-
-    Returns
-    -------
-    str
-        The digest.
-    """
-    digest = hashlib.sha256(text.encode())
-    for key in sorted(arrays):
-        array = np.ascontiguousarray(arrays[key])
-        digest.update(f"{key}{array.dtype.str}{array.shape}".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()

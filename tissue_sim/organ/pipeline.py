@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.inclusions import Inclusion
@@ -373,7 +374,7 @@ def wall_distance(wall: Wall, positions: Floats, triangles: Ints) -> float:
     return float(np.average(distance, weights=area))
 
 
-def _with(request: Request, provenance: dict[str, Any]) -> Request:
+def _with(request: Request, provenance: JsonObject) -> Request:
     return replace(request, provenance={**request.provenance, **provenance})
 
 

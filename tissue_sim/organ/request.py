@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 from tissue_sim.array_types import Ints
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.inclusions import Inclusion
 from tissue_sim.organ.refinement import Refinement
 
@@ -37,4 +37,4 @@ class Request:
     density: float = 1060.0  # kg/m^3
     inclusions: tuple[Inclusion, ...] = ()
     refinement: Refinement = Refinement()
-    provenance: dict[str, Any] = field(default_factory=dict)
+    provenance: JsonObject = field(default_factory=dict)

@@ -19,6 +19,7 @@ from tissue_sim.errors import UserError
 
 MOST_PIXELS = 4096  # of a side
 WIDEST = 150.0  # degrees
+AWAY = np.array([0.55, -1.0, 0.3])  # direction from points to the camera that frames them
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,7 @@ def beside(pose: ArrayLike, baseline: float) -> Floats:
     return moved
 
 
-def framing(points: Floats, lens: Pinhole, away: ArrayLike = (0.55, -1.0, 0.3)) -> Floats:
+def framing(points: Floats, lens: Pinhole) -> Floats:
     """Return the pose of a camera that has points in its picture, with a margin.
 
     Parameters
@@ -182,8 +183,6 @@ def framing(points: Floats, lens: Pinhole, away: ArrayLike = (0.55, -1.0, 0.3)) 
         The points.
     lens : Pinhole
         The camera.
-    away : ArrayLike, shape (3,), optional
-        Direction from the points to the camera.
 
     Returns
     -------
@@ -192,6 +191,5 @@ def framing(points: Floats, lens: Pinhole, away: ArrayLike = (0.55, -1.0, 0.3)) 
     """
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.linalg.norm(points - centre, axis=1).max())
-    direction = finite(away, 3, "away")
     half = math.atan(0.5 * min(lens.width / lens.fx, lens.height / lens.fy))
-    return look_at(centre + radius / math.sin(half) * direction / np.linalg.norm(direction), centre)
+    return look_at(centre + radius / math.sin(half) * AWAY / np.linalg.norm(AWAY), centre)

@@ -15,7 +15,8 @@ from helpers.fuzz.mutations import ODD_FLOATS, Draw, chance, odd_count, of_array
 from helpers.fuzz.zips import bomb, members, of_zip, packed
 from tissue_sim.bench.sweeps.trial_simulations import small_organ
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.organ import Organ, content_digest
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.organ_file import content_digest
 from tissue_sim.organ.shipped import shipped_organ
 
 TICKS = 20

@@ -11,6 +11,7 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.pixels import pack_bits
 from pydicom.uid import UID, ExplicitVRLittleEndian
 
+from helpers.frames import item
 from helpers.fuzz.child import Input, Ready
 from helpers.fuzz.dicom import changed_field
 from helpers.fuzz.images import check_place
@@ -120,25 +121,17 @@ def _described(kind: str, shape: tuple[int, ...]) -> Dataset:
     if kind == "FRACTIONAL":
         file.MaximumFractionalValue = 200
     file.SegmentSequence = [
-        _item(SegmentNumber=number, SegmentLabel=name) for number, name in ((1, "liver"), (2, "tumour"))
+        item(SegmentNumber=number, SegmentLabel=name) for number, name in ((1, "liver"), (2, "tumour"))
     ]
-    measures = _item(PixelSpacing=[2.0, 2.5], SliceThickness=3.0, SpacingBetweenSlices=3.0)
-    plane = _item(ImageOrientationPatient=[1, 0, 0, 0, 1, 0])
-    file.SharedFunctionalGroupsSequence = [_item(PixelMeasuresSequence=[measures], PlaneOrientationSequence=[plane])]
+    measures = item(PixelSpacing=[2.0, 2.5], SliceThickness=3.0, SpacingBetweenSlices=3.0)
+    plane = item(ImageOrientationPatient=[1, 0, 0, 0, 1, 0])
+    file.SharedFunctionalGroupsSequence = [item(PixelMeasuresSequence=[measures], PlaneOrientationSequence=[plane])]
     return file
 
 
 def _of_frame(segment: int, z: int) -> Dataset:
     """The functional groups of a frame: its position, and its segment; segment 0 stands for all."""
-    found = _item(PlanePositionSequence=[_item(ImagePositionPatient=[10.0, 20.0, 30.0 + 3.0 * z])])
+    found = item(PlanePositionSequence=[item(ImagePositionPatient=[10.0, 20.0, 30.0 + 3.0 * z])])
     if segment:
-        found.SegmentIdentificationSequence = [_item(ReferencedSegmentNumber=segment)]
-    return found
-
-
-def _item(**values: object) -> Dataset:
-    """A dataset with the given elements."""
-    found = Dataset()
-    for name, value in values.items():
-        setattr(found, name, value)
+        found.SegmentIdentificationSequence = [item(ReferencedSegmentNumber=segment)]
     return found

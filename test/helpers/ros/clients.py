@@ -116,9 +116,9 @@ class Client(Participant):
             self._taken_apart = self._markers[0], message, corners
         return self._taken_apart
 
-    def send_force(self, force: object, frame: str = "organ") -> None:
+    def send_force(self, force: object) -> None:
         message = WrenchStamped()
-        message.header.frame_id = frame
+        message.header.frame_id = "organ"
         message.header.stamp = self.stamp()
         message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = map(float, force)
         self.force.publish(message)

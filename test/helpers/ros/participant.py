@@ -52,12 +52,12 @@ class Participant:
             self.executor.spin_once(timeout_sec=min(left, 0.01))
         return bool(found)
 
-    def hears_no_more(self, heard: list, seconds: float = 0.3) -> bool:
-        """Whether messages that are appended to a list cease: none for so many s, once those under way have come."""
+    def hears_no_more(self, heard: list) -> bool:
+        """Whether messages that are appended to a list cease: none for 0.3 s, once those under way have come."""
 
         def is_silent() -> bool:
             heard.clear()
-            self.spin(seconds)
+            self.spin(0.3)
             return not heard
 
         return self.spin_until(is_silent)

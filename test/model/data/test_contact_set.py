@@ -6,8 +6,9 @@ import pytest
 from helpers.scenes import ball
 from tissue_sim.model.data.contact_set import contact_set, nodes_of, padded
 from tissue_sim.model.data.records import array_of
+from tissue_sim.model.data.shapes import sphere_tools
 from tissue_sim.model.data.state import fields_of
-from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.state_check import contact_set_of
 
 EARLIER = {"node": np.array([[4, 5, 6], [7, 7, 7]]), "weight": np.array([[0.2, 0.3, 0.5], [1.0, 0.0, 0.0]])}

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from helpers.naive import naive_cells
-from helpers.scenes import RADIUS, ball
+from helpers.scenes import RADIUS, ball, uneven
 from tissue_sim.model.data.blocks import BLOCK
 from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.model.elasticity.cell_groups import cell_forces
@@ -26,14 +26,7 @@ from tissue_sim.model.elasticity.cells import swelling as told
 from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.elasticity.modes import stiffness_matrix
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.cell_mesh import quality_of, tetrahedra, with_cells
-
-
-def uneven(organ, seed=0):
-    """The organ with cells of many stiffnesses."""
-    organ = with_cells(organ)
-    factor = np.exp(np.random.default_rng(seed).normal(size=(2, len(organ.cell_mu))))
-    return replace(organ, cell_mu=factor[0] * organ.cell_mu, cell_lambda=factor[1] * organ.cell_lambda)
+from tissue_sim.organ.cell_mesh import quality_of, tetrahedra
 
 
 def filled(organ):

@@ -3,19 +3,10 @@
 import numpy as np
 import pytest
 
+from helpers.pressing import poke, top_node
 from helpers.scenes import ball, changed, free_ball, kidney
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.simulation import Simulation
-
-
-def top_of(organ):
-    return int(np.argmax(organ.surface_positions[:, 2]))
-
-
-def poke(simulation, ticks, force):
-    for _ in range(ticks):
-        simulation.apply_force(top_of(simulation.organ), force)
-        simulation.step()
 
 
 def spinning(organ, **options):
@@ -41,7 +32,7 @@ def test_rest_has_no_energy(organ, variant):
 
 def test_parts_are_those_of_a_moving_node_and_of_a_scaled_tissue():
     simulation = Simulation(ball())
-    node = top_of(ball())
+    node = top_node(ball())
     simulation.velocities[node] = [0.3, 0.0, -0.4]
     assert simulation.energy.kinetic == pytest.approx(0.5 * 0.25 / simulation.model.inverse_mass[node])
     assert simulation.energy.elastic < 1e-25
@@ -57,7 +48,7 @@ def test_parts_are_those_of_a_moving_node_and_of_a_scaled_tissue():
 def test_work_done_by_a_force_is_the_energy_gained(substeps):
     """Nothing is damped; what is left goes with the substep."""
     simulation = Simulation(changed(ball(), damping=0.0), substeps=substeps)
-    node, force, work = top_of(ball()), np.array([0.02, 0.01, -0.08]), 0.0
+    node, force, work = top_node(ball()), np.array([0.02, 0.01, -0.08]), 0.0
     for _ in range(40):
         before = simulation.positions[node].copy()
         poke(simulation, 1, force)

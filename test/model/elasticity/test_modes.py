@@ -13,7 +13,7 @@ from tissue_sim.model.data.state import Region
 from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.elasticity.modes import lowest_modes, stiffness_matrix
-from tissue_sim.model.regions.modal_region import FASTEST, advance_modes
+from tissue_sim.model.regions.mode_motion import FASTEST, advance_modes
 from tissue_sim.model.simulation import Simulation
 
 

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from helpers.bars import bar
 from helpers.naive import naive_cells
-from helpers.scenes import RADIUS, ball
+from helpers.scenes import RADIUS, ball, uneven
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.blocks import BLOCK
 from tissue_sim.model.elasticity.assembly import assemble
@@ -17,17 +17,9 @@ from tissue_sim.model.elasticity.cells import cell_energy, cells_of, tissue_of
 from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.elasticity.stiffening import ALLOWED, MOST, ROWS, exponential, exponents_for, undistorted
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.cell_mesh import with_cells
 
 B = 8.0
 EDGE = 0.009  # m
-
-
-def uneven(organ, seed=0):
-    """The organ with cells of many stiffnesses."""
-    organ = with_cells(organ)
-    factor = np.exp(np.random.default_rng(seed).normal(size=(2, len(organ.cell_mu))))
-    return replace(organ, cell_mu=factor[0] * organ.cell_mu, cell_lambda=factor[1] * organ.cell_lambda)
 
 
 PLAIN = uneven(ball(2))

@@ -5,8 +5,9 @@ import pytest
 
 from helpers.naive import hops_from
 from helpers.scenes import ball, kidney, near
+from tissue_sim.model.data.shapes import sphere_tools
 from tissue_sim.model.data.state import Region
-from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.simulation import Simulation
 
 
 def moved(simulation):

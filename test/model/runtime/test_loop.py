@@ -15,13 +15,14 @@ from helpers.states import assert_same
 from tissue_sim.handles import handle, row
 from tissue_sim.model.data.contact_set import contact_set, padded
 from tissue_sim.model.data.records import copy_of, words_of
+from tissue_sim.model.data.shapes import sphere_tools
 from tissue_sim.model.data.state import results_in
 from tissue_sim.model.data.world import make_world
 from tissue_sim.model.runtime import loop as rt
 from tissue_sim.model.runtime import mailboxes as mb
 from tissue_sim.model.runtime.exchange import make_exchange
 from tissue_sim.model.runtime.joined_box import make_joined_box
-from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.simulation import Simulation
 
 RATE = 1000.0
 RADIUS = 0.006  # m, of the tool

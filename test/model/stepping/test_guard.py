@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from helpers.kernels import by_reference
+from helpers.pressing import poke, top_node
 from helpers.scenes import ball, kidney
+from tissue_sim.model.data.shapes import sphere_tools
 from tissue_sim.model.data.state import FAULT_NAMES
-from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.guard import (
     CELLS_A_TICK,
     KEEP_EVERY,
@@ -21,15 +23,7 @@ from tissue_sim.model.stepping.guard import (
 )
 from tissue_sim.model.stepping.tick import caution
 
-
-def top_of(organ):
-    return int(np.argmax(organ.surface_positions[:, 2]))
-
-
-def poke(simulation, ticks, force=(0.0, 0.0, -0.05)):
-    for _ in range(ticks):
-        simulation.apply_force(top_of(simulation.organ), force)
-        simulation.step()
+TOUCH = (0.0, 0.0, -0.05)  # N
 
 
 def fault_of(simulation):
@@ -115,11 +109,11 @@ def test_coordinate_over_its_bound_is_seen_wherever_it_is(size):
 @pytest.mark.parametrize("bad", ["nan velocity", "inf velocity", "nan position", "runaway force", "fast organ"])
 def test_fault_is_counted_and_named_and_the_last_good_state_is_back(bad, integrator):
     simulation = Simulation(ball(), integrator=integrator)
-    poke(simulation, 20)
+    poke(simulation, 20, TOUCH)
     good = simulation.positions.copy()
     assert np.abs(good - simulation.model.rest).max() > 1e-5
     assert fault_of(simulation) == "none"
-    node = top_of(ball())
+    node = top_node(ball())
     if bad == "nan velocity":
         simulation.velocities[node, 1] = np.nan
     elif bad == "inf velocity":
@@ -144,20 +138,20 @@ def test_fault_is_counted_and_named_and_the_last_good_state_is_back(bad, integra
 
 def test_shape_that_comes_back_is_one_of_the_last_few():
     simulation = Simulation(ball(2))
-    poke(simulation, 20)
+    poke(simulation, 20, TOUCH)
     for _ in range(2 * KEEP_EVERY):
         last = []
         for _ in range(KEEP_EVERY + 1):
-            poke(simulation, 1)
+            poke(simulation, 1, TOUCH)
             last.append(simulation.positions.copy())
         simulation.velocities[simulation.model.moving[0]] = np.nan
-        poke(simulation, 1)
+        poke(simulation, 1, TOUCH)
         assert any(np.array_equal(simulation.positions, shape) for shape in last)
 
 
 def test_good_shape_that_leads_to_nothing_but_faults_is_led_back():
     simulation = Simulation(ball(2))
-    poke(simulation, 20)
+    poke(simulation, 20, TOUCH)
     away = []
     for _ in range(12):
         away.append(simulation.positions - simulation.model.rest)
@@ -176,12 +170,12 @@ def test_substeps_double_with_each_fault_and_start_again_after_eight():
         factors.append(int(simulation.state.status.substeps) // normal)
     assert factors == [1, 2, 4, MAX_BACKOFF, 1, 2, 4, MAX_BACKOFF, 1]
     assert simulation.state.count.faults == 9
-    poke(simulation, 1)
+    poke(simulation, 1, TOUCH)
     assert simulation.state.status.substeps == 2 * normal, "more substeps until the organ has slept"
     for _ in range(1500):
         simulation.step()
     assert simulation.asleep
-    poke(simulation, 1)
+    poke(simulation, 1, TOUCH)
     assert simulation.state.status.substeps == normal
 
 
@@ -205,7 +199,7 @@ def test_cells_fill_the_inside_the_right_way_round(organ):
 def test_turned_cells_are_counted_within_one_pass_and_forgotten_within_the_next(organ):
     simulation = Simulation(organ)
     model, state = simulation.model, simulation.state
-    node = top_of(organ)
+    node = top_node(organ)
     atom = model.cells[np.flatnonzero((model.cells == node).any(axis=1))[0], 3]
     # Through the atom of one of its triangles and out at the other side.
     state.position[node] += 1.4 * (state.position[atom] - state.position[node])

@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from helpers.scenes import ball, free_ball
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.data.contact_set import contact_set, padded
-from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.data.shapes import sphere_tools
+from tissue_sim.model.simulation import Simulation
 
 FAR = np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0])
 

@@ -5,7 +5,7 @@ import pytest
 
 from helpers.kernels import by_reference
 from helpers.scenes import ball, ball_of_cells, changed, kidney
-from tissue_sim.model.regions.active_region import largest_motion
+from tissue_sim.model.regions.moved_nodes import largest_motion
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.rest_recovery import (
     INVERTED_TIME,

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from helpers.ros.processes import shipped
+from tissue_sim.model.data.shapes import sphere_tools
 from tissue_sim.model.joined import Joined
-from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from tissue_sim.bench.cutting.reference import OPENED, Reference, patch_force, r
 from tissue_sim.bench.printing import Bound, aligned, bound_lines
 from tissue_sim.calibration.evaluation import errors
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 
 MOST_MEAN, MOST_WORST, MOST_GAP, MOST_FORCE = 4.0, 15.0, 20.0, 10.0  # %
@@ -144,7 +145,7 @@ def measure(
 # telling -------------------------------------------------------------------------------------------
 
 
-def as_json(found: list[Compared], skipped: list[str]) -> dict[str, Any]:
+def as_json(found: list[Compared], skipped: list[str]) -> JsonObject:
     """Return all figures and bounds.
 
     Parameters
@@ -156,7 +157,7 @@ def as_json(found: list[Compared], skipped: list[str]) -> dict[str, Any]:
 
     Returns
     -------
-    dict[str, Any]
+    JsonObject
         The figures by name.
     """
     table = [_row(one.cut.name, [one]) | _own(one) for one in found]
@@ -178,7 +179,7 @@ def as_json(found: list[Compared], skipped: list[str]) -> dict[str, Any]:
     return {"rows": table, "loads": loads, "skipped": skipped, "bounds": [one.as_json() for one in bounds]}
 
 
-def _row(name: str, found: list[Compared], load: str | None = None) -> dict[str, Any]:
+def _row(name: str, found: list[Compared], load: str | None = None) -> JsonObject:
     """Return the figures of some cuts, of all loads or one: of those under which lips stay apart, and of the others."""
 
     def chosen(one: Compared, touch: bool) -> Mask:
@@ -192,14 +193,14 @@ def _row(name: str, found: list[Compared], load: str | None = None) -> dict[str,
     }
 
 
-def _figures(found: list[Compared], chosen: list[Mask]) -> dict[str, Any]:
+def _figures(found: list[Compared], chosen: list[Mask]) -> JsonObject:
     """Return the figures of chosen loads (c,) on some cuts; None where there is none."""
 
     def of(field: str) -> Floats:
         parts = [getattr(one, field)[some] for one, some in zip(found, chosen, strict=True)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
-    figures: dict[str, Any] = {"loads": len(of("error"))}
+    figures: JsonObject = {"loads": len(of("error"))}
     for key, field in (("", "error"), ("uncut_", "uncut"), ("free_", "free_error"), ("left_out_", "left_out")):
         values = of(field)
         figures[f"{key}mean_percent"] = float(values.mean()) if len(values) else None
@@ -208,7 +209,7 @@ def _figures(found: list[Compared], chosen: list[Mask]) -> dict[str, Any]:
     return figures | {"gap_percent": float(gap.mean()) if len(gap) else None}
 
 
-def _own(one: Compared) -> dict[str, Any]:
+def _own(one: Compared) -> JsonObject:
     """Return the figures that belong to a cut as a whole, and those of each load."""
     return {
         "edges": one.edges,
@@ -227,12 +228,12 @@ def _own(one: Compared) -> dict[str, Any]:
     }
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables.
 
     Parameters
     ----------
-    found : dict[str, Any]
+    found : JsonObject
         The figures.
 
     Returns
@@ -259,7 +260,7 @@ def text(found: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
+def _cells(row: JsonObject) -> list[str]:
     """Return the cells of a row."""
 
     def pair(which: str, key: str) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -23,6 +23,7 @@ from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_co
 from tissue_sim.bench.timing import in_one_thread, now
 from tissue_sim.contact.scene import TICKS_A_CUT, Scene
 from tissue_sim.contact.tools import Tool
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.data.world import World
 from tissue_sim.model.stepping.tick import begin_tick, end_tick, plan_tick, take_substep
 from tissue_sim.organ.normals import surface_normals
@@ -183,7 +184,7 @@ def place(organ: Organ) -> tuple[Floats, Floats, Floats]:
     return surface[node] - 0.5 * LENGTH * along - RADIUS * into, into, turn
 
 
-def as_json(found: Sequence[BladeRun]) -> dict[str, Any]:
+def as_json(found: Sequence[BladeRun]) -> JsonObject:
     """Return all figures and their bounds."""
     bounds = [
         Bound("work that is unaccounted for, worst", 100.0 * max(abs(one.rest) for one in found), MOST_REST, "%"),
@@ -194,7 +195,7 @@ def as_json(found: Sequence[BladeRun]) -> dict[str, Any]:
     return {"blades": [one._asdict() for one in found], "bounds": [bound.as_json() for bound in bounds]}
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as a table, a row for each toughness."""
     head = ["J/m^2", "entry N", "dent mm", "cutting N", "area mm^2", "work mJ", "stored", "damped", "area's", "rest %"]
     table = [[*head, "opened", "tick us", "p99", "longest"]]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import importlib.util
 from pathlib import Path
-from typing import Any
 
 from tissue_sim.bench.arguments import add_priority, add_shared, check_priority, check_shared
 from tissue_sim.bench.cutting import accuracy, node_times, times
@@ -15,6 +14,7 @@ from tissue_sim.bench.cutting.reference import STORED, remake
 from tissue_sim.bench.printing import bound_lines, emit, exit_code, noise_lines
 from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.shipped import shipped_organ
 
 ORGANS = ("kidney", "slab", "liver")
@@ -79,14 +79,14 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(found, check=args.check)
 
 
-def _times(priority: int) -> dict[str, Any]:
+def _times(priority: int) -> JsonObject:
     """Return the times of cuts, and of a running node's ticks around them."""
     in_node = node_times.measure(priority) if importlib.util.find_spec("rclpy") else []
     found, node = times.as_json(*in_one_thread(times.measure)), node_times.as_json(in_node, priority)
     return found | {"node": node, "bounds": [*node["bounds"], *found["bounds"]]}
 
 
-def _text(found: dict[str, Any]) -> str:
+def _text(found: JsonObject) -> str:
     """Return the times as tables."""
     parts = [times.text(found), node_times.text(found["node"]), PEER, bound_lines(found["bounds"])]
     return "\n\n".join("\n".join(part) for part in parts) + "\n".join(["", *noise_lines(found["noise"])])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from tissue_sim.bench.bare_loop import RATE
 from tissue_sim.bench.cutting.cuts import CUTS, Cut, Place, placed
 from tissue_sim.bench.cutting.organs import kidney
 from tissue_sim.bench.printing import Bound, aligned, figure
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.organ.surfaces.sizing import mean_edge
@@ -122,7 +123,7 @@ def longest(window: Window) -> float:
 # telling -------------------------------------------------------------------------------------------
 
 
-def as_json(found: list[CutInNode], priority: int = 0) -> dict[str, Any]:
+def as_json(found: list[CutInNode], priority: int = 0) -> JsonObject:
     """Return all figures and bounds.
 
     Parameters
@@ -144,9 +145,9 @@ def as_json(found: list[CutInNode], priority: int = 0) -> dict[str, Any]:
     return {"realtime_priority": priority, "rows": table, "bounds": [bound.as_json() for bound in bounds]}
 
 
-def _row(one: CutInNode) -> dict[str, Any]:
+def _row(one: CutInNode) -> JsonObject:
     """Return the figures of a cut."""
-    row: dict[str, Any] = {"cut": one.cut.name, "answer": one.around.answer, "took_ms": 1e3 * one.around.took}
+    row: JsonObject = {"cut": one.cut.name, "answer": one.around.answer, "took_ms": 1e3 * one.around.took}
     for name, window in zip(WHEN, (one.before, one.around), strict=True):
         first, *reports = window.reports
         row |= {
@@ -168,12 +169,12 @@ def _percentiles(delays: Floats) -> list[float]:
     return [1e6 * float(one) for one in np.percentile(delays, [50.0, 99.0, 100.0])]
 
 
-def text(found: dict[str, Any]) -> list[str]:
+def text(found: JsonObject) -> list[str]:
     """Return the figures as lines of a table.
 
     Parameters
     ----------
-    found : dict[str, Any]
+    found : JsonObject
         The figures.
     """
     if not found["rows"]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from tissue_sim.bench.cutting.cuts import CUTS, OPENING, Cut, Place, loads_of, p
 from tissue_sim.bench.cutting.organs import kidney
 from tissue_sim.bench.printing import Bound, aligned, figure
 from tissue_sim.bench.timing import Ticks, describe, noise_burst
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.cutting.crossing import crossing_among
 from tissue_sim.model.cutting.cut import CutOrgan, cut_again, not_cut
 from tissue_sim.model.cutting.cut_surface import cut_surface
@@ -151,7 +152,7 @@ def _took(work: Callable[[], object]) -> float:
 # telling -------------------------------------------------------------------------------------------
 
 
-def as_json(found: list[Timed], bursts: Floats) -> dict[str, Any]:
+def as_json(found: list[Timed], bursts: Floats) -> JsonObject:
     """Return all figures and bounds.
 
     Parameters
@@ -163,7 +164,7 @@ def as_json(found: list[Timed], bursts: Floats) -> dict[str, Any]:
 
     Returns
     -------
-    dict[str, Any]
+    JsonObject
         The figures by name.
     """
     table = [_row(one) for one in found]
@@ -181,9 +182,9 @@ def as_json(found: list[Timed], bursts: Floats) -> dict[str, Any]:
     }
 
 
-def _row(one: Timed) -> dict[str, Any]:
+def _row(one: Timed) -> JsonObject:
     """Return the figures of a cut."""
-    row: dict[str, Any] = {"cut": one.cut.name}
+    row: JsonObject = {"cut": one.cut.name}
     for name in ("total", "sheet", "topology", "masses", "surface"):
         row[f"{name}_ms"] = 1e3 * getattr(one, name)
     for name in ("before", "after"):
@@ -197,12 +198,12 @@ def _row(one: Timed) -> dict[str, Any]:
     return row
 
 
-def text(found: dict[str, Any]) -> list[str]:
+def text(found: JsonObject) -> list[str]:
     """Return the figures as lines of tables.
 
     Parameters
     ----------
-    found : dict[str, Any]
+    found : JsonObject
         The figures.
 
     Returns

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.identify import coverage, inclusions, palpation_sets, synthetic
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.bench.timing import in_one_thread
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
@@ -40,11 +40,11 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(found, check=args.check)
 
 
-def measure(organ: Organ, runs: int, data: str | None) -> dict[str, Any]:
+def measure(organ: Organ, runs: int, data: str | None) -> JsonObject:
     """Return all figures and bounds."""
     known = synthetic.as_rows(synthetic.measure(organ, runs)) if runs > 0 else []
     exact = synthetic.as_rows(coverage.measure(runs)) if runs > 0 and not rows.stopped() else []
-    around: list[dict[str, Any]] = []
+    around: list[JsonObject] = []
     if runs > 0 and not rows.stopped():
         with_one = organ if len(organ.inclusion_stiffness) else Organ.load(shipped_organ("kidney_tumour"))
         around = inclusions.as_rows(inclusions.measure(with_one, runs))
@@ -64,14 +64,14 @@ def measure(organ: Organ, runs: int, data: str | None) -> dict[str, Any]:
     }
 
 
-def _known_bounds(known: list[dict[str, Any]]) -> list[Bound]:
+def _known_bounds(known: list[JsonObject]) -> list[Bound]:
     found = []
     for row in known[:3]:
         found += _row_bounds(row, OFF_OFFSETS if "offsets" in row["case"] else OFF)
     return found
 
 
-def _row_bounds(row: dict[str, Any], limit: float) -> list[Bound]:
+def _row_bounds(row: JsonObject, limit: float) -> list[Bound]:
     held = 100.0 * row["intervals_that_hold"] / row["runs"]
     return [
         Bound(f"{row['case']}: error of the modulus, 9 of 10 runs", row["p90_error_percent"], limit, "%"),
@@ -79,7 +79,7 @@ def _row_bounds(row: dict[str, Any], limit: float) -> list[Bound]:
     ]
 
 
-def _exact_bounds(exact: list[dict[str, Any]]) -> list[Bound]:
+def _exact_bounds(exact: list[JsonObject]) -> list[Bound]:
     """Return the bounds on how often intervals hold over all runs of the exact law."""
     if not exact:
         return []
@@ -90,7 +90,7 @@ def _exact_bounds(exact: list[dict[str, Any]]) -> list[Bound]:
     ]
 
 
-def _inclusion_bounds(around: list[dict[str, Any]]) -> list[Bound]:
+def _inclusion_bounds(around: list[JsonObject]) -> list[Bound]:
     found = []
     for row in around:
         reported, elsewhere = (
@@ -105,7 +105,7 @@ def _inclusion_bounds(around: list[dict[str, Any]]) -> list[Bound]:
     return found
 
 
-def _set_bounds(sets: list[dict[str, Any]]) -> list[Bound]:
+def _set_bounds(sets: list[JsonObject]) -> list[Bound]:
     found = []
     for kind, what, limit in (
         ("phantom", "one_modulus", PHANTOM),
@@ -120,7 +120,7 @@ def _set_bounds(sets: list[dict[str, Any]]) -> list[Bound]:
     return found
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables."""
     lines: list[str] = []
     columns = ["presses by finite elements", "E Pa", "deviation", "median error", "9 of 10", "interval", "hold"]
@@ -160,7 +160,7 @@ def text(found: dict[str, Any]) -> str:
     return "\n".join([*lines, *bound_lines(found["bounds"])])
 
 
-def _columns(row: dict[str, Any]) -> list[str]:
+def _columns(row: JsonObject) -> list[str]:
     """Return the columns that all synthetic cases have."""
     return [
         row["case"],

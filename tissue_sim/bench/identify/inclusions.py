@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from tissue_sim.identification.mixed_effects import Priors
 from tissue_sim.identification.stiff_places import stiff_places
 from tissue_sim.identification.uncertainty import model_error
 from tissue_sim.identification.validation import held_out
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.inclusions import cell_factors, inclusions_of, with_inclusions
 from tissue_sim.organ.organ import Organ
 
@@ -107,7 +108,7 @@ def found_around(case: str, around: Around, random: np.random.Generator, runs: i
     return Found(Recovered(case, moduli, held, float(np.median(widths))), reported, elsewhere, mapped)
 
 
-def as_rows(found: list[Found]) -> list[dict[str, Any]]:
+def as_rows(found: list[Found]) -> list[JsonObject]:
     """Return all figures, as JSON can hold them."""
     return [
         {

@@ -23,8 +23,8 @@ OVER, AROUND = 7, 0.022  # places over an inclusion, within m from the one neare
 ELSEWHERE = 5
 
 
-def places_with(organ: Organ, over: int = OVER, elsewhere: int = ELSEWHERE) -> list[PressPoint]:
-    """Return places at nodes: so many over the organ's first inclusion, then others, each set far from each other.
+def places_with(organ: Organ) -> list[PressPoint]:
+    """Return places at nodes: OVER over the organ's first inclusion, then ELSEWHERE others, far from each other.
 
     Raises UserError for an organ without an inclusion.
     """
@@ -39,8 +39,8 @@ def places_with(organ: Organ, over: int = OVER, elsewhere: int = ELSEWHERE) -> l
         return PressPoint(node, "node", surface.positions[node], -surface.normal[node])
 
     thick = np.array([free[node] and thickness(organ, spot(node)) > deepest / THROUGH for node in range(len(free))])
-    chosen = _far_apart(surface.positions, np.flatnonzero(thick & near), [nearest], over)
-    chosen = _far_apart(surface.positions, np.flatnonzero(thick & ~near), chosen, over + elsewhere)
+    chosen = _far_apart(surface.positions, np.flatnonzero(thick & near), [nearest], OVER)
+    chosen = _far_apart(surface.positions, np.flatnonzero(thick & ~near), chosen, OVER + ELSEWHERE)
     return [spot(node) for node in chosen]
 
 

@@ -8,7 +8,7 @@ how well forces at places that were not fitted are predicted.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -23,6 +23,7 @@ from tissue_sim.identification.press_curves import REACH, curves_of
 from tissue_sim.identification.slab import cached_slab
 from tissue_sim.identification.table import presses_of, read_columns
 from tissue_sim.identification.validation import HeldOut, held_out
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 
 SLAB = (0.06, 0.06, 0.025)  # m
@@ -140,7 +141,7 @@ def _shared(depth: np.ndarray, force: np.ndarray, count: int) -> ForceCurves:
     return tabulated([depth], [force], np.zeros(count, dtype=np.int64))
 
 
-def as_rows(found: list[SetErrors]) -> list[dict[str, Any]]:
+def as_rows(found: list[SetErrors]) -> list[JsonObject]:
     """Return all figures, as JSON can hold them."""
     return [
         {

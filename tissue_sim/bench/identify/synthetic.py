@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from tissue_sim.identification.places import PressPoint, flat_locations
 from tissue_sim.identification.press_curves import Arrays, curves_of
 from tissue_sim.identification.pressing import FRICTION
 from tissue_sim.identification.uncertainty import Interval, drawn_factors, interval_of, model_error
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.result_cache import remembered, user_cache
 from tissue_sim.version import __version__
@@ -145,7 +146,7 @@ def identified(
     return fit, interval_of(fit, drawn, count, own_error)
 
 
-def as_rows(found: list[Recovered]) -> list[dict[str, Any]]:
+def as_rows(found: list[Recovered]) -> list[JsonObject]:
     """Return all figures, as JSON can hold them."""
     return [
         {

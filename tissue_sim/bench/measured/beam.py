@@ -26,6 +26,7 @@ from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.inertia import frequencies_of
 from tissue_sim.calibration.solid import Material
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
@@ -336,7 +337,7 @@ def predicted(beam: Beam, run: Run, fit: Fitted, rests: tuple[float, float]) -> 
     return Bent(run.name, run.weight, travels, time, run.moved, by_elements, model, rate)
 
 
-def as_json(fit: Fitted, found: list[Bent]) -> dict[str, Any]:
+def as_json(fit: Fitted, found: list[Bent]) -> JsonObject:
     """Return the fit, and the figures of every run.
 
     Parameters
@@ -348,7 +349,7 @@ def as_json(fit: Fitted, found: list[Bent]) -> dict[str, Any]:
 
     Returns
     -------
-    dict[str, Any]
+    JsonObject
         The figures by name.
     """
     return {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from tissue_sim import progress
 from tissue_sim.bench import rows
@@ -14,6 +13,7 @@ from tissue_sim.bench.measured.plots import write_pictures
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, print_pictures
 from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 
 BODIES = ("cube", "beam")
 
@@ -44,9 +44,9 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(found, check=args.check)
 
 
-def measure(data: Path, folder: Path, bodies: tuple[str, ...]) -> tuple[dict[str, Any], list[Path]]:
+def measure(data: Path, folder: Path, bodies: tuple[str, ...]) -> tuple[JsonObject, list[Path]]:
     """Return figures, bounds, and pictures. Raises UserError as the bodies do."""
-    found: dict[str, Any] = {}
+    found: JsonObject = {}
     bounds: list[Bound] = []
     cube: list[truth_cube.Compressed] | None = None
     bent: list[beam.Bent] | None = None
@@ -80,7 +80,7 @@ def measure(data: Path, folder: Path, bodies: tuple[str, ...]) -> tuple[dict[str
     return found, [] if rows.stopped() else write_pictures(cube, bent, folder)
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables."""
     lines: list[str] = []
     if "truth_cube" in found:

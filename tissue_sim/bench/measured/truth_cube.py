@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
@@ -23,6 +23,7 @@ from tissue_sim.calibration.fe_mesh import FeMesh, coordinates
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.solid import Material
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.simulation import Simulation
 
 FILE = "truth_cube_uniaxial.csv"
@@ -150,7 +151,7 @@ def on_facets(filling: FeMesh, corners: Floats, moved: Floats) -> Floats:
     return found
 
 
-def as_json(found: list[Compressed]) -> list[dict[str, Any]]:
+def as_json(found: list[Compressed]) -> list[JsonObject]:
     """Return the figures of every strain.
 
     Parameters
@@ -160,7 +161,7 @@ def as_json(found: list[Compressed]) -> list[dict[str, Any]]:
 
     Returns
     -------
-    list[dict[str, Any]]
+    list[JsonObject]
         The figures by name.
     """
     return [

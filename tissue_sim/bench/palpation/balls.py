@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from tissue_sim.bench.palpation.slides import SLID_DEPTH, WAY, SlidingPress, sli
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.errors import UserError
 from tissue_sim.identification.places import KINDS, flat_locations
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, mean_edge
@@ -80,7 +80,7 @@ def parse_radii(given: str | None) -> tuple[float, ...]:
     return radii
 
 
-def as_json(pressed: Sequence[Pressed], slid: Sequence[SlidingPress]) -> dict[str, Any]:
+def as_json(pressed: Sequence[Pressed], slid: Sequence[SlidingPress]) -> JsonObject:
     """Return all figures: of each radius, each press and each slide, and the bounds."""
     radii = list(dict.fromkeys(one.radius for one in pressed))
     table = [
@@ -152,7 +152,7 @@ def _worst(pressed: Sequence[Pressed]) -> float | None:
     return float(np.abs(_offs(pressed)).max(initial=0.0)) if len(_offs(pressed)) else None
 
 
-def _figures(pressed: Sequence[Pressed]) -> dict[str, Any]:
+def _figures(pressed: Sequence[Pressed]) -> JsonObject:
     """Return the difference that is largest, with its sign, and the median, %; how many there are, and aren't."""
     offs, tried = _offs(pressed), sum(len(one.depths) for one in pressed)
     if not len(offs):
@@ -165,7 +165,7 @@ def _figures(pressed: Sequence[Pressed]) -> dict[str, Any]:
     }
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables."""
     edge = found["edge_m"]
     table = [["radius, edges", "mm", *(f"{kind}: {what}" for kind in KINDS for what in ("worst", "median"))]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,6 +16,7 @@ from tissue_sim.calibration.cases import CLEARANCE, Surface, surface_of
 from tissue_sim.calibration.sphere_compression import compressed, touchable
 from tissue_sim.contact.scene import Scene
 from tissue_sim.identification.pressing import FRICTION, Press, ball, forces
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.inclusions import Inclusion, existing_inclusions, with_inclusions
 from tissue_sim.organ.organ import Organ
 
@@ -127,7 +128,7 @@ def mapped(organ: Organ, press: Press) -> Map:
     return Map(nodes, np.array(pressed))
 
 
-def as_json(pressed: Sequence[PressForces], maps: Sequence[Map]) -> dict[str, Any]:
+def as_json(pressed: Sequence[PressForces], maps: Sequence[Map]) -> JsonObject:
     """Return all figures and bounds: of each curve the error, and how clearly the inclusion is discernible."""
     table, bounds = [], []
     for number, (one, around) in enumerate(zip(pressed, maps, strict=True)):
@@ -160,7 +161,7 @@ def as_json(pressed: Sequence[PressForces], maps: Sequence[Map]) -> dict[str, An
     return {"finger_m": FINGER, "inclusions": table, "bounds": [one.as_json() for one in bounds]}
 
 
-def text(organ: Organ, found: dict[str, Any]) -> str:
+def text(organ: Organ, found: JsonObject) -> str:
     """Return the figures as tables."""
     lines = [f"organ '{organ.name}': a finger of {1e3 * found['finger_m']:g} mm, held, without slip"]
     for row in found["inclusions"]:

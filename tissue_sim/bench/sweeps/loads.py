@@ -116,17 +116,17 @@ def mesh_of(organ: Organ) -> trimesh.Trimesh:
     return trimesh.Trimesh(organ.surface_positions, organ.surface_triangles, process=False)
 
 
-def patch_around(organ: Organ, node: int, count: int = PATCH_NODES) -> Longs:
-    """Return the node and the nearest others by hops, then by distance: `count` in total."""
+def patch_around(organ: Organ, node: int) -> Longs:
+    """Return the node and the nearest others by hops, then by distance: PATCH_NODES in total."""
     neighbours = mesh_of(organ).vertex_neighbors
     patch, ring = [node], [node]
-    while len(patch) < count and ring:
+    while len(patch) < PATCH_NODES and ring:
         ring = sorted({int(other) for inner in ring for other in neighbours[inner]} - set(patch))
         ring.sort(
             key=lambda other: float(np.linalg.norm(organ.surface_positions[other] - organ.surface_positions[node]))
         )
         patch += ring
-    return np.array(patch[:count], dtype=np.int64)
+    return np.array(patch[:PATCH_NODES], dtype=np.int64)
 
 
 def ten_points(organ: Organ) -> Longs:

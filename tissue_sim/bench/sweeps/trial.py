@@ -20,6 +20,7 @@ from tissue_sim.bench.sweeps.trial_simulations import (
     organ_of,
     simulation_of,
 )
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.data.state import Region
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.simulation import Simulation
@@ -62,7 +63,7 @@ class Record:
     newtons: float  # in all; 0 for the tool
     seconds: float  # of computing
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """Return plain values; None where a number isn't finite."""
         plain = {key: _plain(value) for key, value in asdict(self).items()}
         plain["turned"] = {key: _plain(value) for key, value in self.turned._asdict().items()}

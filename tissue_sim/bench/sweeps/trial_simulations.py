@@ -15,10 +15,11 @@ from tissue_sim.bench.sweeps.inversion_check import InversionCheck
 from tissue_sim.bench.sweeps.loads import PROBE
 from tissue_sim.model.data.records import copy_of
 from tissue_sim.model.data.settings import Settings
+from tissue_sim.model.data.shapes import NO_TOOLS, sphere_tools
 from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.elasticity.modes import lowest_modes
-from tissue_sim.model.simulation import NO_TOOLS, Simulation, sphere_tools
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.critical_step import model_step
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ

@@ -210,6 +210,6 @@ def add_lip_impulses(lips: Lips, step: float, force: Floats) -> None:
     force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
-    contacts = lips.contacts[: lips.counts[2]]
-    push = (contacts.pressed / step)[:, None, None] * contacts.normal[:, None, :]
-    np.add.at(force, contacts.node, contacts.weight[:, :, None] * push)
+    contacts, count = lips.contacts, lips.counts[2]
+    push = (contacts.pressed[:count] / step)[:, None, None] * contacts.normal[:count, None, :]
+    np.add.at(force, contacts.node[:count], contacts.weight[:count, :, None] * push)

@@ -71,7 +71,7 @@ def has_compressed_cells(model: Model) -> Any:
 
 
 @kernel
-def volume_of(position: Floats, nodes: Any, inverse: float) -> float:
+def volume_of(position: Floats, nodes: Longs, inverse: float) -> float:
     """Return the volume of a cell over that at rest; inverse: 1 / (6 V), 1/m^3."""
     i, j, k, m = nodes[0], nodes[1], nodes[2], nodes[3]
     x, y, z = position[i, 0], position[i, 1], position[i, 2]
@@ -82,7 +82,7 @@ def volume_of(position: Floats, nodes: Any, inverse: float) -> float:
 
 
 @kernel
-def slopes_of(position: Floats, velocity: Floats, back: float, nodes: Any, inverse: float, slope: Floats) -> float:
+def slopes_of(position: Floats, velocity: Floats, back: float, nodes: Longs, inverse: float, slope: Floats) -> float:
     """Return that ratio `back` seconds ago; write its gradient by each node to slope (4, 3) 1/m."""
     for corner in range(4):
         node = nodes[corner]
@@ -220,5 +220,5 @@ def add_volume_limit_impulses(scratch: Scratch, step: float, force: Floats) -> N
     force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
-    cells = scratch.compressed[: scratch.compressing[0]]
-    np.add.at(force, cells.node, cells.impulse[:, None, None] / step * cells.gradient)
+    cells, count = scratch.compressed, scratch.compressing[0]
+    np.add.at(force, cells.node[:count], cells.impulse[:count, None, None] / step * cells.gradient[:count])

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 
 
 @kernel
-def copy(source: Any, target: Any) -> None:
+def copy(source: Floats | Ints, target: Floats | Ints) -> None:
     """Copy a contiguous array into another of the same size.
 
     Parameters
     ----------
-    source : Any
+    source : Floats | Ints
         The array.
-    target : Any
+    target : Floats | Ints
         Receives the values.
     """
     size = source.size
@@ -25,16 +24,16 @@ def copy(source: Any, target: Any) -> None:
 
 
 @kernel
-def copy_nodes(source: Any, target: Any, nodes: Any) -> None:
+def copy_nodes(source: Floats, target: Floats, nodes: Ints) -> None:
     """Copy the rows of some nodes from one array to another.
 
     Parameters
     ----------
-    source : Any, shape (n, 3)
+    source : Floats, shape (n, 3)
         The array.
-    target : Any, shape (n, 3)
+    target : Floats, shape (n, 3)
         Receives the rows.
-    nodes : Any, shape (k,)
+    nodes : Ints, shape (k,)
         Nodes.
     """
     for index in range(len(nodes)):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.model.data.records import Record, Vector
+from tissue_sim.model.data.records import Record, Records, Vector
 
 CORNERS = 4  # of a cell
 LIP_NODES = 2 * CORNERS  # of the cell or of its two copies, in which a place lies
@@ -117,7 +117,7 @@ def make_blades(
     )
 
 
-def blade_rows(count: int) -> Any:
+def blade_rows(count: int) -> Records:
     """Return room for so many rows, (count,) BladeRow."""
     return BladeRow.rows(np.zeros(count * BladeRow.words(), dtype=np.int64))
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.model.data.records import Record, Vector
+from tissue_sim.model.data.records import Record, Records, Vector
 
 ENDS = 2  # of the edge of cells that a point lies on
 
@@ -34,7 +34,7 @@ class Lips(NamedTuple):
     triangles: Longs  # (f, 3) of the upper wall, between places; counter-clockwise seen from the lower one
     place: Floats  # (2, q, 3) room: where they are on the upper side and on the lower one, m
     normal: Floats  # (2, q, 3) room: that of the wall there, m^2, from the lower side to the upper one
-    contacts: Any  # (q,) LipContact: room
+    contacts: Records  # (q,) LipContact: room
     counts: Longs  # (3,) searches so far; places that touched in the last substep, and those that were listed
 
 

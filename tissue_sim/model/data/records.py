@@ -14,6 +14,7 @@ _KINDS: dict[Any, Any] = {int: np.int64, float: np.float64, bool: np.bool_, Long
 
 
 Vector = Annotated[Floats, (3,)]
+Records = np.recarray[Any, np.dtype[np.record]]  # an array of records: its fields are arrays
 
 
 class Record:
@@ -37,7 +38,7 @@ class Record:
         return cls.dtype.itemsize // WORD
 
     @classmethod
-    def rows(cls, words: Longs) -> Any:
+    def rows(cls, words: Longs) -> Records:
         """Return the records in words.
 
         Parameters
@@ -47,7 +48,7 @@ class Record:
 
         Returns
         -------
-        Any
+        Records
             shape (k,)
         """
         return words.view(cls.dtype).view(np.recarray)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from tissue_sim.array_types import Floats, Ints, Longs, Singles
 from tissue_sim.model.data.blocks import Blocks
-from tissue_sim.model.data.records import Record
+from tissue_sim.model.data.records import Record, Records
 
 
 class Plan(Record):
@@ -42,15 +42,15 @@ class Scratch(NamedTuple):
     before: Floats  # (T, 7) where it was
     fraction: Floats  # (T,) of that way, which it may move
     give: Floats  # (T,) m, yielding of a tool to an impulse of 1 N s
-    active: Any  # (N,) ActiveContact: contact points resolved in this substep
+    active: Records  # (N,) ActiveContact: contact points resolved in this substep
     work: Floats  # (9 BLOCK,)
-    blade_rows: Any  # (S,) BladeRow: places of blades resolved in this substep
+    blade_rows: Records  # (S,) BladeRow: places of blades resolved in this substep
     blade_stretch: Floats  # (9,) room: a deformation gradient, and
     blade_back: Floats  # (9,) its inverse
     blade_way: Floats  # (3,) room for vectors, and
     blade_at: Floats  # (3,)
     blade_weight: Floats  # (8,) room for barycentric weights
-    compressed: Any  # (S,) CompressedCell: cells resolved in this substep
+    compressed: Records  # (S,) CompressedCell: cells resolved in this substep
     compressing: Longs  # (1,) how many
     candidates: Longs  # (C,) contact points that may touch in this tick
     candidate_gap: Floats  # (C,) m, least distance from the tools

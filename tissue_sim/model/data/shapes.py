@@ -103,3 +103,18 @@ class Grid(NamedTuple):
     distance: Floats
     origin: Floats
     spacing: float
+
+
+def sphere_tools(radius: ArrayLike) -> Shapes:
+    """Return the shapes of spherical tools, one for each radius.
+
+    Parameters
+    ----------
+    radius : ArrayLike, shape (k,), m
+        Their radii.
+    """
+    radii = np.atleast_1d(np.asarray(radius, dtype=np.float64))
+    return make_shapes(np.full(len(radii), SPHERE), np.stack([radii, np.zeros(len(radii))], axis=1))
+
+
+NO_TOOLS = make_shapes([], [])

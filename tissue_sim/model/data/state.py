@@ -20,7 +20,7 @@ from tissue_sim.model.data.contact_set import (
     padded,
 )
 from tissue_sim.model.data.layout import Field, carve, size_of
-from tissue_sim.model.data.records import Record, array_of
+from tissue_sim.model.data.records import Record, Records, array_of
 
 
 class Region(IntEnum):
@@ -118,7 +118,7 @@ class Results(NamedTuple):
 
     status: Status
     count: Counts  # type: ignore[assignment]  # hides the tuple's method, which nobody needs
-    bodies: Any  # (T,) of ToolStatus
+    bodies: Records  # (T,) of ToolStatus
     wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
     body_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
 
@@ -131,7 +131,7 @@ class State(NamedTuple):
     shape: Longs  # the words of shape_tick, carried and position
     status: Status
     count: Counts  # type: ignore[assignment]  # hides the tuple's method, which nobody needs
-    bodies: Any  # (T,) of ToolStatus
+    bodies: Records  # (T,) of ToolStatus
     wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
     body_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
     shape_tick: Longs  # (1,) tick of the positions that were posted last
@@ -161,8 +161,8 @@ class State(NamedTuple):
     prescribed_to: Floats  # (n, 3) m
     is_turned: Longs  # (c,) 1 for cells of the inside that are inverted
     region_hop: Longs  # (n,) 0 loaded, 1, 2 hops away, -1 outside the local region
-    blades: Any  # (S,) of BladeSample
-    relaxing: Any  # (1,) of Relaxing; this and what follows is empty of elastic tissue
+    blades: Records  # (S,) of BladeSample
+    relaxing: Records  # (1,) of Relaxing; this and what follows is empty of elastic tissue
     unrelaxed: Floats  # (n, 3) N that relaxes
     last_elastic: Floats  # (n, 3) N, of the last substep
     contacts: ContactSet  # which points may touch

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -294,11 +294,11 @@ def _cells(organ: Organ) -> tuple[Ints, Floats]:
     return _ints(cells[sound]), _floats(volume[sound])
 
 
-def _ints(values: Any) -> Ints:
+def _ints(values: ArrayLike) -> Ints:
     return np.array(values, dtype=np.int32, order="C")
 
 
-def _floats(values: Any) -> Floats:
+def _floats(values: ArrayLike) -> Floats:
     return np.array(values, dtype=np.float64, order="C")
 
 

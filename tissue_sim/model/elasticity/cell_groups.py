@@ -6,8 +6,6 @@ quadratic form. Nodes of a group: two at the ends of the edge, then four around 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -132,7 +130,7 @@ def _neighbours(rest: Floats, cells: Longs) -> Longs:
 
 
 @kernel
-def _follow(neighbours: Any, free: Any, waiting: Any, waits: Any, found: Any) -> int:
+def _follow(neighbours: Longs, free: Longs, waiting: Longs, waits: Longs, found: Longs) -> int:
     """Fill the rows of found (c, CELLS); free (c,): number of free neighbours, -1 in the end.
 
     waiting and waits are stacks.
@@ -170,7 +168,7 @@ def _follow(neighbours: Any, free: Any, waiting: Any, waits: Any, found: Any) ->
 
 
 @kernel
-def _take(neighbours: Any, free: Any, waiting: Any, waits: Any, cell: int) -> None:
+def _take(neighbours: Longs, free: Longs, waiting: Longs, waits: Longs, cell: int) -> None:
     """Take a cell; its free neighbours have one less."""
     free[cell] = -1
     for side in range(4):
@@ -182,7 +180,7 @@ def _take(neighbours: Any, free: Any, waiting: Any, waits: Any, cell: int) -> No
 
 
 @kernel
-def _freest(neighbours: Any, free: Any, cell: int) -> int:
+def _freest(neighbours: Longs, free: Longs, cell: int) -> int:
     """Return the free neighbour of a cell that has the fewest free ones itself; -1 when none is free."""
     best, least = -1, 5
     for side in range(4):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -58,7 +57,7 @@ def _dot(one: Floats, other: Floats) -> float:
     return float((one * other).sum())
 
 
-def _force(model: Model, held: Any, displacement: Floats) -> Floats:
+def _force(model: Model, held: Model, displacement: Floats) -> Floats:
     force = np.zeros_like(model.rest)
     elastic_forces(held, model.rest + displacement, force)
     return force

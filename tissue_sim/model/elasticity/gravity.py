@@ -7,10 +7,17 @@ difference between gravity and that of the shape.
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tissue_sim.arguments import floats_of
 from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.settings import Settings
+
+MOST_GRAVITY = 100.0  # m/s^2
 
 
 @kernel
@@ -84,3 +91,24 @@ def add_weight(model: Model, settings: Settings, force: Floats) -> None:
     for node in range(len(model.borne)):
         for axis in range(3):
             force[node, axis] += model.borne[node, axis]
+
+
+def acceleration_of(given: ArrayLike, name: str) -> Floats:
+    """Return an acceleration as an array (3,), m/s^2.
+
+    Parameters
+    ----------
+    given : ArrayLike, m/s^2
+        Three numbers.
+    name : str
+        Name for the message.
+
+    Raises
+    ------
+    UserError
+        When it is not three finite numbers of at most MOST_GRAVITY together.
+    """
+    values = floats_of(given)
+    if values.shape != (3,) or not np.all(np.isfinite(values)) or np.linalg.norm(values) > MOST_GRAVITY:
+        raise UserError(f"{name} {given!r} is not three numbers, m/s^2, with a norm of at most {MOST_GRAVITY:g}")
+    return values

@@ -94,7 +94,7 @@ gather_group, scatter_group = _gatherer(6), _scatterer(6)
 
 
 @kernel
-def put_node(position: Floats, node: int, rows: Any) -> None:
+def put_node(position: Floats, node: int, rows: Floats) -> None:
     """Write a node's position, of (n, 3) m, to its row, and a force of zero.
 
     Parameters
@@ -103,7 +103,7 @@ def put_node(position: Floats, node: int, rows: Any) -> None:
         Positions of the nodes, surface first.
     node : int
         Index of the node.
-    rows : Any, shape (n, ROW)
+    rows : Floats, shape (n, ROW)
         Rows of the nodes; updated.
     """
     x, y, z = position[node, 0], position[node, 1], position[node, 2]

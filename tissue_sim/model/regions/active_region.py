@@ -1,7 +1,7 @@
-"""Moving nodes: the whole organ, or a local region around a small load, and the change between the two.
+"""The whole organ moves, or a local region around a small load: its tick, and the change between the two.
 
-The tick, the guard and the mailboxes access local regions only through this module. A model without any (`adjacency` is
-None) is compiled without them.
+The tick, the guard and the mailboxes access local regions only through this module and `moved_nodes`. A model without
+any (`adjacency` is None) is compiled without them.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from tissue_sim.model.data.settings import LocalRegion, Settings
 from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.data.world import World
 from tissue_sim.model.elasticity.gravity import is_heavy
-from tissue_sim.model.regions import local_region, modal_region
+from tissue_sim.model.regions import local_region, modal_region, mode_motion, static_load
 from tissue_sim.model.regions.edge_gradient import edge_gradient
+from tissue_sim.model.regions.moved_nodes import checked_nodes
 
 # Fraction of the region force and of the steepest edge: below both, an organ that moved as a whole takes a region
 # again.
@@ -81,7 +82,7 @@ def takes_whole(model: Model, state: State, settings: Settings) -> bool:
     """
     if state.status.prescribed > 0 or is_heavy(model, settings):
         return True
-    return settings.local_region >= LocalRegion.MODAL and settings.tick_time > SLOWEST * modal_region.LOAD_TIME
+    return settings.local_region >= LocalRegion.MODAL and settings.tick_time > SLOWEST * static_load.LOAD_TIME
 
 
 @kernel
@@ -94,9 +95,9 @@ def _prepare(model: Model, state: State, settings: Settings, scratch: Scratch) -
         local_region.list_nodes(state, scratch)
         collect(model, state, scratch)
         if modal:
-            modal_region.set_propagator(model, settings, scratch)
-            modal_region.project_load(state, scratch)
-            modal_region.set_mode_move(model, state, scratch)
+            mode_motion.set_propagator(model, settings, scratch)
+            mode_motion.project_load(state, scratch)
+            mode_motion.set_mode_move(model, state, scratch)
     fresh = local_region.mark_loaded(state, scratch)
     if fresh > 0:
         nodes = status.region_nodes
@@ -114,7 +115,7 @@ def _prepare(model: Model, state: State, settings: Settings, scratch: Scratch) -
         leave_region(model, state, settings, scratch)
         return
     count.modal_ticks += 1
-    modal_region.advance_modes(model, state, settings, scratch)
+    mode_motion.advance_modes(model, state, settings, scratch)
     modal_region.place_boundary(model, state, settings, scratch)
 
 
@@ -140,7 +141,7 @@ def _forces(model: Model, state: State, settings: Settings, scratch: Scratch, la
     local_region.clear_force(state, scratch)
     local_region.region_forces(model, state, scratch)
     if state.status.region == Region.MODAL and last:
-        modal_region.measure_drive(model, state, settings, scratch)
+        static_load.measure_drive(model, state, settings, scratch)
     local_region.region_return_forces(model, state, scratch)
     local_region.scale_force(state, scratch, settings.stiffness_scale)
 
@@ -172,7 +173,7 @@ def region_forces(model: Model, state: State, settings: Settings, scratch: Scrat
 @kernel
 def _absorb(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     if state.status.region == Region.MODAL:
-        modal_region.absorb_load(state, settings, scratch, modal_region.load_fraction(model, settings))
+        static_load.absorb_load(state, settings, scratch, static_load.load_fraction(model, settings))
 
 
 @_or(_absorb, _nothing)
@@ -375,154 +376,6 @@ def damping_of(state: State, settings: Settings) -> float:
     return max(scale, 1.0) if state.status.region == Region.MODAL else scale
 
 
-@part
-def integrated_nodes(model: Model, state: State, scratch: Scratch) -> Any:
-    """Return the nodes that a tick integrates.
-
-    Parameters
-    ----------
-    model : Model
-        Constants of the model.
-    state : State
-        State of the simulation; updated.
-    scratch : Scratch
-        Working memory; updated.
-
-    Returns
-    -------
-    Any, shape (k,)
-        Nodes.
-    """
-    return model.moving if state.status.region == Region.WHOLE else scratch.moved_node[: scratch.moved[0]]
-
-
-@part
-def checked_nodes(model: Model, state: State, scratch: Scratch) -> Any:
-    """Return the nodes that a tick moves or places.
-
-    Parameters
-    ----------
-    model : Model
-        Constants of the model.
-    state : State
-        State of the simulation; updated.
-    scratch : Scratch
-        Working memory; updated.
-
-    Returns
-    -------
-    Any, shape (k,)
-        Nodes.
-    """
-    if state.status.region == Region.WHOLE:
-        return model.moving
-    if state.status.region == Region.MODAL:
-        return local_region.driving(state, scratch)
-    return scratch.region_node[: state.status.region_nodes]
-
-
-@kernel
-def _are_moved(model: Model, state: State, scratch: Scratch, nodes: Any) -> bool:
-    mark, stamp = scratch.node_mark, scratch.stamp[0]
-    listed = True
-    for corner in range(len(nodes)):
-        listed = listed and mark[nodes[corner]] == stamp
-    return listed or state.status.region != Region.MODAL
-
-
-@kernel
-def _always(model: Model, state: State, scratch: Scratch, nodes: Any) -> bool:
-    return True
-
-
-@_or(_are_moved, _always)
-def are_placed(model: Model, state: State, scratch: Scratch, nodes: Any) -> Any:
-    """Return whether positions of nodes are those of this tick; outside a modal region they may be old.
-
-    Parameters
-    ----------
-    model : Model
-        Constants of the model.
-    state : State
-        State of the simulation; updated.
-    scratch : Scratch
-        Working memory; updated.
-    nodes : Any, shape (k,)
-        The nodes.
-
-    Returns
-    -------
-    Any
-        True where they are.
-    """
-
-
-@kernel
-def modes_are_finite(state: State) -> bool:
-    """Return whether all modes of a modal region are finite.
-
-    Parameters
-    ----------
-    state : State
-        State of the simulation; updated.
-
-    Returns
-    -------
-    bool
-        True where they are.
-    """
-    finite = True
-    for k in range(len(state.mode_position)):
-        finite = finite and abs(state.mode_position[k]) < math.inf and abs(state.mode_velocity[k]) < math.inf
-    return finite
-
-
-@kernel
-def _swing(model: Model, state: State) -> tuple[float, float]:
-    """Return the largest speed, m/s, and displacement, m, that the modes may have anywhere."""
-    speed = away = 0.0
-    if state.status.region == Region.MODAL:
-        for k in range(len(model.reduction.peak)):
-            away += abs(state.mode_position[k]) * model.reduction.peak[k]
-            speed += abs(state.mode_velocity[k]) * model.reduction.peak[k]
-    return speed, away
-
-
-@kernel
-def largest_motion(model: Model, state: State, scratch: Scratch) -> tuple[float, float]:
-    """Return the largest components of velocity and of displacement from rest of the nodes.
-
-    Parameters
-    ----------
-    model : Model
-        Constants of the model.
-    state : State
-        State of the simulation; updated.
-    scratch : Scratch
-        Working memory; updated.
-
-    Returns
-    -------
-    tuple[float, float]
-        Velocity, m/s, and displacement, m.
-    """
-    speed_x = speed_y = speed_z = away_x = away_y = away_z = 0.0
-    position, velocity, rest = state.position, state.velocity, model.rest
-    nodes = scratch.region_node[: state.status.region_nodes] if state.status.region == Region.MODAL else model.moving
-    for index in range(len(nodes)):
-        node = nodes[index]
-        speed_x = max(speed_x, abs(velocity[node, 0]))
-        speed_y = max(speed_y, abs(velocity[node, 1]))
-        speed_z = max(speed_z, abs(velocity[node, 2]))
-        if len(model.free) > 0 and model.free[node] != 0:  # a piece that was cut off has no place to return to
-            continue
-        away_x = max(away_x, abs(position[node, 0] - rest[node, 0]))
-        away_y = max(away_y, abs(position[node, 1] - rest[node, 1]))
-        away_z = max(away_z, abs(position[node, 2] - rest[node, 2]))
-    swing_speed, swing = _swing(model, state)
-    return max(speed_x, speed_y, speed_z, swing_speed), max(away_x, away_y, away_z, swing)
-
-
 @kernel
 def restore_shape(model: Model, state: State, scratch: Scratch) -> None:
     """Return to the last good shape, without speed; outside a modal region it is the one last computed.
@@ -560,8 +413,8 @@ def enter_region(world: World) -> None:
     add_contact_impulses(state, world.shapes, scratch, state.status.substeps, state.contact_impulse)
     local_region.clear_force(state, scratch)
     local_region.region_forces(model, state, scratch)
-    modal_region.measure_drive(model, state, settings, scratch)
-    modal_region.absorb_load(state, settings, scratch, 1.0)
+    static_load.measure_drive(model, state, settings, scratch)
+    static_load.absorb_load(state, settings, scratch, 1.0)
     modal_region.keep_offset(model, state, settings, scratch)
     modal_region.move_edge(model, state, settings, scratch)
     if is_strongly_deformed(model, state, scratch, RETURN_SHARE):

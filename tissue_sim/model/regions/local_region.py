@@ -14,7 +14,7 @@ from tissue_sim.jit import chosen, kernel, part
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.blocks import BLOCK, Blocks
 from tissue_sim.model.data.contact_set import POINT_NODES, nodes_of
-from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.model import Model, Tissue
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.state import State
 from tissue_sim.model.elasticity.cells import cell_forces_among
@@ -143,7 +143,7 @@ def list_drive(state: State, scratch: Scratch) -> None:
 
 
 @part
-def driving(state: State, scratch: Scratch) -> Any:
+def driving(state: State, scratch: Scratch) -> Ints:
     """Return the nodes of the region and at its edge, as listed by list_drive.
 
     Parameters
@@ -155,7 +155,7 @@ def driving(state: State, scratch: Scratch) -> Any:
 
     Returns
     -------
-    Any, shape (k,)
+    Ints, shape (k,)
         Nodes.
     """
     return scratch.drive_node[: state.status.region_nodes + state.status.region_boundary]
@@ -263,7 +263,14 @@ def collect_elements(model: Model, state: State, scratch: Scratch) -> None:
 
 
 @kernel
-def _take(slots: Ints, source: Any, target: Any, mark: Longs, stamp: int, count: int) -> int:
+def _take(
+    slots: Ints,
+    source: tuple[Blocks | Tissue, Floats],
+    target: tuple[Blocks, Floats],
+    mark: Longs,
+    stamp: int,
+    count: int,
+) -> int:
     """Append the unmarked content of these slots after the first `count`; return how many there are.
 
     source, target: blocks, and their rows of slopes.
@@ -279,7 +286,7 @@ def _take(slots: Ints, source: Any, target: Any, mark: Longs, stamp: int, count:
 
 
 @kernel
-def _copy(source: Any, slot: int, target: Any, place: int) -> None:
+def _copy(source: Blocks | Tissue, slot: int, target: Blocks, place: int) -> None:
     """Copy a spring from one set of blocks to another."""
     block, row = slot // BLOCK, slot % BLOCK
     to, at = place // BLOCK, place % BLOCK
@@ -289,7 +296,7 @@ def _copy(source: Any, slot: int, target: Any, place: int) -> None:
 
 
 @kernel
-def _copy_rows(source: Any, slot: int, target: Any, place: int) -> None:
+def _copy_rows(source: Floats, slot: int, target: Floats, place: int) -> None:
     """Copy the constants of a spring from blocks (b, k BLOCK) to others; from none nothing is copied."""
     if len(source) == 0:
         return
@@ -324,7 +331,7 @@ def _blank_rows(rows: Floats, count: int) -> None:
 
 
 @kernel
-def _list_boundary(scratch: Scratch, nodes: Any, count: int, stamp: int, boundary: int) -> int:
+def _list_boundary(scratch: Scratch, nodes: Ints, count: int, stamp: int, boundary: int) -> int:
     """Append unmarked nodes of `count` springs to scratch.boundary_node; return how many there are."""
     for s in range(count):
         for c in range(nodes.shape[2]):
@@ -370,14 +377,14 @@ def scale_force(state: State, scratch: Scratch, scale: float) -> None:
 
 
 @kernel
-def scale_nodes(values: Any, nodes: Any, scale: float) -> None:
+def scale_nodes(values: Floats, nodes: Ints, scale: float) -> None:
     """Multiply values of some nodes; with 0 they become zero, whatever they were.
 
     Parameters
     ----------
-    values : Any, shape (n, 3)
+    values : Floats, shape (n, 3)
         Values, updated.
-    nodes : Any, shape (k,)
+    nodes : Ints, shape (k,)
         Nodes.
     scale : float
         The factor.

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.haptic_output import sum_haptic_output
-from tissue_sim.model.data.records import Record
+from tissue_sim.model.data.records import Record, Records
 from tissue_sim.model.data.world import World
 from tissue_sim.model.runtime.mailboxes import JOURNAL_ROWS, Mailbox, fence, mailbox, put, take
 from tissue_sim.model.stepping.breathing import Breath
@@ -43,7 +43,7 @@ class JoinedBox(NamedTuple):
     wrenches: Mailbox  # wrench_words
     row: JoinedRow  # as the last tick took it up
     journal_written: Longs  # (1,)
-    journal: Any  # (JOURNAL_ROWS,) of JoinedRow
+    journal: Records  # (JOURNAL_ROWS,) of JoinedRow
     kept: Kept  # when asked
     # The loop's own.
     taken: OrganContactSet

@@ -8,17 +8,18 @@ side waits for the other. Messages are words, whose meaning is up to writer and 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.cutting.carry import NO_PLAN, CarryPlan
 from tissue_sim.model.data.contact_set import ContactSet, contact_set
-from tissue_sim.model.data.records import Record
+from tissue_sim.model.data.records import Record, Records
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
@@ -128,7 +129,7 @@ class LoopWords(NamedTuple):
     """Inputs and outputs of a loop, whatever organs it advances."""
 
     control: Control
-    timing: Any  # (TIMING_ROWS,) of Timing
+    timing: Records  # (TIMING_ROWS,) of Timing
     pace: Pace
     now: Longs  # (2,) a timespec
     wake: Longs  # (2,) another
@@ -148,10 +149,10 @@ class Mailboxes(NamedTuple):
     snapshot: Longs  # State.words, on request
     demand: Demand
     journal_written: Longs  # (1,)
-    journal: Any  # (JOURNAL_ROWS,) of JournalRow
-    journal_inputs: Any  # (JOURNAL_ROWS, T) of BodyInputs
+    journal: Records  # (JOURNAL_ROWS,) of JournalRow
+    journal_inputs: NDArray[np.record]  # (JOURNAL_ROWS, T) of BodyInputs
     row: JournalRow  # as applied by the last tick
-    inputs: Any  # (T,) of BodyInputs, likewise
+    inputs: Records  # (T,) of BodyInputs, likewise
     # The loop's copies.
     taken_pose: Longs  # (8,) the words of 7 floats, and the stamp
     taken_force: Floats  # (3,)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -165,7 +165,9 @@ def take_pairs(pairs: OrganContacts, found: OrganContactSet) -> None:
 
 
 @kernel
-def comes_before(first: Any, pair: int, second: Any, other: int) -> bool:
+def comes_before(
+    first: OrganContacts | OrganContactSet, pair: int, second: OrganContacts | OrganContactSet, other: int
+) -> bool:
     """Return whether a pair of one set is ordered before one of another, by organs and node."""
     a, b = first.organ[pair], second.organ[other]
     if a[0] != b[0]:

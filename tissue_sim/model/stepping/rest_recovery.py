@@ -10,7 +10,8 @@ from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import State
 from tissue_sim.model.elasticity.gravity import is_out_of_balance
-from tissue_sim.model.regions.active_region import largest_motion, leave_region
+from tissue_sim.model.regions.active_region import leave_region
+from tissue_sim.model.regions.moved_nodes import largest_motion
 from tissue_sim.model.stepping.guard import move_towards_rest
 from tissue_sim.model.stepping.relaxation import creep_rate, forget_relaxation
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from tissue_sim.array_types import Floats, Ints, Longs, Singles
 from tissue_sim.model.contact.active_contact import MOST_ACTIVE, ActiveContact
 from tissue_sim.model.contact.volume_limit import MOST_COMPRESSED, CompressedCell
 from tissue_sim.model.data.blades import LIP_NODES, BladeRow
 from tissue_sim.model.data.blocks import BLOCK, empty_blocks
 from tissue_sim.model.data.contact_set import MOST_POINTS
 from tissue_sim.model.data.model import Model
-from tissue_sim.model.data.records import Record
+from tissue_sim.model.data.records import Record, Records
 from tissue_sim.model.data.scratch import Plan, Scratch
 from tissue_sim.model.elasticity.cells import CONSTANTS
 from tissue_sim.model.regions.modal_region import MOST_BOUNDARY, MOST_DRIVE
@@ -45,19 +44,19 @@ def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
     rows = 3 * MOST_BOUNDARY if modal else 0
     columns = 3 * MOST_DRIVE if modal and len(model.reduction.compliance) else 0
 
-    def empty(*shape: int, dtype: Any = np.float64) -> Any:
-        return np.zeros(shape, dtype=dtype)
+    def empty(*shape: int) -> Floats:
+        return np.zeros(shape)
 
-    def singles(*shape: int) -> Any:
+    def singles(*shape: int) -> Singles:
         return np.zeros(shape, dtype=np.float32)
 
-    def ints(size: int) -> Any:
+    def ints(size: int) -> Ints:
         return np.zeros(size, dtype=np.int32)
 
-    def longs(*size: int) -> Any:
+    def longs(*size: int) -> Longs:
         return np.zeros(size, dtype=np.int64)
 
-    def records(kind: type[Record], size: int) -> Any:
+    def records(kind: type[Record], size: int) -> Records:
         return kind.rows(longs(size * kind.words()))
 
     return Scratch(

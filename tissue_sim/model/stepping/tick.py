@@ -38,10 +38,10 @@ from tissue_sim.model.regions.active_region import (
     choose_region,
     damping_of,
     inertia_of,
-    integrated_nodes,
     prepare_region,
     region_forces,
 )
+from tissue_sim.model.regions.moved_nodes import integrated_nodes
 from tissue_sim.model.stepping.guard import check_cells, guard
 from tissue_sim.model.stepping.inputs import unload_nodes
 from tissue_sim.model.stepping.integrators import explicit_euler, symplectic_euler, symplectic_euler_whole

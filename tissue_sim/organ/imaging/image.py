@@ -10,13 +10,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import SimpleITK as sitk
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Array, Floats
 from tissue_sim.errors import UserError
 
 MM = 1e-3  # metres in a millimetre
@@ -29,7 +28,7 @@ class Volume:
 
     Attributes
     ----------
-    array : NDArray[Any], shape (nz, ny, nx)
+    array : Array, shape (nz, ny, nx)
         float32 HU, or bool for a mask.
     spacing : Floats, shape (3,), mm
         Distance of voxels along their axes x, y, z.
@@ -43,7 +42,7 @@ class Volume:
         Remarks on how it was read, one line each.
     """
 
-    array: NDArray[Any]
+    array: Array
     spacing: Floats
     origin: Floats
     direction: Floats
@@ -150,12 +149,12 @@ class Volume:
             direction=self.direction[:, axes] * np.where(flipped, -1.0, 1.0),
         )
 
-    def with_array(self, array: NDArray[Any]) -> Volume:
+    def with_array(self, array: Array) -> Volume:
         """Return an image of another array on the same grid.
 
         Parameters
         ----------
-        array : NDArray[Any], shape (nz, ny, nx)
+        array : Array, shape (nz, ny, nx)
             The array.
         """
         return replace(self, array=array)
@@ -193,12 +192,12 @@ def from_sitk(image: sitk.Image, name: str = "", *, mask: bool = False) -> Volum
     return placed(array, image, name)
 
 
-def placed(array: NDArray[Any], image: sitk.Image, name: str, notes: tuple[str, ...] = ()) -> Volume:
+def placed(array: Array, image: sitk.Image, name: str, notes: tuple[str, ...] = ()) -> Volume:
     """Return an array as a Volume that is placed as a SimpleITK image is.
 
     Parameters
     ----------
-    array : NDArray[Any], shape (nz, ny, nx)
+    array : Array, shape (nz, ny, nx)
         Voxels.
     image : sitk.Image
         The image that gives spacing, origin and direction.

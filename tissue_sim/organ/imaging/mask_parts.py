@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from tissue_sim.array_types import Floats, Mask
+from tissue_sim.array_types import Array, Floats, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import Volume
 
@@ -125,6 +123,6 @@ def _count(parts: int) -> str:
     return f"{parts} separate part{'s' if parts > 1 else ''}"
 
 
-def _listed(volumes: NDArray[Any]) -> str:
+def _listed(volumes: Array) -> str:
     more = [f"{len(volumes) - _SHOWN} smaller"] if len(volumes) > _SHOWN else []
     return ", ".join([f"{k} {volume:.3g} mL" for k, volume in enumerate(volumes[:_SHOWN], 1)] + more)

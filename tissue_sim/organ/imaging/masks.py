@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import SimpleITK as sitk
-from numpy.typing import NDArray
 
-from tissue_sim.array_types import Mask
+from tissue_sim.array_types import Array, Mask
 from tissue_sim.errors import UserError, shown
 from tissue_sim.organ.imaging.dicom import read_stack
 from tissue_sim.organ.imaging.dicom_file import is_dicom
@@ -174,7 +173,7 @@ def _names(image: sitk.Image) -> dict[tuple[int, float], str]:
     return found
 
 
-def _values(array: NDArray[Any], prefix: str, names: dict[float, str], source: str) -> Iterator[Label]:
+def _values(array: Array, prefix: str, names: dict[float, str], source: str) -> Iterator[Label]:
     """Yield a label for each value other than 0, in order."""
     found: set[float] = set()
     for layer in array:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from tissue_sim.array_types import Floats, Ints
+from tissue_sim.array_types import Array, Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.length_units import UNITS, is_organ
-from tissue_sim.organ.meshes.mesh_formats import FORMATS, MeshFile, Piece, read_pieces
+from tissue_sim.organ.meshes.mesh_file import MeshFile, Piece
+from tissue_sim.organ.meshes.mesh_formats import FORMATS, read_pieces
 from tissue_sim.organ.meshes.mesh_holes import area_of, capped_volume
 from tissue_sim.organ.meshes.mesh_parts import choose, closed_part, split
 from tissue_sim.organ.meshes.mesh_repair import longest_side
@@ -102,14 +102,14 @@ def read_mesh(
     return _closed(_load(source), str(source), unit, longest, part, merge_parts)
 
 
-def piece_of(positions: NDArray[Any], triangles: NDArray[Any], name: str) -> Piece:
+def piece_of(positions: Array, triangles: Array, name: str) -> Piece:
     """Return what `mesh_of` closes, from arrays.
 
     Parameters
     ----------
-    positions : NDArray[Any], shape (n, 3)
+    positions : Array, shape (n, 3)
         Points, in any unit.
-    triangles : NDArray[Any], shape (t, 3)
+    triangles : Array, shape (t, 3)
         Indices of their corners.
     name : str
         What the surface is called in messages.

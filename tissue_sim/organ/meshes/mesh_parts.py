@@ -10,7 +10,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.mask_parts import DOMINANT
-from tissue_sim.organ.meshes.mesh_formats import Piece
+from tissue_sim.organ.meshes.mesh_file import Piece
 from tissue_sim.organ.meshes.mesh_holes import Hole, capped_volume, fill, holes
 from tissue_sim.organ.meshes.mesh_repair import (
     WIDEST_HOLE,

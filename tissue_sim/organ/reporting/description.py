@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.cell_mesh import quality_of
 from tissue_sim.organ.inclusions import inclusions_of
 from tissue_sim.organ.organ import Organ, SpringKind
@@ -23,7 +24,7 @@ from tissue_sim.organ.tool_resolution import CUT_EDGES, FAIR, FAIR_WITHIN, FINE,
 UNITS = "SI: m, kg, s, N, Pa"
 
 
-def describe(organ: Organ) -> dict[str, Any]:
+def describe(organ: Organ) -> JsonObject:
     """Return all figures of an organ, nested, ready for JSON.
 
     Units stand in the names: mm, mL, g, N/m, Pa, kg/m^3, degrees. A range is an object of `least`, `median` and
@@ -37,7 +38,7 @@ def describe(organ: Organ) -> dict[str, Any]:
 
     Returns
     -------
-    dict[str, Any]
+    JsonObject
         The figures by name.
     """
     surface = organ.surface_positions
@@ -88,13 +89,13 @@ def _relaxation(organ: Organ) -> dict[str, float]:
     return {"percent_of_the_first_force": 100.0 * organ.relaxation_fraction, "seconds": organ.relaxation_time}
 
 
-def _skeleton(organ: Organ) -> dict[str, Any]:
+def _skeleton(organ: Organ) -> JsonObject:
     parent = organ.atom_parent
     child = np.flatnonzero(parent >= 0)
     links = organ.atom_positions[child] - organ.atom_positions[parent[child]]
     length = np.linalg.norm(links, axis=1) * 1e3
     neighbours = np.bincount(np.concatenate([child, parent[child]]), minlength=len(parent))
-    found: dict[str, Any] = {
+    found: JsonObject = {
         "atoms": organ.n_atoms,
         "branches": _branches(neighbours),
         "tips": int(np.count_nonzero(neighbours <= 1)),
@@ -110,8 +111,8 @@ def _branches(neighbours: NDArray[np.int64]) -> int:
     return int(neighbours[neighbours != 2].sum()) // 2
 
 
-def _springs(organ: Organ) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+def _springs(organ: Organ) -> JsonObject:
+    found: JsonObject = {}
     for kind in SpringKind:
         chosen = organ.spring_kind == kind
         if chosen.any():
@@ -134,7 +135,7 @@ def _springs(organ: Organ) -> dict[str, Any]:
     return found
 
 
-def _cells(organ: Organ) -> dict[str, Any]:
+def _cells(organ: Organ) -> JsonObject:
     volume, quality = quality_of(organ.rest_positions, organ.cell_nodes)
     return {
         "count": len(organ.cell_nodes),
@@ -145,7 +146,7 @@ def _cells(organ: Organ) -> dict[str, Any]:
     }
 
 
-def _inclusions(organ: Organ) -> list[dict[str, Any]]:
+def _inclusions(organ: Organ) -> list[JsonObject]:
     return [
         {
             "times_as_stiff": inclusion.stiffness,
@@ -158,7 +159,7 @@ def _inclusions(organ: Organ) -> list[dict[str, Any]]:
     ]
 
 
-def _masses(organ: Organ) -> dict[str, Any]:
+def _masses(organ: Organ) -> JsonObject:
     grams = organ.mass * 1e3
     surface, atoms, interior = np.split(grams, [organ.n_surface, organ.n_surface + organ.n_atoms])
     parts = {"total": grams, "surface": surface, "atoms": atoms, "interior": interior}
@@ -169,7 +170,7 @@ def _range(values: Floats) -> dict[str, float]:
     return {"least": float(values.min()), "median": float(np.median(values)), "largest": float(values.max())}
 
 
-def file_header(path: str | Path) -> dict[str, Any]:
+def file_header(path: str | Path) -> JsonObject:
     """Return the schema version and units as the file states them; the file has been checked by Organ.load.
 
     Parameters
@@ -179,7 +180,7 @@ def file_header(path: str | Path) -> dict[str, Any]:
 
     Returns
     -------
-    dict[str, Any]
+    JsonObject
         The stated values by name.
 
     Raises

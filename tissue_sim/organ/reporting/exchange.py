@@ -10,10 +10,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tissue_sim.array_types import Ints
+from tissue_sim.array_types import Array, Ints
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.reporting.vtk_xml import polydata, tetrahedra
 
@@ -86,7 +85,7 @@ def surface_vtp(organ: Organ, unit: str) -> bytes:
     n = organ.n_surface
     held = np.zeros(n, dtype=np.uint8)
     held[organ.fixed] = 1
-    data: dict[str, NDArray[Any]] = {
+    data: dict[str, Array] = {
         "held": held,
         "mass_kg": organ.mass[:n],
         "damping_kg_per_s": organ.damping[:n],
@@ -131,7 +130,7 @@ def skeleton_ply(organ: Organ, unit: str) -> bytes:
 def skeleton_vtp(organ: Organ, unit: str) -> bytes:
     """Return the skeleton as VTK XML PolyData lines, with radius (in the same unit), mass and parent of each atom."""
     first = organ.n_surface
-    data: dict[str, NDArray[Any]] = {
+    data: dict[str, Array] = {
         f"radius_{unit}": organ.atom_radius * UNITS[unit],
         "mass_kg": organ.mass[first : first + organ.n_atoms],
         "parent": organ.atom_parent,
@@ -147,8 +146,8 @@ def cells_vtu(organ: Organ, unit: str) -> bytes:
     """Return all nodes and cells as a VTK XML UnstructuredGrid with the model's data."""
     held = np.zeros(organ.n_nodes, dtype=np.uint8)
     held[organ.fixed] = 1
-    nodes: dict[str, NDArray[Any]] = {"held": held, "mass_kg": organ.mass, "damping_kg_per_s": organ.damping}
-    moduli: dict[str, NDArray[Any]] = {"mu_Pa": organ.cell_mu, "lambda_Pa": organ.cell_lambda}
+    nodes: dict[str, Array] = {"held": held, "mass_kg": organ.mass, "damping_kg_per_s": organ.damping}
+    moduli: dict[str, Array] = {"mu_Pa": organ.cell_mu, "lambda_Pa": organ.cell_lambda}
     positions = organ.rest_positions * UNITS[unit]
     return tetrahedra(positions, organ.cell_nodes, nodes, moduli, comment=_comment(organ, unit, "cells"))
 

@@ -9,10 +9,11 @@ import base64
 import struct
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tissue_sim.array_types import Array
 
 _TYPES = {"f8": "Float64", "f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}
 _TETRAHEDRON = 10  # VTK's cell type
@@ -20,7 +21,7 @@ _TETRAHEDRON = 10  # VTK's cell type
 
 def polydata(
     positions: NDArray[np.float64],
-    point_data: Mapping[str, NDArray[Any]],
+    point_data: Mapping[str, Array],
     *,
     polygons: NDArray[np.int32] | None = None,
     lines: NDArray[np.int32] | None = None,
@@ -32,7 +33,7 @@ def polydata(
     ----------
     positions : NDArray[np.float64], shape (n, 3)
         Points.
-    point_data : Mapping[str, NDArray[Any]]
+    point_data : Mapping[str, Array]
         Arrays of point data, shape (n,), by name.
     polygons : NDArray[np.int32] | None, shape (p, k), optional
         Point indices of polygons.
@@ -57,8 +58,8 @@ def polydata(
 def tetrahedra(
     positions: NDArray[np.float64],
     cells: NDArray[np.int32],
-    point_data: Mapping[str, NDArray[Any]],
-    cell_data: Mapping[str, NDArray[Any]],
+    point_data: Mapping[str, Array],
+    cell_data: Mapping[str, Array],
     *,
     comment: str = "",
 ) -> bytes:
@@ -70,9 +71,9 @@ def tetrahedra(
         Points.
     cells : NDArray[np.int32], shape (c, 4)
         Point indices of tetrahedra.
-    point_data : Mapping[str, NDArray[Any]]
+    point_data : Mapping[str, Array]
         Arrays of point data, shape (n,), by name.
-    cell_data : Mapping[str, NDArray[Any]]
+    cell_data : Mapping[str, Array]
         Arrays of cell data, shape (c,), by name.
     comment : str, optional
         Comment in the file.
@@ -91,7 +92,7 @@ def tetrahedra(
 
 
 def _begun(
-    kind: str, positions: NDArray[np.float64], data: Mapping[str, Mapping[str, NDArray[Any]]], comment: str
+    kind: str, positions: NDArray[np.float64], data: Mapping[str, Mapping[str, Array]], comment: str
 ) -> tuple[ElementTree.Element, ElementTree.Element]:
     """Return the file's root, and its piece with points and data."""
     root = ElementTree.Element("VTKFile", type=kind, version="1.0", byte_order="LittleEndian")
@@ -118,7 +119,7 @@ def _connect(parent: ElementTree.Element, index: NDArray[np.int32]) -> None:
     _array(parent, "offsets", np.arange(1, len(index) + 1, dtype=np.int64) * index.shape[1])
 
 
-def _array(parent: ElementTree.Element, name: str, values: NDArray[Any], components: int = 1) -> None:
+def _array(parent: ElementTree.Element, name: str, values: Array, components: int = 1) -> None:
     little = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
     kind = _TYPES[little.dtype.str[1:]]
     element = ElementTree.SubElement(parent, "DataArray", type=kind, Name=name, format="binary")

@@ -28,7 +28,7 @@ _LIGHT = 1.0  # mm, erosion of what is brighter
 _RACE, _RACE_WIDTH = 1.5, 2.0  # mm: weight of who is nearer, organ or neighbour; lead at which it counts fully
 _STEP = 0.28  # of both variables; stable under 1 / sqrt(12)
 _SETTLED = 0.002  # mean change of the undecided voxels that counts as converged
-_EVERY = 20  # steps between looks at the change
+_EVERY, _STEPS = 20, 400  # steps between looks at the change; at most
 
 
 def dilate(region: Region, core: Mask, stiffness: float, spur: float) -> Mask:
@@ -136,7 +136,7 @@ def _upsample(values: Singles, every: int, shape: tuple[int, ...]) -> Singles:
     return values
 
 
-def least_wall(cost: Singles, free: Mask, inside: Mask, steps: int = 400) -> Mask:
+def least_wall(cost: Singles, free: Mask, inside: Mask) -> Mask:
     """Return the set of least cost: the area of its wall plus `cost` over its voxels, both in voxels.
 
     cost (nz, ny, nx): above 0 where a voxel fits the outside better. Only `free` voxels are decided;
@@ -148,7 +148,7 @@ def least_wall(cost: Singles, free: Mask, inside: Mask, steps: int = 400) -> Mas
     lead = u.copy()
     dual = np.zeros((3, *u.shape), dtype=np.float32)
     count = max(int(np.count_nonzero(free)), 1)
-    for step in range(steps):
+    for step in range(_STEPS):
         _raise_dual(lead, dual, np.float32(_STEP))
         change = _lower_set(u, lead, dual, c, f, np.float32(_STEP))
         if step % _EVERY == _EVERY - 1 and change < _SETTLED * count:

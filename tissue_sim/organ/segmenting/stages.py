@@ -8,7 +8,7 @@ grid.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import SimpleITK as sitk
@@ -18,6 +18,7 @@ from skimage.segmentation import watershed
 
 from tissue_sim.array_types import Mask, Singles
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.segmenting.depth import depth_of
 from tissue_sim.organ.segmenting.dilation import dilate, local_mean
@@ -77,7 +78,7 @@ class Segmentation:
     clarity: float = 0.0
     warnings: tuple[str, ...] = ()
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> JsonObject:
         """Return the figures for the provenance."""
         names = ("mean", "deviation", "wall", "erosion", "volume", "smoothing")
         figures = {key: round(getattr(self, key), 3) for key in names}

@@ -7,14 +7,13 @@ Coordinates here are those of the wall's own grid: millimetres along its voxel a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from skimage.measure import marching_cubes, mesh_surface_area
 
-from tissue_sim.array_types import Floats, Ints, Mask
+from tissue_sim.array_types import Array, Floats, Ints, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
@@ -160,7 +159,7 @@ class Wall:
         return triangles if np.linalg.det(self.direction) > 0.0 else np.ascontiguousarray(triangles[:, ::-1])
 
 
-def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
+def make_wall(mask: Volume) -> Wall:
     """Return the smooth wall of a mask's largest part, without cavities or handles (a topological ball).
 
     Cavities are filled; handles are cut or filled with the least change (`solid_ball.as_ball`).
@@ -169,8 +168,6 @@ def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
     ----------
     mask : Volume
         The voxels of the organ.
-    spacing : float | None, mm, optional
-        Spacing of the isotropic grid; None for the mask's finest.
 
     Returns
     -------
@@ -196,7 +193,7 @@ def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
     if thinnest < 3:
         raise UserError(f"{name} is {thinnest} voxels thick, too thin for an organ; use a finer image")
     first = np.array([s.start for s in box[::-1]]) - _MARGIN
-    h = float(spacing or mask.spacing.min())
+    h = float(mask.spacing.min())
     rough = _signed_distance(solid, mask.spacing[::-1])
     smooth = _smoothed(rough, mask.spacing[::-1])
     level = _exact_away(_resample(smooth, mask.spacing[::-1], h), h)
@@ -245,7 +242,7 @@ def _smoothed(rough: NDArray[np.float32], sampling: Floats) -> NDArray[np.float3
     return smooth
 
 
-def _enclosed(level: NDArray[Any], h: float) -> float:
+def _enclosed(level: Array, h: float) -> float:
     """Return the volume inside a level set, mm, in voxels; those on the wall count by how far they lie inside."""
     return float(np.clip(0.5 - level / h, 0.0, 1.0).sum(dtype=np.float64))
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
+from tissue_sim.array_types import Array
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.spool import Spool
 
@@ -47,14 +48,14 @@ class BagMessages:
         """
         return self.spool is not None and self.spool.put(name, raw)
 
-    def packed(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def packed(self, name: str, arrays: Mapping[str, Array]) -> None:
         """Record arrays as the octets of an npz.
 
         Parameters
         ----------
         name : str
             The topic.
-        arrays : Mapping[str, NDArray[Any]]
+        arrays : Mapping[str, Array]
             The arrays, by name.
         """
         self.octets(name, bag.pack(**arrays))

@@ -6,13 +6,15 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any, TypeGuard
 
+from tissue_sim.json_types import JsonObject
+
 _LARGEST = 1e15
 _LONGEST = 4096  # characters of a name or path
 
 Fits = Callable[[object], bool]
 
 
-def read_config(text: str) -> dict[str, Any]:
+def read_config(text: str) -> JsonObject:
     """Return a bag's configuration from its JSON, checked as far as every format has it.
 
     Parameters
@@ -73,7 +75,7 @@ def check_config(config: Mapping[str, Any]) -> None:
         raise ValueError("its return springs follow the skeleton, which this version's don't do; record it again")
 
 
-def organs_of(config: Mapping[str, Any]) -> dict[str, Any]:
+def organs_of(config: Mapping[str, Any]) -> JsonObject:
     """Return what a bag says of its organs, by the names that a scene gives them, or one that is empty."""
     return dict(config["organs"]) if "organs" in config else {"": config["organ"]}
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.array_types import Array, Floats, Ints, Longs
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.shapes import CAPSULE, SPHERE
@@ -36,7 +36,7 @@ class Part(NamedTuple):
     name: str
     positions: Floats
     triangles: Ints
-    data: dict[str, NDArray[Any]]
+    data: dict[str, Array]
     colours: NDArray[np.uint8]
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tissue_sim.array_types import Longs
+from tissue_sim.array_types import Array, Longs
 from tissue_sim.model.stepping.breathing import Breath
 from tissue_sim.model.stepping.organ_contact import OrganContactSet, used_words
 from tissue_sim.ros.bags import bag
@@ -57,7 +55,7 @@ class JoinedRecorder:
         if joined.alone:
             return
         count = int(kept.pairs.found[0])
-        fields: dict[str, NDArray[Any]] = {f"links.{name}": array for name, array in joined.links._asdict().items()}
+        fields: dict[str, Array] = {f"links.{name}": array for name, array in joined.links._asdict().items()}
         fields |= {
             "breath": Breath.rows(kept.breath.copy()),
             "moves": joined.carried.moves,
@@ -122,7 +120,7 @@ class JoinedRecorder:
         if self._messages.active:
             self._fractions.append(self._newest_fraction)
 
-    def rows(self) -> dict[str, NDArray[Any]]:
+    def rows(self) -> dict[str, Array]:
         """Return the journal's rows since the last call; to be called with `together` held."""
         if self._joined.alone:
             return {}

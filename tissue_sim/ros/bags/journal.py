@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissue_sim.array_types import Array
 from tissue_sim.model.data.records import Record
 from tissue_sim.model.runtime.mailboxes import BodyInputs, JournalRow
 from tissue_sim.model.stepping.state_check import MOST
@@ -29,12 +28,12 @@ _BODIES: dict[str, tuple[str, type[Record]]] = {
 SHOWING = ("inputs", "wrenches", "surfaces")  # whose ticks a replay visits
 
 
-def check_journal(rows: Mapping[str, NDArray[Any]], n_bodies: int, first_tick: int, rate: float) -> None:
+def check_journal(rows: Mapping[str, Array], n_bodies: int, first_tick: int, rate: float) -> None:
     """Check that the rows of a journal have their fields, fit together and tell of possible ticks.
 
     Parameters
     ----------
-    rows : Mapping[str, NDArray[Any]]
+    rows : Mapping[str, Array]
         Rows by kind, see recorder.
     n_bodies : int
         Number of bodies.
@@ -62,7 +61,7 @@ def check_journal(rows: Mapping[str, NDArray[Any]], n_bodies: int, first_tick: i
         raise ValueError(f"its journal contains no event for {still / 3600.0:.3g} hours")
 
 
-def _check_rows(rows: Mapping[str, NDArray[Any]], kind: str, record: type[Record], shape: tuple[int, ...]) -> None:
+def _check_rows(rows: Mapping[str, Array], kind: str, record: type[Record], shape: tuple[int, ...]) -> None:
     found = rows.get(kind)
     if found is None:
         raise ValueError(f"its journal has no {kind}")

@@ -12,6 +12,8 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, Qos
 from rosbags.rosbag2.metadata import dump_qos_v9
 from ruamel.yaml import YAML
 
+from tissue_sim.json_types import JsonObject
+
 DISTRIBUTION = "jazzy"  # whose message definitions a bag holds
 VERSION: Literal[9] = 9  # version of the metadata
 NAME = "metadata.yaml"
@@ -26,7 +28,7 @@ class File(NamedTuple):
     counts: dict[str, int]  # messages by topic
 
 
-def information(files: Sequence[File], connections: Sequence[Connection]) -> dict[str, Any]:
+def information(files: Sequence[File], connections: Sequence[Connection]) -> JsonObject:
     """Return the metadata of files that are one bag, with its topics.
 
     Parameters
@@ -53,7 +55,7 @@ def information(files: Sequence[File], connections: Sequence[Connection]) -> dic
     }
 
 
-def read(folder: Path) -> dict[str, Any]:
+def read(folder: Path) -> JsonObject:
     """Return a bag's metadata.
 
     Parameters
@@ -61,7 +63,7 @@ def read(folder: Path) -> dict[str, Any]:
     folder : Path
         Folder of the bag.
     """
-    said: dict[str, Any] = YAML(typ="safe").load((folder / NAME).read_text(encoding="utf-8"))
+    said: JsonObject = YAML(typ="safe").load((folder / NAME).read_text(encoding="utf-8"))
     return said["rosbag2_bagfile_information"]  # type: ignore[no-any-return]
 
 
@@ -131,7 +133,7 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _span(start: int, end: int, count: int) -> dict[str, Any]:
+def _span(start: int, end: int, count: int) -> JsonObject:
     return {
         "starting_time": {"nanoseconds_since_epoch": start},
         "duration": {"nanoseconds": end - start},
@@ -139,7 +141,7 @@ def _span(start: int, end: int, count: int) -> dict[str, Any]:
     }
 
 
-def _topic(topic: Connection, count: int) -> dict[str, Any]:
+def _topic(topic: Connection, count: int) -> JsonObject:
     topic_metadata = {
         "name": topic.topic,
         "type": topic.msgtype,

@@ -13,6 +13,7 @@ from tissue_sim.contact.finder import ContactFinder, Sought
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.cutting.cut_surface import CutSurface
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.settings import Settings
@@ -71,7 +72,7 @@ class OrganPlayer:
     """A simulation that applies what the journal names."""
 
     def __init__(
-        self, recording: OrganRecording, organ: Organ, config: dict[str, Any], tools: ToolSet, tool_inputs: ToolInputs
+        self, recording: OrganRecording, organ: Organ, config: JsonObject, tools: ToolSet, tool_inputs: ToolInputs
     ) -> None:
         parameters = config["parameters"]
         nodes = len(recording.state["position"])

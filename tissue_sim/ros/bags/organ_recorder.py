@@ -5,11 +5,10 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissue_sim.array_types import Array
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.records import array_of
 from tissue_sim.model.data.settings import Settings
@@ -33,7 +32,7 @@ class _Notes:
     body_contacts: list[list[BodyContact]] = field(default_factory=list)
     surfaces: list[tuple[int]] = field(default_factory=list)
 
-    def arrays(self, n_bodies: int) -> dict[str, NDArray[Any]]:
+    def arrays(self, n_bodies: int) -> dict[str, Array]:
         """Return the rows as arrays of records."""
         by_body = np.array(self.body_contacts, dtype=bag.BodyContactRow.dtype)
         return {
@@ -61,7 +60,7 @@ class OrganRecorder:
         self.names = {name: f"{below}/{name}" for name in bag.ORGAN_TOPICS}
         self._messages = messages
         self._file, self._file_version = b"", -1
-        self._cut: dict[str, NDArray[Any]] | None = None  # the newest, as it is recorded
+        self._cut: dict[str, Array] | None = None  # the newest, as it is recorded
         self.exchanging = threading.Lock()  # held while the loop goes on with another organ: no bag begins meanwhile
         self._notes = _Notes()
         self._newest_set: tuple[int, ContactSet] | None = None
@@ -102,7 +101,7 @@ class OrganRecorder:
         self._state_tick = int(state.status.tick)
         return self._state_tick
 
-    def rows(self) -> dict[str, NDArray[Any]]:
+    def rows(self) -> dict[str, Array]:
         """Return the journal's rows since the last call; call it with `together` held."""
         inputs, body_inputs = self.physics.journal()
         noted, self._notes = self._notes, _Notes()
@@ -218,7 +217,7 @@ class OrganRecorder:
 
     def _whole_set(self, sequence: int, found: ContactSet) -> None:
         found.header.sequence = sequence
-        fields: Mapping[str, NDArray[Any]] = {
+        fields: Mapping[str, Array] = {
             name: array_of(value) for name, value in found._asdict().items() if name != "words"
         }
         self._messages.packed(self.names["contact_set"], fields)

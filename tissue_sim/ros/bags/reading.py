@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Array, Floats, Longs
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.recording import Recording, tools_of
@@ -30,7 +30,7 @@ class Series:
     unit: str
     ticks: Longs
     time: Floats
-    values: NDArray[Any]
+    values: Array
 
     def __len__(self) -> int:
         return len(self.ticks)
@@ -39,7 +39,7 @@ class Series:
         span = f"{self.time[0]:.3f} to {self.time[-1]:.3f} s" if len(self) else "empty"
         return f"<Series {self.name}: {self.values.shape} {self.unit or 'xyzw'}, {span}>"
 
-    def at(self, ticks: ArrayLike) -> NDArray[Any]:
+    def at(self, ticks: ArrayLike) -> Array:
         """Return the newest values at some ticks (m,), as (m, ...); NaN before the first."""
         index = np.searchsorted(self.ticks, np.asarray(ticks), side="right") - 1
         if not len(self):
@@ -121,7 +121,7 @@ def read_bag(path: str | os.PathLike[str]) -> Bag:
 
 def _all_of(
     recording: Recording, tools: Sequence[Tool], organs: Sequence[str]
-) -> Iterator[tuple[str, str, Longs, NDArray[Any]]]:
+) -> Iterator[tuple[str, str, Longs, Array]]:
     """Yield name, unit, ticks (k,) and values (k, ...) of everything in a bag."""
     shown, body = recording.shown(), 0
     for number, tool in enumerate(tools):

@@ -5,12 +5,11 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tissue_sim.array_types import Longs
+from tissue_sim.array_types import Array, Longs
 from tissue_sim.model.cutting.cut_cells import Sides, sides_of
 from tissue_sim.model.cutting.cut_surface import CutSurface, without_idle_points
 from tissue_sim.model.simulation import Simulation
@@ -46,7 +45,7 @@ def organ_in(file: bytes) -> Organ:
         return Organ.load(path)
 
 
-def fields_of_cut(number: int, tick: int, made: Simulation, file: bytes) -> dict[str, NDArray[Any]]:
+def fields_of_cut(number: int, tick: int, made: Simulation, file: bytes) -> dict[str, Array]:
     """Return a cut as arrays by name.
 
     Parameters
@@ -60,7 +59,7 @@ def fields_of_cut(number: int, tick: int, made: Simulation, file: bytes) -> dict
     file : bytes
         Content of its organ's file.
     """
-    fields: dict[str, NDArray[Any]] = {
+    fields: dict[str, Array] = {
         "number": np.array(number),
         "tick": np.array(tick),
         "first_set": np.array(NO_SET),
@@ -74,12 +73,12 @@ def fields_of_cut(number: int, tick: int, made: Simulation, file: bytes) -> dict
     return fields
 
 
-def recorded_cuts(messages: list[Mapping[str, NDArray[Any]]]) -> list[RecordedCut]:
+def recorded_cuts(messages: list[Mapping[str, Array]]) -> list[RecordedCut]:
     """Return the cuts of an organ, in order.
 
     Parameters
     ----------
-    messages : list[Mapping[str, NDArray[Any]]]
+    messages : list[Mapping[str, Array]]
         Fields of each message about them.
 
     Raises
@@ -99,7 +98,7 @@ def recorded_cuts(messages: list[Mapping[str, NDArray[Any]]]) -> list[RecordedCu
     return [cut._replace(first_set=sets.get(number, NEVER)) for number, cut in sorted(made.items())]
 
 
-def _cut_of(fields: Mapping[str, NDArray[Any]]) -> RecordedCut:
+def _cut_of(fields: Mapping[str, Array]) -> RecordedCut:
     names = CutSurface._fields
     surface = None
     given = [fields[f"surface.{name}"] for name in names if f"surface.{name}" in fields]
@@ -118,7 +117,7 @@ def _cut_of(fields: Mapping[str, NDArray[Any]]) -> RecordedCut:
     return RecordedCut(tick, NEVER, organ, origin.astype(np.int64), surface, _sides_of(fields, organ), number)
 
 
-def _sides_of(fields: Mapping[str, NDArray[Any]], organ: Organ) -> Sides | None:
+def _sides_of(fields: Mapping[str, Array], organ: Organ) -> Sides | None:
     if "below" not in fields:
         return None
     below, above, is_cut = (fields.get(name, np.zeros(0)) for name in Sides._fields)
@@ -157,7 +156,7 @@ def _check_surface(surface: CutSurface) -> None:
             raise ValueError("its cut has triangles without points")
 
 
-def _whole(fields: Mapping[str, NDArray[Any]], name: str) -> int:
+def _whole(fields: Mapping[str, Array], name: str) -> int:
     found = fields.get(name)
     if found is None or found.shape != () or found.dtype.kind != "i":
         raise ValueError(f"its cut has no {name}")

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rclpy.qos import QoSProfile
 
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bag_messages import BagMessages
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
@@ -47,7 +47,7 @@ class Recorder:
         The organs.
     names : Sequence[str]
         Name of each organ, empty for a single one.
-    config : dict[str, Any]
+    config : JsonObject
         Configuration of the bag.
 
     Attributes
@@ -63,7 +63,7 @@ class Recorder:
         node_name: str,
         organs: Organs,
         names: Sequence[str],
-        config: dict[str, Any],
+        config: JsonObject,
     ) -> None:
         self._node_name, self._organs, self._config = node_name, organs, config
         self._messages = BagMessages()

@@ -8,13 +8,13 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError, shown
+from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.bags import bag, recovery
 from tissue_sim.ros.bags.comparison import Shown
 from tissue_sim.ros.bags.config import check_config, organs_of, read_config
@@ -44,7 +44,7 @@ _DAMAGED = (
 class Recording:
     """The content of a bag, by topic, in the order of recording."""
 
-    config: dict[str, Any]
+    config: JsonObject
     organs: list[OrganRecording]
     joined: JoinedRecording
     registrations: list[tuple[int, Floats]] = field(
@@ -164,12 +164,12 @@ class Recording:
         )
 
 
-def tools_of(config: dict[str, Any]) -> list[Tool]:
+def tools_of(config: JsonObject) -> list[Tool]:
     """Return the tools of a bag's configuration.
 
     Parameters
     ----------
-    config : dict[str, Any]
+    config : JsonObject
         The configuration.
     """
     parameters, keys = config["parameters"], ("shape", "radius", "length", "mesh")

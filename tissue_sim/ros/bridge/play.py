@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 from tissue_sim import progress
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.ros.bridge.script import ACTIONS, check
 from tissue_sim.ros.bridge.served import served_by
 from tissue_sim.ros.shared import client
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
             return 0 if stop else 1
         links, script, jaws, radius = cast(served.values, args)
         tools = [ScriptedTool(node, link, link.tool.name in jaws) for link in links]
-        organ: Any = client.mesh_arrays(served.mesh)
+        organ: tuple[Floats, Longs] | None = client.mesh_arrays(served.mesh)
         client.wait_until(lambda: all(tool.has_subscribers for tool in tools), MATCHING, stop)
         registration = Registration(node, args.node, parameters)
 

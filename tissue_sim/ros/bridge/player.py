@@ -9,8 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from shape_msgs.msg import Mesh
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.gripper import Jaws
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge.motion import Path
@@ -82,7 +83,9 @@ class Player:
         self.skipped = 0
         self._warned: set[str] = set()  # tools whose other publishers were reported
 
-    def play(self, path: Path, stop: client.Stop, meshes: client.NewestMessage, organ: Floats) -> Any:
+    def play(
+        self, path: Path, stop: client.Stop, meshes: client.NewestMessage, organ: Floats
+    ) -> tuple[Floats, Longs] | None:
         """Play a path repeatedly until the time is over, a signal asks for it, or the node has another organ.
 
         Then the tools leave the tissue.
@@ -100,7 +103,7 @@ class Player:
 
         Returns
         -------
-        Any
+        tuple[Floats, Longs] | None
             the other organ's vertices and triangles, or None
         """
         poses, angles = path.poses, path.angles
@@ -143,7 +146,7 @@ class Player:
             tool.feel()
 
 
-def _other_organ(mesh: Any, organ: Floats) -> Any:
+def _other_organ(mesh: Mesh | None, organ: Floats) -> tuple[Floats, Longs] | None:
     if mesh is None:
         return None
     vertices, triangles = client.mesh_arrays(mesh)

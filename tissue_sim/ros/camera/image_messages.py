@@ -7,12 +7,11 @@ import struct
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image as Pillow
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-from tissue_sim.array_types import Pixels
+from tissue_sim.array_types import Array, Pixels
 from tissue_sim.rendering.pinhole import Pinhole
 from tissue_sim.ros.shared.cdr import CDR_HEADER
 
@@ -40,7 +39,7 @@ class ImageTemplate:
         message.header.frame_id = frame_id
         self._head, self._size = _before_octets(message), lens.height * step
 
-    def message(self, stamp: int, pixels: NDArray[Any]) -> bytes:
+    def message(self, stamp: int, pixels: Array) -> bytes:
         """Return the message.
 
         Parameters

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -18,7 +18,7 @@ from tissue_sim.ros.node.input.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.cdr import check_position, unit_pose
 from tissue_sim.ros.shared.frames import Frames, Transform, UnknownFrame
-from tissue_sim.ros.shared.parameter_values import frames_of_node
+from tissue_sim.ros.shared.parameter_values import Values, frames_of_node
 
 # Axes of a pose: those of an optical frame are x right, y down, z forward; those of a body x forward, y left, z up
 # (REP-103).
@@ -28,7 +28,7 @@ AXES = {"optical": Transform(), "body": Transform(rotation=(-0.5, 0.5, -0.5, 0.5
 class Viewpoint(Protocol):
     """A source of a camera's pose."""
 
-    def use(self, values: Mapping[str, Any]) -> None:
+    def use(self, values: Values) -> None:
         """Use the parameters of the node, by name, for the frames that they place."""
 
     def pose(self, points: Floats) -> Floats | None:
@@ -47,7 +47,7 @@ class Fixed:
     def __init__(self, lens: Pinhole, pose: Floats | None = None) -> None:
         self._lens, self._pose = lens, pose
 
-    def use(self, values: Mapping[str, Any]) -> None:
+    def use(self, values: Values) -> None:
         """Do nothing: it is given in the organ's frame."""
 
     def pose(self, points: Floats) -> Floats | None:
@@ -77,7 +77,7 @@ class FromTopic:
         self._organ_frame, self._said = "", ""
         self._given: PoseStamped | None = None  # the newest message, which is placed again for every picture
 
-    def use(self, values: Mapping[str, Any]) -> None:
+    def use(self, values: Values) -> None:
         """Use the parameters of the node, by name, for the frames that they place."""
         lookup = TfThread.beside(self._node, values) if tf_installed() else None
         self._frames, self._organ_frame = frames_of_node(values, lookup), values["frame_id"]
@@ -122,7 +122,7 @@ class FromTf:
         self._node, self._frame_id, self._axes = node, frame_id, axes
         self._frames: Frames | None = None
 
-    def use(self, values: Mapping[str, Any]) -> None:
+    def use(self, values: Values) -> None:
         """Use the parameters of the node, by name, for the frames that they place."""
         self._frames = frames_of_node(values, TfThread.beside(self._node, values))
 
@@ -146,7 +146,7 @@ class TfThread(TfLookup):
         threading.Thread(target=executor.spin, daemon=True).start()
 
     @classmethod
-    def beside(cls, client_node: Node, values: Mapping[str, Any]) -> TfThread:
+    def beside(cls, client_node: Node, values: Values) -> TfThread:
         """Return a lookup of a client, against the frame that a node's parameters place the organ in."""
         return cls(client.node_beside(client_node, "tf"), values["base_frame"] or values["frame_id"])
 

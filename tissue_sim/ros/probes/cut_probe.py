@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -177,7 +177,7 @@ class CutProbe(Hand):
             self._executor.spin_once(timeout_sec=left)
         return took
 
-    def _call(self, name: str, request: Any) -> None:
+    def _call(self, name: str, request: Trigger.Request | SetParameters.Request) -> None:
         """Call a service of the node, and press on until it has answered."""
         pending = self._services[name].call_async(request)
         first_within(
@@ -190,7 +190,7 @@ class CutProbe(Hand):
         self._answer_clock = time.monotonic()
         self._answered += 1
 
-    def _on_report(self, message: Any) -> None:
+    def _on_report(self, message: DiagnosticArray) -> None:
         values = client.physics_status([message], NODE)
         if values is not None:
             self._received.append(node_report_of(message.header.stamp, values))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
@@ -75,7 +76,7 @@ class PokeProbe(Hand):
         self._wrenches = client.NewestMessage(node, WrenchStamped, "left/servo_cf", client.stream_qos())
         self._reports = client.NewestMessage(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
 
-    def poke(self, seconds: float, watch: Callable[[], object] = lambda: None) -> PokeFigures:
+    def poke(self, seconds: float, watch: Callable[[], object]) -> PokeFigures:
         """Poke for some time, SHORTEST at least.
 
         Parameters
@@ -97,14 +98,14 @@ class PokeProbe(Hand):
             raise UserError(f"the node sent no diagnostics for {seconds:g} s")
         return found
 
-    def poke_until_whole(self, seconds: float, watch: Callable[[], object] = lambda: None) -> float:
+    def poke_until_whole(self, seconds: float, watch: Callable[[], object]) -> float:
         """Poke until the node gives nothing up, but not much longer than a limit.
 
         Parameters
         ----------
         seconds : float, s
             The limit.
-        watch : Callable[[], object], optional
+        watch : Callable[[], object]
             Called after each poke.
 
         Returns
@@ -146,12 +147,12 @@ class PokeProbe(Hand):
         return found
 
 
-def node_report_of(stamp: Any, values: Mapping[str, str]) -> NodeReport:
+def node_report_of(stamp: Time, values: Mapping[str, str]) -> NodeReport:
     """Return a report of the node's physics.
 
     Parameters
     ----------
-    stamp : Any
+    stamp : Time
         Its stamp.
     values : Mapping[str, str]
         Its values.

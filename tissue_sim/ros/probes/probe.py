@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
@@ -190,7 +191,7 @@ class Probe(Hand):
             self._spin(self._period)
         return {name: float(self._report[name]) for name in ("tick", "overruns", "tick_p50_us")}
 
-    def _exchange(self, publisher: Any, seconds: float, period: float, depth: Callable[[float], float]) -> Trip:
+    def _exchange(self, publisher: Publisher, seconds: float, period: float, depth: Callable[[float], float]) -> Trip:
         took, lost = [], 0
         start = deadline = time.monotonic()
         while deadline - start < seconds:
@@ -222,5 +223,5 @@ class Probe(Hand):
         self._answer_clock = time.monotonic()
         self._answered += 1
 
-    def _on_report(self, message: Any) -> None:
+    def _on_report(self, message: DiagnosticArray) -> None:
         self._report = client.physics_status([message], self._target) or self._report

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from tissue_sim.array_types import Floats
 from tissue_sim.organ.organ import Organ
@@ -69,26 +69,26 @@ class Hand:
         first_within(answered, START_TIME, "no pose was answered")
         answers.close()
 
-    def send(self, depth: float, publisher: Any = None) -> None:
+    def send(self, depth: float, publisher: Publisher | None = None) -> None:
         """Send a pose at a depth in the organ; to the node, or by another publisher.
 
         Parameters
         ----------
         depth : float, m
             The depth.
-        publisher : Any, optional
+        publisher : Publisher | None, optional
             The other publisher.
         """
         self.send_pose(np.concatenate([self._touch + depth * self._way, UNTURNED]), publisher)
 
-    def send_pose(self, pose: Floats, publisher: Any = None) -> None:
+    def send_pose(self, pose: Floats, publisher: Publisher | None = None) -> None:
         """Send a pose; to the node, or by another publisher.
 
         Parameters
         ----------
         pose : Floats, shape (7,), m and a unit quaternion xyzw
             The pose.
-        publisher : Any, optional
+        publisher : Publisher | None, optional
             The other publisher.
         """
         message = self._message

@@ -101,14 +101,12 @@ def stop_all(children: Sequence[Child]) -> list[str]:
     return [child.name for child in children if not child.stop()]
 
 
-def wait_a_little(deadline: float, longest: float = 0.05) -> None:
+def wait_a_little(deadline: float) -> None:
     """Sleep until a deadline, but only for a short time, so that signals are noticed.
 
     Parameters
     ----------
     deadline : float, s
         The deadline, monotonic.
-    longest : float, s, optional
-        The longest time.
     """
-    time.sleep(max(0.0, min(longest, deadline - time.monotonic())))
+    time.sleep(max(0.0, min(0.05, deadline - time.monotonic())))

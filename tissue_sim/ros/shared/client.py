@@ -10,14 +10,17 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats, Longs, Singles
 from tissue_sim.ros.shared import dds
 
 if TYPE_CHECKING:
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
     from rclpy.node import Node
     from rclpy.qos import QoSProfile
     from rclpy.subscription import Subscription
+    from sensor_msgs.msg import PointCloud2
+    from shape_msgs.msg import Mesh
 
 WANTED = "expected letters, digits and _, not beginning with a digit"
 
@@ -272,12 +275,12 @@ def _unused(_: Any) -> None:
 
 
 # messages --------------------------------------------------------------------------------------
-def mesh_arrays(message: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return vertices (n, 3), m, and triangles (t, 3) of a shape_msgs/Mesh.
+def mesh_arrays(message: Mesh) -> tuple[Floats, Longs]:
+    """Return vertices (n, 3), m, and triangles (t, 3) of a mesh.
 
     Parameters
     ----------
-    message : Any
+    message : Mesh
         The message.
     """
     vertices = np.array([(p.x, p.y, p.z) for p in message.vertices], dtype=np.float64).reshape(-1, 3)
@@ -285,24 +288,24 @@ def mesh_arrays(message: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     return vertices, triangles
 
 
-def cloud_array(message: Any) -> NDArray[np.float32]:
+def cloud_array(message: PointCloud2) -> Singles:
     """Return the columns (n, k) of a PointCloud2 of little-endian float32 only.
 
     Parameters
     ----------
-    message : Any
+    message : PointCloud2
         The message.
     """
     return np.frombuffer(message.data, dtype="<f4").reshape(-1, message.point_step // 4)
 
 
-def newest_status(reports: Sequence[Any], target: str) -> Any:
+def newest_status(reports: Sequence[DiagnosticArray], target: str) -> DiagnosticStatus | None:
     """Return a node's newest physics DiagnosticStatus, or None without one.
 
     Parameters
     ----------
-    reports : Sequence[Any]
-        DiagnosticArrays.
+    reports : Sequence[DiagnosticArray]
+        Diagnostics.
     target : str
         Name of the node.
     """
@@ -314,13 +317,13 @@ def newest_status(reports: Sequence[Any], target: str) -> Any:
     return None
 
 
-def physics_status(reports: Sequence[Any], target: str) -> dict[str, str] | None:
+def physics_status(reports: Sequence[DiagnosticArray], target: str) -> dict[str, str] | None:
     """Return the values of a node's newest physics status, or None without one.
 
     Parameters
     ----------
-    reports : Sequence[Any]
-        DiagnosticArrays.
+    reports : Sequence[DiagnosticArray]
+        Diagnostics.
     target : str
         Name of the node.
     """

@@ -10,7 +10,7 @@ from tissue_sim.contact.quaternions import unit_quaternion
 from tissue_sim.contact.tools import SHAPE_NAMES
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS
-from tissue_sim.model.simulation import acceleration_of
+from tissue_sim.model.elasticity.gravity import acceleration_of
 from tissue_sim.rendering.appearance import MARKER_COLOURS
 from tissue_sim.ros.shared.frames import IDENTITY, Transform
 from tissue_sim.ros.shared.priority import HIGHEST

@@ -10,7 +10,8 @@ from helpers.bars import bar
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.errors import UserError
 from tissue_sim.model.data.records import words_of
-from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.data.shapes import sphere_tools
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node.services.cut_process import CutProcess
 
 EDGE = np.array([[0.044, -0.01, 0.05], [0.046, 0.05, 0.05]])  # m

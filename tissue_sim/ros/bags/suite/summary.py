@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.data.records import copy_of
 from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.ros.bags.player import Player
@@ -39,7 +40,7 @@ class _Watch:
             self.volumes.append(signed_volume(surface, self._triangles))
 
 
-def figures(recording: Recording, refused: Mapping[str, int]) -> dict[str, Any]:
+def figures(recording: Recording, refused: Mapping[str, int]) -> JsonObject:
     """Replay a bag and sum it up: N, N s, mm, percent of the volume, ticks.
 
     Parameters
@@ -58,7 +59,7 @@ def figures(recording: Recording, refused: Mapping[str, int]) -> dict[str, Any]:
         player.organs[0].simulation.state.count,
         signed_volume(organ.surface_positions, organ.surface_triangles),
     )
-    found: dict[str, Any] = {"organ": recording.config["organ"]["digest"][:12], "ticks": replayed.ticks}
+    found: JsonObject = {"organ": recording.config["organ"]["digest"][:12], "ticks": replayed.ticks}
     found |= {"ticks asleep": int(after.asleep_ticks - before.asleep_ticks), "inputs": replayed.inputs}
     found |= {"contact sets": replayed.contact_sets, "faults": int(after.faults - before.faults)}
     for tool, name in enumerate(recording.config["tools"]):

@@ -6,7 +6,9 @@ Names, states and result codes are those of its definitions: https://github.com/
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Protocol
+
+from geometry_msgs.msg import Vector3
 
 from tissue_sim.errors import UserError, shown
 from tissue_sim.ros.node.input.tool_input import Refused
@@ -44,6 +46,12 @@ INFO = (
 )
 
 
+class Answer(Protocol):
+    """Response of a service, with its result."""
+
+    result: Result
+
+
 def installed() -> bool:
     """Return whether the package simulation_interfaces is there."""
     return Result is not None
@@ -65,7 +73,9 @@ class SimulationServices:
         DeferredService(node, StepSimulation, "~/step_simulation", self._step)
 
     # the simulation ----------------------------------------------------------------------------
-    def _get_features(self, _: Any, response: Any) -> Any:
+    def _get_features(
+        self, _: GetSimulatorFeatures.Request, response: GetSimulatorFeatures.Response
+    ) -> GetSimulatorFeatures.Response:
         of = SimulatorFeatures
         features = [of.ENTITY_STATE_GETTING, of.ENTITY_STATE_SETTING, of.SIMULATION_RESET, of.SIMULATION_RESET_STATE]
         features.append(of.SIMULATION_STATE_GETTING)
@@ -75,7 +85,7 @@ class SimulationServices:
         response.features = SimulatorFeatures(features=features, custom_info=INFO)
         return response
 
-    def _reset(self, request: Any, response: Any) -> Any:
+    def _reset(self, request: ResetSimulation.Request, response: ResetSimulation.Response) -> ResetSimulation.Response:
         if request.scope != ResetSimulation.Request.SCOPE_STATE:
             scopes = f"scope {request.scope} includes more than SCOPE_STATE ({ResetSimulation.Request.SCOPE_STATE})"
             why = "ticks follow the machine's time or /clock, and no entity is ever spawned"
@@ -88,11 +98,15 @@ class SimulationServices:
             return int(SimulationState.STATE_STOPPED)
         return int(SimulationState.STATE_PAUSED if self._loop.standing else SimulationState.STATE_PLAYING)
 
-    def _get_state(self, _: Any, response: Any) -> Any:
+    def _get_state(
+        self, _: GetSimulationState.Request, response: GetSimulationState.Response
+    ) -> GetSimulationState.Response:
         response.state.state = self._state()
         return _answered(response, Result.RESULT_OK)
 
-    def _set_state(self, request: Any, response: Any) -> Any:
+    def _set_state(
+        self, request: SetSimulationState.Request, response: SetSimulationState.Response
+    ) -> SetSimulationState.Response:
         target, of, codes = request.state.state, SimulationState, SetSimulationState.Response
         if target == self._state():
             return _answered(response, codes.ALREADY_IN_TARGET_STATE, "it is in that state already")
@@ -112,7 +126,7 @@ class SimulationServices:
             return _answered(response, codes.STATE_TRANSITION_ERROR, str(error))
         return _answered(response, Result.RESULT_OK)
 
-    def _step(self, request: Any, response: Any) -> Work | None:
+    def _step(self, request: StepSimulation.Request, response: StepSimulation.Response) -> Work | None:
         ticks = int(request.steps)
         if not self._pausing.possible:
             _answered(response, Result.RESULT_FEATURE_UNSUPPORTED, BY_CLOCK)
@@ -134,7 +148,7 @@ class SimulationServices:
         return work
 
     # entities ----------------------------------------------------------------------------------
-    def _get_entities(self, request: Any, response: Any) -> Any:
+    def _get_entities(self, request: GetEntities.Request, response: GetEntities.Response) -> GetEntities.Response:
         filters = request.filters
         for what, asked in (("categories", filters.categories), ("tags", filters.tags.tags)):
             if asked:
@@ -153,7 +167,9 @@ class SimulationServices:
         response.entities = [name for name in named if sphere is None or self._entities.meets(name, sphere)]
         return _answered(response, Result.RESULT_OK)
 
-    def _get_entity_state(self, request: Any, response: Any) -> Any:
+    def _get_entity_state(
+        self, request: GetEntityState.Request, response: GetEntityState.Response
+    ) -> GetEntityState.Response:
         try:
             frame_id, pose = self._entities.where(request.entity)
         except KeyError:
@@ -166,7 +182,9 @@ class SimulationServices:
         position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w = pose
         return _answered(response, Result.RESULT_OK)
 
-    def _set_entity_state(self, request: Any, response: Any) -> Any:
+    def _set_entity_state(
+        self, request: SetEntityState.Request, response: SetEntityState.Response
+    ) -> SetEntityState.Response:
         name, state = request.entity, request.state
         if name not in self._entities.names:
             return self._unknown(response, name)
@@ -192,21 +210,21 @@ class SimulationServices:
             return _answered(response, Result.RESULT_OPERATION_FAILED, str(error))
         return _answered(response, Result.RESULT_OK)
 
-    def _unknown(self, response: Any, name: str) -> Any:
+    def _unknown[R: Answer](self, response: R, name: str) -> R:
         line = f"there is no entity '{shown(name)}'; choose one of {', '.join(self._entities.names)}"
         return _answered(response, Result.RESULT_NOT_FOUND, line)
 
 
-def _answered(response: Any, code: int, line: str = "") -> Any:
+def _answered[R: Answer](response: R, code: int, line: str = "") -> R:
     response.result.result, response.result.error_message = code, line
     return response
 
 
-def _numbers(vector: Any) -> tuple[float, float, float]:
+def _numbers(vector: Vector3) -> tuple[float, float, float]:
     return vector.x, vector.y, vector.z
 
 
-def _sphere_of(bounds: Any) -> Sphere | None:
+def _sphere_of(bounds: Bounds) -> Sphere | None:
     """Return the sphere that bounds describe; None where they are empty; raise ValueError for other points."""
     if bounds.type == Bounds.TYPE_EMPTY:
         return None

@@ -24,7 +24,7 @@ class DeferredService:
     ----------
     node : GuardedNode
         The node.
-    kind : Any
+    kind : type
         Type of the service.
     name : str
         Its name.
@@ -32,11 +32,12 @@ class DeferredService:
         Begins to answer.
     """
 
-    def __init__(self, node: GuardedNode, kind: Any, name: str, begin: Callable[[Any, Any], Work | None]) -> None:
+    def __init__(self, node: GuardedNode, kind: type, name: str, begin: Callable[[Any, Any], Work | None]) -> None:
         self._node, self._begin = node, begin
         self._works: dict[int, tuple[Work, Any]] = {}  # with its request, by the identity of the response
         service = node.create_service(kind, name, self._on_request)
-        self._send, service.send_response = service.send_response, self._on_response
+        self._send = service.send_response
+        service.send_response = self._on_response  # type: ignore[method-assign]
 
     def _on_request(self, request: Any, response: Any) -> Any:
         work = self._begin(request, response)

@@ -15,7 +15,11 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.service import Service
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 from tissue_sim.ros.shared.report import UnexpectedErrors
 
@@ -61,13 +65,15 @@ class GuardedNode(Node):
 
         return call
 
-    def create_subscription(self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **named: Any) -> Any:
+    def create_subscription(
+        self, msg_type: type, topic: str, callback: Callable[..., object], qos_profile: QoSProfile | int, **named: Any
+    ) -> Subscription:
         """Subscribe like rclpy, guarded; warn about publishers that offer less than it requests."""
         tell = self.guarded(lambda event: self._report_qos(topic, qos_profile, event, publishes=False))
         named.setdefault("event_callbacks", SubscriptionEventCallbacks(incompatible_qos=tell))
         return super().create_subscription(msg_type, topic, self.guarded(callback), qos_profile, **named)
 
-    def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **named: Any) -> Any:
+    def create_publisher(self, msg_type: type, topic: str, qos_profile: QoSProfile | int, **named: Any) -> Publisher:
         """Publish like rclpy; warn about subscribers that request more than it offers."""
         tell = self.guarded(lambda event: self._report_qos(topic, qos_profile, event, publishes=True))
         named.setdefault("event_callbacks", PublisherEventCallbacks(incompatible_qos=tell))
@@ -97,11 +103,13 @@ class GuardedNode(Node):
         remedy = remedy or "set the other one to the QoS of this node"
         self.get_logger().warning(f"the QoS on {name} does not match: {line}; {remedy}")
 
-    def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **named: Any) -> Any:
+    def create_timer(self, timer_period_sec: float, callback: Callable[..., object], *args: Any, **named: Any) -> Timer:
         """Create a timer like rclpy, guarded."""
         return super().create_timer(timer_period_sec, self.guarded(callback), *args, **named)
 
-    def create_service(self, srv_type: Any, srv_name: str, callback: Any, *args: Any, **named: Any) -> Any:
+    def create_service(
+        self, srv_type: type, srv_name: str, callback: Callable[..., Any], *args: Any, **named: Any
+    ) -> Service:
         """Create a service like rclpy, guarded: the caller learns that it failed."""
 
         @wraps(callback)

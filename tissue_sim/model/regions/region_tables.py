@@ -1,0 +1,57 @@
+"""Which organs take a local region, and the tables that the model of one needs."""
+
+from __future__ import annotations
+
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.elasticity.adjacency import adjacency_of, with_cell_neighbours
+from tissue_sim.model.elasticity.hop_distances import hop_table
+from tissue_sim.model.regions.reduction import reduce_model
+from tissue_sim.organ.organ import Organ
+
+# Up to so many cells local_region auto moves the whole organ: 0.3 ms a tick (`bench region`). A region is less
+# accurate.
+MOST_WHOLE = 20_000
+
+
+def moves_whole(organ: Organ) -> bool:
+    """Return whether `auto` moves an organ's cells as a whole.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    """
+    return len(organ.cell_nodes) <= MOST_WHOLE
+
+
+def stiffens_or_relaxes(organ: Organ) -> bool:
+    """Return whether an organ's tissue stiffens or relaxes, which is computed for the whole organ only.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    """
+    return organ.stiffening > 0.0 or organ.relaxation_fraction > 0.0
+
+
+def with_region_tables(model: Model, local_region: str) -> Model:
+    """Return the model with the tables that its local region needs.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    local_region : str
+        off, frozen, modal or auto.
+    """
+    if local_region == "off":
+        return model
+    if model.tissue is None:
+        model = model._replace(hops=hop_table(model))
+    else:
+        model = with_cell_neighbours(model)
+    model = model._replace(adjacency=adjacency_of(model))
+    if local_region == "frozen":
+        return model
+    return model._replace(reduction=reduce_model(model))
