@@ -121,7 +121,7 @@ class Nip(Touching):
             Within so many.
         """
         start, began = self.at, self.angle
-        for fraction in np.linspace(0.0, 1.0, ticks):
+        for fraction in np.arange(1, ticks + 1) / ticks:
             self.at = (1.0 - fraction) * start + fraction * place
             self.angle = float((1.0 - fraction) * began + fraction * angle)
             self.scene.move(0, self.at, self.grasp.turn, self.angle)
