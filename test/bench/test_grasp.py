@@ -33,7 +33,7 @@ def test_jaws_slip_at_coulombs_force_and_hold_below_it(found):
     assert met(found) == dict.fromkeys(BOUNDS, True)
     assert found.points > 10
     assert 0.35 < found.held < 0.6
-    assert found.across > 0.1
+    assert found.normal > 0.1
 
 
 @pytest.mark.extended
