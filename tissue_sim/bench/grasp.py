@@ -33,13 +33,13 @@ ORGANS = {  # that ship, and their files
     "kidney": "config/organs/kidney.npz",
     "kidney_tumour": "config/organs/kidney_tumour.npz",
     "spleen": "config/scenes/abdomen/spleen.npz",
-    "liver": "config/scenes/abdomen/liver.npz",
+    "kidney_right": "config/scenes/abdomen/kidney_right.npz",
 }
 FRICTION, LEFT = 0.2, 0.8  # of the jaws; fraction of the pole's width that they leave
 HINGE, FLAT = 0.06, "config/jaws/flat.obj"  # m from the tips, and a jaw, as in config/gripper.yaml
 SPEED = 0.005  # m/s of the pull
-FIRST, SLIDING = 0.004, 0.004  # m of pull until all points slide, and in which forces are measured
-HELD, SETTLED = 0.5, 0.5  # of the slip force, at which it is held; s until the hold begins
+FIRST, SLIDING = 0.008, 0.004  # m of pull until all points slide, and in which forces are measured
+HELD, SETTLED = 0.5, 0.5  # of the slip force, at which it is held at least; s until the hold begins
 LOOK = 0.1  # s between two looks at what is held
 MOST_FORCE = 100.0  # N, beyond all forces here: the clamp of the haptic output must not hide one
 MOST_OFF, MOST_CREEP = 5.0, 10.0  # %, um
