@@ -1,7 +1,9 @@
 """Benchmark `tissue_sim bench grasp`: the force at which jaws slip from organs, against Coulomb's; creep below it.
 
-The gripper of `config/gripper.yaml` takes hold of the lower pole and is drawn off it. While its flat jaws slide, the
-force along each of them is the coefficient of friction times the force across it, whatever the shape of the tissue.
+The gripper of `config/gripper.yaml` takes hold of the lower pole, lightly, as tissue is squeezed out from between jaws
+that close further, and is drawn sideways, along its pads. What the normal forces of the contact points add up to is
+subtracted from the force on each jaw, as tissue bulges around the edges of the pads and resists them. What remains is
+friction: while the jaws slide, it is the coefficient times the sum of the normal forces, whatever the tissue's shape.
 """
 
 from __future__ import annotations
@@ -14,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissue_sim import progress
-from tissue_sim.array_types import Floats, Ints
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.bench.timing import in_one_thread
-from tissue_sim.contact.grasp import at_lower_pole
+from tissue_sim.contact.grasp import COMPRESSED, at_lower_pole
 from tissue_sim.contact.quaternions import rotate
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
@@ -31,13 +33,13 @@ ORGANS = {  # that ship, and their files
     "kidney": "config/organs/kidney.npz",
     "kidney_tumour": "config/organs/kidney_tumour.npz",
     "spleen": "config/scenes/abdomen/spleen.npz",
-    "liver": "config/scenes/abdomen/liver.npz",
+    "kidney_right": "config/scenes/abdomen/kidney_right.npz",
 }
-FRICTION = 0.2  # of jaws that slip before they have left the pole
+FRICTION, LEFT = 0.2, 0.8  # of the jaws; fraction of the pole's width that they leave
 HINGE, FLAT = 0.06, "config/jaws/flat.obj"  # m from the tips, and a jaw, as in config/gripper.yaml
 SPEED = 0.005  # m/s of the pull
-FIRST, SLIDING = 0.004, 0.004  # m of pull until all points slide, and in which forces are measured
-HELD, SETTLED = 0.5, 0.5  # of the slip force, at which it is held; s until the hold begins
+FIRST, SLIDING = 0.008, 0.004  # m of pull until all points slide, and in which forces are measured
+HELD, SETTLED = 0.5, 0.5  # of the slip force, at which it is held at least; s until the hold begins
 LOOK = 0.1  # s between two looks at what is held
 MOST_FORCE = 100.0  # N, beyond all forces here: the clamp of the haptic output must not hide one
 MOST_OFF, MOST_CREEP = 5.0, 10.0  # %, um
@@ -51,14 +53,15 @@ class Grasped(NamedTuple):
     held: float  # of the slip force, at the end of the hold
     seconds: float  # of the hold
     crept: float  # m by which a point moved in the hold, at most
-    along: float  # along the pads while they slide, on average
-    across: float
+    friction: float  # while the jaws slide, on average
+    normal: float
     off: float  # of Coulomb's force
 
 
 class Touched(NamedTuple):
     """Points of the tissue that tools touch."""
 
+    entries: Longs  # (k,) of the contact set
     nodes: Ints  # (k, 3) between which they lie
     weights: Floats  # (k, 3)
 
@@ -72,11 +75,11 @@ class Touching:
         """Return the points that are pressed."""
         state = self.scene.simulation.state
         pressed = np.flatnonzero(state.contact_pressed[0, : state.contacts.header.points] > 0.0)
-        return Touched(state.contacts.node[pressed].copy(), state.contacts.weight[pressed].copy())
+        return Touched(pressed, state.contacts.node[pressed].copy(), state.contacts.weight[pressed].copy())
 
     def points(self, touched: Touched) -> Floats:
         """Return where those points are now, (k, 3) m."""
-        return np.asarray(np.einsum("ij,ijk->ik", touched[1], self.scene.simulation.positions[touched[0]]))
+        return np.asarray(np.einsum("ij,ijk->ik", touched.weights, self.scene.simulation.positions[touched.nodes]))
 
 
 class Nip(Touching):
@@ -90,6 +93,8 @@ class Nip(Touching):
         Its coefficient.
     organ : Organ
         The organ.
+    left : float, optional
+        Fraction of the width that the closed jaws leave.
 
     Raises
     ------
@@ -97,16 +102,16 @@ class Nip(Touching):
         Where the jaws can't take hold of the organ.
     """
 
-    def __init__(self, gripper: Tool, friction: float, organ: Organ) -> None:
+    def __init__(self, gripper: Tool, friction: float, organ: Organ, left: float = COMPRESSED) -> None:
         self.grasp = at_lower_pole(organ.surface_positions, organ.surface_triangles, gripper.jaws)
-        self.up = self.grasp.out
+        self.up, self.beside = self.grasp.out, np.array(rotate(tuple(self.grasp.turn.tolist()), (0.0, 1.0, 0.0)))
         # A contact set for every four ticks, as beside the node's loop at 1 kHz.
         self.scene = Scene(organ, [gripper], ticks_a_set=4)
         self.scene.simulation.settings.friction = friction
         self.scene.simulation.settings.force_clamp = MOST_FORCE
         self.at, self.angle = self.grasp.place + 0.06 * self.up, self.grasp.opened
         self.lead(self.grasp.place, self.grasp.opened, 300)
-        self.lead(self.grasp.place, self.grasp.closed, 500)
+        self.lead(self.grasp.place, gripper.jaws.angle(left * self.grasp.width), 500)
 
     def lead(self, place: Floats, angle: float, ticks: int) -> None:
         """Move the gripper to a place and open or close it to an angle.
@@ -121,26 +126,32 @@ class Nip(Touching):
             Within so many.
         """
         start, began = self.at, self.angle
-        for fraction in np.linspace(0.0, 1.0, ticks):
+        for fraction in np.arange(1, ticks + 1) / ticks:
             self.at = (1.0 - fraction) * start + fraction * place
             self.angle = float((1.0 - fraction) * began + fraction * angle)
             self.scene.move(0, self.at, self.grasp.turn, self.angle)
             self.scene.step()
 
     def draw(self) -> tuple[float, float]:
-        """Draw the gripper off for one tick; return the forces along its jaws and across them, N."""
-        self.lead(self.at + SPEED / self.scene.simulation.rate * self.up, self.angle, 1)
+        """Draw the gripper sideways for one tick; return friction and normal forces, N."""
+        self.lead(self.at + SPEED / self.scene.simulation.rate * self.beside, self.angle, 1)
         return self.forces()
 
     def forces(self) -> tuple[float, float]:
-        """Return the sums over the jaws of the forces along their pads and across them, N."""
-        state, along, across = self.scene.simulation.state, 0.0, 0.0
-        for wrench, pose in zip(state.wrench[:2, :3], state.body_pose[:2], strict=True):
-            out = np.array(rotate(tuple(pose[3:].tolist()), (1.0, 0.0, 0.0)))  # away from the other jaw
-            normal = float(wrench @ out)
-            across += normal
-            along += float(np.linalg.norm(wrench - normal * out))
-        return along, across
+        """Return the sums over the jaws of friction, and of the normal forces of their contact points, N."""
+        from tissue_sim.ros.node.output.contact_points import write_normals
+
+        simulation = self.scene.simulation
+        state, touched = simulation.state, self.touched()
+        bodies, places = state.contacts.body[touched.entries], self.points(touched)
+        normals = np.zeros_like(places)  # of the jaws, outward
+        write_normals(simulation.shapes, bodies, state.body_pose, places, normals)
+        pressed = state.contact_pressed[0, touched.entries] * simulation.rate * max(int(state.status.substeps), 1)
+        friction = 0.0
+        for jaw in range(2):
+            of_jaw = bodies == jaw
+            friction += float(np.linalg.norm(state.wrench[jaw, :3] + pressed[of_jaw] @ normals[of_jaw]))
+        return friction, float(pressed.sum())
 
     def hold(self, seconds: float) -> float:
         """Stand still; return how far a point that is held moves meanwhile, at most, m.
@@ -214,25 +225,27 @@ def grasped(organ: Organ, seconds: float, friction: float = FRICTION) -> Grasped
     """
     with progress.task(f"grasping {organ.name}"):
         try:
-            nip = Nip(gripper(), friction, organ)
+            nip = Nip(gripper(), friction, organ, LEFT)
         except ValueError as error:
             raise UserError(f"organ '{organ.name}' can't be grasped: {error}") from None
         rate = nip.scene.simulation.rate
-        along, across = nip.forces()
+        found, normal = nip.forces()
         for _ in range(round(rate * FIRST / SPEED)):
-            if along >= HELD * FRICTION * across:
+            if found >= HELD * FRICTION * normal:
                 break
-            along, across = nip.draw()
+            found, normal = nip.draw()
         nip.lead(nip.at, nip.angle, round(SETTLED * rate))
     points = len(nip.touched().nodes)
+    if points == 0:
+        raise UserError(f"organ '{organ.name}' can't be grasped: it evades the jaws")
     crept = nip.hold(seconds)
-    along, across = nip.forces()
-    held = along / (FRICTION * across)
-    with progress.task(f"drawing the jaws off {organ.name}"):
+    found, normal = nip.forces()
+    held = found / (FRICTION * normal)
+    with progress.task(f"drawing the jaws along {organ.name}"):
         for _ in range(round(rate * FIRST / SPEED)):
             nip.draw()
-        along, across = np.mean([nip.draw() for _ in range(round(rate * SLIDING / SPEED))], axis=0).tolist()
-    return Grasped(organ.name, points, held, seconds, crept, along, across, along / (FRICTION * across) - 1.0)
+        found, normal = np.mean([nip.draw() for _ in range(round(rate * SLIDING / SPEED))], axis=0).tolist()
+    return Grasped(organ.name, points, held, seconds, crept, found, normal, found / (FRICTION * normal) - 1.0)
 
 
 def as_json(found: Sequence[Grasped]) -> dict[str, Any]:
@@ -250,9 +263,9 @@ def as_json(found: Sequence[Grasped]) -> dict[str, Any]:
 
 def text(found: dict[str, Any]) -> str:
     """Return the figures as a table, a row for each organ."""
-    table = [["organ", "points", "held at", "for s", "crept um", "along N", "across N", "slips at"]]
+    table = [["organ", "points", "held at", "for s", "crept um", "friction N", "normal N", "slips at"]]
     for one in found["organs"]:
-        forces = [f"{one[key]:.3f}" for key in ("along", "across")]
+        forces = [f"{one[key]:.3f}" for key in ("friction", "normal")]
         hold = [f"{100.0 * one['held']:.0f} %", f"{one['seconds']:g}", f"{1e6 * one['crept']:.3f}"]
         table.append([one["organ"], str(one["points"]), *hold, *forces, f"{100.0 * one['off']:+.2f} %"])
     line = (
