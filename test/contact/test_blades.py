@@ -1,5 +1,6 @@
 """Blades in a slab: what they feel, what they cut, and what becomes of that."""
 
+import numba
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -11,6 +12,7 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_batch import SceneBatch
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.errors import UserError
+from tissue_sim.model.contact.blade import find_blades
 from tissue_sim.model.cutting.blade_path import BladePath
 from tissue_sim.model.cutting.sheet import Coagulation
 from tissue_sim.model.elasticity.cells import shapes_of
@@ -26,6 +28,12 @@ UP = Rotation.from_matrix(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.
 
 def knife(**changes):
     return Tool("knife", **({"shape": "blade", "radius": 5e-4, "length": SIZE[1], "height": 0.01} | changes))
+
+
+@numba.njit
+def listed_places(world, step):
+    """Number of places of blades that a substep resolves, which are then listed in scratch.blade_rows."""
+    return find_blades(world, step)
 
 
 class Cutting:
@@ -142,6 +150,43 @@ def test_nothing_goes_with_a_blade_that_leaves():
     assert max(forces[-75:]) < 0.1, "from 1 mm above the surface on"
 
 
+def test_a_place_in_an_inverted_cell_takes_over_how_its_neighbours_move():
+    """It stayed where it was, resisted, while the blade went on: of a kidney half of the width was not cut."""
+    made = Cutting()
+    made.begin()
+    made.step(SPEED, 200)
+    state, scratch = made.simulation.state, made.simulation.scratch
+    cell = int(state.blades.cell[0])
+    nodes = made.simulation.model.cut_cells.nodes[cell]
+    state.position[nodes] = state.position[nodes].mean(axis=0)
+    found = listed_places(made.simulation.world, 1e-3)
+    rows = {int(row.sample): row for row in scratch.blade_rows[:found]}
+    flat = [number for number in rows if state.blades.cell[number] == cell]
+    assert 0 in flat
+    assert all(rows[number].borrowed for number in flat)
+    known = [number for number in rows if not rows[number].borrowed]
+    at = made.scene.tools.shapes.blades.at
+    nearest = known[int(np.argmin(np.linalg.norm(at[known] - at[0], axis=1)))]
+    np.testing.assert_array_equal(rows[0].back, rows[nearest].back)
+    assert np.any(rows[0].back != 0.0)
+
+
+def test_a_blade_that_jumps_in_tissue_catches_up_at_a_metre_per_second():
+    made = Cutting()
+    made.begin()
+    made.step(SPEED, 100)
+    before = float(made.simulation.state.body_pose[0, 2])
+    made.step(0.003, 1)
+    moved = [before - float(made.simulation.state.body_pose[0, 2])]
+    for _ in range(4):
+        made.step(0.0, 1)
+        moved.append(before - float(made.simulation.state.body_pose[0, 2]))
+    assert made.is_cutting
+    assert 0.0 < moved[0] < 1.1e-3
+    assert np.max(np.diff(moved)) < 1.1e-3
+    assert moved[-1] == pytest.approx(0.003, abs=1e-5)
+
+
 def test_twice_the_toughness_needs_twice_the_force():
     made = Cutting(toughness=2.0 * TOUGHNESS)
     assert made.begin() == pytest.approx(2.0 * TOUGHNESS * SIZE[1], rel=0.15)
@@ -163,9 +208,11 @@ def test_a_blade_that_is_drawn_out_feels_friction_alone_and_then_nothing():
     in_tissue = made.blades.embedded
     flank = made.simulation.shapes.blades.flank[in_tissue].sum()
     assert -1.05 * 500.0 * flank <= forces[-1] <= 0.0
+    area = made.area
     made.step(-5e-5, 400)
     assert not made.is_cutting
     assert not made.force.any()
+    assert made.area == area > 1e-5, "what has been cut still counts"
 
 
 def test_an_open_cut_resists_no_second_time(cut):
@@ -206,6 +253,7 @@ def test_a_reset_heals_and_releases():
     assert not made.simulation.cuts
     assert not made.is_cutting
     assert not made.blades.embedded.any()
+    assert made.area == 0.0
     assert made.simulation.energy.total == pytest.approx(0.0, abs=1e-12)
 
 

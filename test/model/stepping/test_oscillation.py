@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball, filled
+from helpers.slabs import INCISION, slab
+from tissue_sim.contact.scene import Scene
 from tissue_sim.handles import handle
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.critical_step import model_step
@@ -18,6 +20,7 @@ from tissue_sim.model.stepping.oscillation import (
     end_oscillation_check,
     is_oscillation_checked,
 )
+from tissue_sim.model.stepping.tick import caution
 from tissue_sim.organ.cell_mesh import with_cells
 
 ORGAN = with_cells(filled(ball(2), 20), (1.0, 1.0))
@@ -131,6 +134,19 @@ def test_a_load_that_falls_on_a_patch_is_none(newton):
         simulation.step()
     assert simulation.state.count.oscillations == 0
     assert simulation.state.status.substeps == 2
+
+
+def test_light_nodes_of_a_cut_need_half_of_the_step_that_compressed_cells_do():
+    """With two steps they became ever faster beside a blade, until the guard stopped the organ."""
+    found, scene = {}, Scene(slab(), [])
+    scene.cut(0, *INCISION)
+    for name, simulation in (("whole", Simulation(slab())), ("cut", scene.simulation)):
+        model, state = simulation.model, simulation.state
+        for stiff, oscillating in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            model.tissue.stiff[0], state.status.oscillating = stiff, oscillating
+            found[name, stiff, oscillating] = caution(handle(model), handle(state), True)
+    assert [found["whole", stiff, oscillating] for stiff in (0, 1) for oscillating in (0, 1)] == [1, 2, 2, 2]
+    assert [found["cut", stiff, oscillating] for stiff in (0, 1) for oscillating in (0, 1)] == [1, 2, 2, 4]
 
 
 def test_a_blow_to_one_node_is_none():

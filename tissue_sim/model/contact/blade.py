@@ -17,7 +17,7 @@ import math
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.blade_entry import enters
-from tissue_sim.model.contact.blade_places import leave_tissue, locate, times, turned_by, write_back
+from tissue_sim.model.contact.blade_places import is_known, leave_tissue, locate, times, turned_by, write_back
 from tissue_sim.model.contact.impulses import count_on_body, push_bodies
 from tissue_sim.model.data.blades import CORNERS, LIP_NODES, BladeRow, BladeSample
 from tissue_sim.model.data.scratch import Scratch
@@ -61,12 +61,14 @@ def find_blades(world: World, step: float) -> int:
             leave_tissue(sample)
             continue
         _place_row(world, row, sample, step)
-        _resist(world, row, sample, step)
         found += 1
     for number in range(len(state.bodies)):
         state.bodies[number].cutting = False
     for index in range(found):
         row = scratch.blade_rows[index]
+        if not is_known(row.back):
+            _borrow_back(world, row, found)
+        _resist(world, row, state.blades[row.sample], step)
         state.bodies[row.body].cutting = True
         _give(world, row, (row.pushed[0], row.pushed[1], row.pushed[2]), step)
     return found
@@ -86,6 +88,7 @@ def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) ->
     e[0], e[1], e[2] = n[1] * f[2] - n[2] * f[1], n[2] * f[0] - n[0] * f[2], n[0] * f[1] - n[1] * f[0]
     position = state.position
     write_back(cells, cell, position, scratch, row.back)
+    row.borrowed = False
     own = other = middle = 0.0
     origin = scratch.origin[row.body]
     for corner in range(CORNERS):
@@ -116,6 +119,26 @@ def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) ->
         across += row.across_weight[place] ** 2 * mobility
     give, across = give * step + scratch.give[row.body], across * step + scratch.give[row.body]
     row.stiffness, row.across_stiffness = 1.0 / (give + GIVE / step), 1.0 / (across + GIVE / step)
+
+
+@kernel
+def _borrow_back(world: World, row: BladeRow, found: int) -> None:
+    """Take over how the tissue at the nearest place of the same blade is deformed, for a place in an inverted cell.
+
+    It would stay where it is otherwise, resisted and without cutting, while the blade goes on.
+    """
+    blades, scratch = world.shapes.blades, world.scratch
+    best = math.inf
+    for index in range(found):
+        other = scratch.blade_rows[index]
+        if other.body == row.body and is_known(other.back) and not other.borrowed:
+            square = 0.0
+            for axis in range(3):
+                square += (blades.at[other.sample, axis] - blades.at[row.sample, axis]) ** 2
+            if square < best:
+                best, row.borrowed = square, True
+                for c in range(9):
+                    row.back[c] = other.back[c]
 
 
 @kernel
@@ -260,6 +283,8 @@ def end_blades(world: World, found: int, step: float) -> None:
             aside = e[0] * x + e[1] * y + e[2] * z - soft * pushed[1]
         if row.cuts:
             ahead = f[0] * x + f[1] * y + f[2] * z - soft * pushed[0]
+            if row.borrowed:
+                ahead = min(ahead, _way_past(world, row, step))
         if abs(pushed[2]) >= row.most and row.side == 0.0:  # torn aside
             across = n[0] * x + n[1] * y + n[2] * z - soft * pushed[2]
         elif row.side == 0.0:
@@ -273,6 +298,26 @@ def end_blades(world: World, found: int, step: float) -> None:
         count_on_body(scratch, row.body, row.arm, _in_space(row, (pushed[0], pushed[1], pushed[2])))
         for axis in range(3):
             sample.force[axis] = pushed[axis] / step
+
+
+@kernel
+def _way_past(world: World, row: BladeRow, step: float) -> float:
+    """Return how far a place has moved forward past the tissue there in this substep, m.
+
+    A place in an inverted cell moves on by that: its offset would not shrink by what it moves at rest, and it would cut
+    the whole cell at once, without a load that pays for the area.
+    """
+    state, scratch, at, past = world.state, world.scratch, world.scratch.blade_at, 0.0
+    for axis in range(3):
+        at[axis] = world.shapes.blades.at[row.sample, axis] + state.blades[row.sample].offset[axis]
+    turned_by(scratch.last_rotation[row.body], at, scratch.blade_way)
+    for axis in range(3):
+        moved = scratch.origin[row.body, axis] + row.arm[axis]
+        moved -= scratch.last_origin[row.body, axis] + scratch.blade_way[axis]
+        for place in range(LIP_NODES):
+            moved -= step * row.weight[place] * state.velocity[row.node[place], axis]
+        past += row.forward[axis] * moved
+    return past
 
 
 @kernel

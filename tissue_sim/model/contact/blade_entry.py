@@ -7,6 +7,7 @@ import math
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.active_contact import ActiveContact
 from tissue_sim.model.contact.blade_places import (
+    is_known,
     leave_tissue,
     locate,
     place_in,
@@ -47,14 +48,16 @@ def enters(world: World, number: int) -> bool:
                 best, chosen = square, other
     if chosen < 0:
         return False
-    beside, sample, cell = state.blades[chosen], state.blades[number], state.blades[chosen].cell
-    at, weight = scratch.blade_at, scratch.blade_weight
+    beside, sample, at, weight = state.blades[chosen], state.blades[number], scratch.blade_at, scratch.blade_weight
     if not locate(cells, beside, weight):
         return False
+    cell = beside.cell
     turned_by(scratch.rotation[body], blades.at[number], at)
     for axis in range(3):
         at[axis] += scratch.origin[body, axis] - place_in(cells, cell, state.position, weight, axis)
     write_back(cells, cell, state.position, scratch, scratch.blade_back)
+    if not is_known(scratch.blade_back):
+        return False
     x, y, z = times(scratch.blade_back, at[0], at[1], at[2])
     leave_tissue(sample)
     sample.rest[0], sample.rest[1], sample.rest[2] = beside.rest[0] + x, beside.rest[1] + y, beside.rest[2] + z

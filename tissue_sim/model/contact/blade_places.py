@@ -26,7 +26,7 @@ def leave_tissue(sample: BladeSample) -> None:
         The place; updated.
     """
     sample.embedded = sample.free = False
-    sample.depth = sample.deepest = sample.area = 0.0
+    sample.depth = sample.deepest = 0.0
     for axis in range(3):
         sample.rest[axis] = sample.force[axis] = sample.offset[axis] = 0.0
 
@@ -137,6 +137,12 @@ def write_inverse(a: Floats, inverse: Floats) -> None:
     if square > MOST_BACK * MOST_BACK:
         for c in range(9):
             inverse[c] *= MOST_BACK / math.sqrt(square)
+
+
+@kernel
+def is_known(back: Floats) -> bool:
+    """Return whether a matrix (9,) tells how displacements turn into those at rest; see write_inverse."""
+    return back[0] != 0.0 or back[4] != 0.0 or back[8] != 0.0
 
 
 @kernel

@@ -223,10 +223,12 @@ def free_distance(state: State, shapes: Shapes, body: int, goal: Floats, most: f
         return 0.0 if status.placed else 1.0
     pose, place, fraction = state.body_pose[body], contacts.place[body], 1.0
     way = distance_along_path(pose, goal, extent)
-    if contacts.n_points[body] > 0 and shapes.finest[body] > 0.0:
+    touches = contacts.n_points[body] > 0 and shapes.finest[body] > 0.0
+    if touches:
         most = min(STEP * shapes.finest[body], most)
-        if way > most:
-            fraction = most / way
+    # A blade in tissue is held by places of its own, without contact points.
+    if (touches or status.cutting) and way > most:
+        fraction = most / way
     # Distances are convex: a fraction of the way adds at most that fraction of what the whole way adds.
     now, then = distance_along_path(pose, place, extent), distance_along_path(goal, place, extent)
     if then > contacts.reach[body] and then > now:

@@ -37,7 +37,7 @@ class BladeSample(Record):
     offset: Vector  # m in the body's frame, from the blade to the tissue that holds it, as it was when it entered
     depth: float  # m that it has come forward since it entered, at rest
     deepest: float  # m, the most of that
-    area: float  # m^2 that it has cut since it entered, at rest
+    area: float  # m^2 that it has cut since the organ was whole, at rest
     force: Vector  # N on the tissue in the last substep: forward, along the edge, across the flank
 
 
@@ -55,6 +55,7 @@ class BladeRow(Record):
     along: Vector
     normal: Vector
     back: Annotated[Floats, (9,)]  # from displacements to those at rest, row by row
+    borrowed: bool  # of another place, as its own cell is inverted
     stiffness: float  # N s/m, impulse that moves the middle by a metre
     across_stiffness: float  # likewise what the flank touches
     at_front: bool  # of what its edge has cut: further on there is something to cut

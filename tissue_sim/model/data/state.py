@@ -274,6 +274,8 @@ def state_like(state: State) -> State:
 
 
 _ADDED = ("bodies.cutting",)  # fields of records that older bags lack, and that are 0 there
+# Names in bags that were recorded before fields were renamed, by their present names; accepted for one version.
+_RENAMED = {"unfaded_wrench": "felt", "status.oscillating": "shivering", "count.oscillations": "shivers"}
 _ONLY_HANDED_OUT = ("words", "results", "shape", "shape_tick")  # a tick doesn't start from these
 
 
@@ -319,7 +321,7 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
         raise ValueError(f"its state counts {points} contact points; there is room for {MOST_POINTS}")
     state.contacts.header.points = points
     for name, target in fields_of(state).items():
-        found = fields.get(name)
+        found = fields.get(name, fields.get(_RENAMED.get(name, "")))
         if found is None and target.size == 0:
             continue  # a state from before it had this field
         if found is not None and name.startswith("contacts."):
@@ -331,9 +333,11 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
                 raise ValueError(f"its state's '{name}' contains no numbers")
             target[...] = found
             continue
+        own = found.dtype.names or ()
         for field in target.dtype.names:
-            if f"{name}.{field}" in _ADDED and field not in (found.dtype.names or ()):
+            known = field if field in own else _RENAMED.get(f"{name}.{field}", field)
+            if f"{name}.{field}" in _ADDED and known not in own:
                 continue
-            if field not in (found.dtype.names or ()):
+            if known not in own:
                 raise ValueError(f"its state has no '{name}.{field}'")
-            target[field] = found[field]
+            target[field] = found[known]

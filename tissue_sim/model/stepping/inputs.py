@@ -288,6 +288,8 @@ def reset_state(model: Model, state: State) -> None:
     state.contact_pressed[:] = 0.0
     state.contact_held[:] = 0.0
     forget_blades(state)
+    for number in range(len(state.blades)):
+        state.blades[number].area = 0.0  # what was cut is whole again
     drop_region(state)
     forget_relaxation(state)
     state.body_goal[:] = 0.0

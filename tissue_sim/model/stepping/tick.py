@@ -117,7 +117,7 @@ def plan_tick(world: World) -> bool:
     wanted = settings.substeps if plan.whole else settings.region_substeps
     factor = caution(model, state, plan.whole or plan.regional)
     plan.substeps = wanted * status.backoff * factor
-    plan.looking = plan.whole and is_oscillation_checked(model, state, plan.substeps) and factor == 1
+    plan.looking = plan.whole and is_oscillation_checked(model, state, plan.substeps) and (factor == 1 or is_cut(model))
     return True
 
 
@@ -215,9 +215,18 @@ def caution(model: Model, state: State, begun: bool) -> int:
     All of these stiffen them. begun: the forces of this tick's first substep are known.
     """
     least = shortening_of(model) if begun else 1
-    if state.status.turned == 0:
-        return max(least, 2 if (begun and has_compressed_cells(model)) or state.status.oscillating > 0 else 1)
-    return max(least, 4 if state.status.turned > CRUMPLED * len(model.cells) else 2)
+    factor = 2 if begun and has_compressed_cells(model) else 1
+    if state.status.turned > 0:
+        factor = 4 if state.status.turned > CRUMPLED * len(model.cells) else 2
+    if state.status.oscillating > 0 and (factor == 1 or (is_cut(model) and factor == 2)):
+        factor *= 2
+    return max(least, factor)
+
+
+@kernel
+def is_cut(model: Model) -> bool:
+    """Return whether the organ has cuts, and with them nodes that are light."""
+    return len(model.lips.weight) > 0
 
 
 @kernel
