@@ -179,6 +179,8 @@ class OrganPlayer:
     def cut(self, tick: int) -> Simulation | None:
         """Return the simulation that the loop went on with in a tick, in the state of the one before.
 
+        It has the settings with which the node has planned to go on with it.
+
         Call it before anything else of the tick is applied.
 
         Parameters
@@ -202,7 +204,7 @@ class OrganPlayer:
         inside = inside and cells == (len(before.model.cut_cells.nodes) or cells)  # in which blades are
         if len(origin) != organ.n_nodes or not 0 <= origin.min() <= origin.max() < before.organ.n_nodes or not inside:
             raise UserError("the bag's cut doesn't fit its organ: the bag is damaged")
-        made.take_settings(before.settings)
+        made.take_settings(self.recording.plans.get(found.number, before.settings))
         if found.surface is not None:
             made.open_cuts(found.surface, found.sides)
         made.plan_from(before, found.origin)

@@ -32,6 +32,8 @@ class OrganRecording:
     journal: dict[str, np.ndarray]  # records by kind, see organ_recorder
     surfaces: list[np.ndarray] = field(default_factory=list)  # (n_surface, 3) float32; without the walls of cuts
     cuts: list[RecordedCut] = field(default_factory=list)
+    # With which the node has planned to go on after cuts, by their numbers; bags from before them lack these.
+    plans: dict[int, Settings] = field(default_factory=dict)
 
     @classmethod
     def parsed(cls, path: Path, messages: Mapping[str, Sequence[bytes]], below: str, n_bodies: int) -> OrganRecording:
@@ -68,7 +70,8 @@ class OrganRecording:
         n_nodes = len(state["position"])
         sets = [contact_set_of(bag.unpack(values), n_bodies, n_nodes) for values in octets["contact_set"]]
         settings = [bag.unpack(values) for values in octets["settings"]]
-        cuts = recorded_cuts([bag.unpack(values) for values in octets["cut"]])
+        made = [bag.unpack(values) for values in octets["cut"]]
+        cuts = recorded_cuts(made)
         recording = cls(
             file=octets["organ"][0].tobytes(),
             state=state,
@@ -77,6 +80,7 @@ class OrganRecording:
             journal={kind: np.concatenate([row[kind] for row in rows]) for kind in rows[0]},
             surfaces=_without_walls([parse_cloud(raw) for raw in messages[f"{below}/surface"]], cuts),
             cuts=cuts,
+            plans={int(found["number"]): settings_of(path, found["settings"]) for found in made if "settings" in found},
         )
         if len({len(surface) for surface in recording.surfaces}) > 1:
             raise ValueError("its surfaces have different numbers of points")

@@ -127,7 +127,9 @@ class Player:
             made = one.cut(tick)
             if made is not None:
                 joined = self.joined.joined
-                joined.exchange(number, made, joined.plan_exchange(number, made))
+                plan = joined.plan_exchange(number, made)
+                made.take_settings(joined.simulations[number].settings)  # the loop goes on with its own
+                joined.exchange(number, made, plan)
         for one, take_settings in zip(self.organs, self._take_settings, strict=True):
             taken = one.take(tick, take_settings)
             if taken is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from tissue_sim.array_types import Array, Longs
 from tissue_sim.model.cutting.cut_cells import Sides, sides_of
 from tissue_sim.model.cutting.cut_surface import CutSurface, without_idle_points
+from tissue_sim.model.data.records import array_of
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -65,6 +66,7 @@ def fields_of_cut(number: int, tick: int, made: Simulation, file: bytes) -> dict
         "first_set": np.array(NO_SET),
         "organ": np.frombuffer(file, dtype=np.uint8),
         "origin": np.asarray(made.origin),
+        "settings": array_of(made.settings).copy(),
     }
     if made.cut_organ is not None:
         fields |= {f"surface.{name}": array for name, array in made.cut_organ.surface._asdict().items()}

@@ -1,5 +1,7 @@
 """A node cuts one of two organs that lie on each other: pairs are found on what is left of its skin, and repeat."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -22,8 +24,8 @@ DOWN = (1.0, 0.0, 0.0, 0.0)  # turns z to -z
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    """The upper slab, held at its left end, has sunk onto the lower one, which is then cut, and healed."""
+def bag(tmp_path_factory):
+    """A bag: the upper slab, held at its left end, has sunk onto the lower one, which is then cut, and healed."""
     folder = tmp_path_factory.mktemp("scene")
     slab("below").save(folder / "lower.npz")
     slab("left").save(folder / "upper.npz")
@@ -33,7 +35,7 @@ def recording(tmp_path_factory):
         client = Surgeon("lower")
         assert client.spin_until(lambda: client.clouds)
         client.spin(1.0)
-        bag = client.record(True).message
+        path = Path(client.record(True).message)
         client.spin(0.3)
         edge, _, depth = INCISION
         assert client.set_parameter("cut_depth", depth).successful
@@ -45,7 +47,7 @@ def recording(tmp_path_factory):
         client.spin(0.5)
         assert client.record(False).success
         client.close()
-    return Recording.read(bag)
+    return path
 
 
 def repeats(recording):
@@ -54,7 +56,8 @@ def repeats(recording):
 
 
 @pytest.mark.extended
-def test_pairs_follow_the_cut_and_its_reset_bit_for_bit(recording):
+def test_pairs_follow_the_cut_and_its_reset_bit_for_bit(bag):
+    recording = Recording.read(bag)
     surfaces = recording.joined.journal["pair_surfaces"]
     assert surfaces["organ"].tolist() == [0, 0]
     assert surfaces["number"].tolist() == [1, 2]
@@ -63,6 +66,7 @@ def test_pairs_follow_the_cut_and_its_reset_bit_for_bit(recording):
 
 
 @pytest.mark.extended
-def test_a_replay_with_the_skin_over_the_opening_differs(recording):
+def test_a_replay_with_the_skin_over_the_opening_differs(bag):
+    recording = Recording.read(bag)
     recording.joined.journal["pair_surfaces"] = recording.joined.journal["pair_surfaces"][:0]
     assert not repeats(recording)

@@ -315,6 +315,9 @@ class CuttingParts:
         """
         recorder, simulation = self._recorders[number], made.simulation
         finder = self._contacts.finder_of(number, made.surface)
+        # Those that it was made with may have changed meanwhile, as the rate does on a machine that is too slow.
+        simulation.take_settings(self._joined.simulations[number].settings)
+        simulation.set_substeps()
         plan = self._joined.plan_exchange(number, simulation)
         # The loop goes on with its own settings, and a stiffer organ needs more substeps from its first tick on.
         self._settings.refine(number, int(simulation.settings.substeps))
