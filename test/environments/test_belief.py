@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tissue_sim.environments.belief import Belief, Shape
+from tissue_sim.environments.belief import Belief, Shape, shape_of
 
 RADIUS, SHIFT, TURN = 0.008, 0.015, 0.35
 
@@ -77,3 +77,11 @@ def test_another_compliance_leads_astray_and_forgetting_begins_again(egg):
     belief.forget(np.array([1]))
     np.testing.assert_array_equal(belief.guesses[1], first[1])
     assert np.any(belief.guesses[0] != first[0])
+
+
+def test_a_shape_is_computed_once_and_for_each_surface_anew(egg):
+    assert shape_of(egg.points.copy(), egg.triangles.copy()) is shape_of(egg.points, egg.triangles)
+    larger = shape_of(1.1 * egg.points, egg.triangles)
+    assert larger is not shape_of(egg.points, egg.triangles)
+    same = Shape(egg.points, egg.triangles).distance(egg.points[:5])
+    np.testing.assert_array_equal(shape_of(egg.points, egg.triangles).distance(egg.points[:5]), same)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissue_sim import progress
-from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
@@ -62,7 +62,7 @@ class Touched(NamedTuple):
     """Points of the tissue that tools touch."""
 
     entries: Longs  # (k,) of the contact set
-    nodes: Ints  # (k, 3) between which they lie
+    nodes: Longs  # (k, 3) between which they lie
     weights: Floats  # (k, 3)
 
 

@@ -69,12 +69,12 @@ def shape_of(surface: Floats, triangles: Ints) -> Shape:
     triangles : Ints, shape (t, 3)
         Corner indices, counter-clockwise seen from outside.
     """
-    return _shape_of(surface.astype(np.float64).tobytes(), triangles.astype(np.int64).tobytes())
+    return _shape_of(surface.astype(np.float64).tobytes(), triangles.astype(np.int32).tobytes())
 
 
 @lru_cache(maxsize=2)
 def _shape_of(surface: bytes, triangles: bytes) -> Shape:
-    return Shape(np.frombuffer(surface).reshape(-1, 3), np.frombuffer(triangles, dtype=np.int64).reshape(-1, 3))
+    return Shape(np.frombuffer(surface).reshape(-1, 3), np.frombuffer(triangles, dtype=np.int32).reshape(-1, 3))
 
 
 class Belief:

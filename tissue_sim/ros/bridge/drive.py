@@ -79,9 +79,10 @@ def run(args: argparse.Namespace) -> int:
         link = link_of(served.values, args, task)
         vertices, triangles = client.mesh_arrays(served.mesh)
         goal = goal_of(vertices, triangles, args, task)
+        normals = surface_normals(vertices, triangles.astype(np.int32))
         radius = 0.0 if task.has_jaws else task.tool().radius
         start = goal.place + (radius + CLEAR) * goal.outward
-        tool = DrivenTool(node, args.node, link, served.prefix, (vertices, surface_normals(vertices, triangles)))
+        tool = DrivenTool(node, args.node, link, served.prefix, (vertices, normals))
         cutter = Cutter(node, args.node, served.prefix, args.wait, stop) if task.has_blade else None
         with progress.task(f"waiting for wrenches of '{link.tool.name}'"):
             is_there = tool.meet(start, goal, args.wait, stop)
