@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -75,12 +75,12 @@ def fields_of_cut(number: int, tick: int, made: Simulation, file: bytes) -> dict
     return fields
 
 
-def recorded_cuts(messages: list[Mapping[str, Array]]) -> list[RecordedCut]:
+def recorded_cuts(messages: Sequence[Mapping[str, Array]]) -> list[RecordedCut]:
     """Return the cuts of an organ, in order.
 
     Parameters
     ----------
-    messages : list[Mapping[str, Array]]
+    messages : Sequence[Mapping[str, Array]]
         Fields of each message about them.
 
     Raises
