@@ -76,7 +76,7 @@ class PokeProbe(Hand):
         self._wrenches = client.NewestMessage(node, WrenchStamped, "left/servo_cf", client.stream_qos())
         self._reports = client.NewestMessage(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
 
-    def poke(self, seconds: float, watch: Callable[[], object]) -> PokeFigures:
+    def poke(self, seconds: float, watch: Callable[[], object] = lambda: None) -> PokeFigures:
         """Poke for some time, SHORTEST at least.
 
         Parameters
@@ -98,14 +98,14 @@ class PokeProbe(Hand):
             raise UserError(f"the node sent no diagnostics for {seconds:g} s")
         return found
 
-    def poke_until_whole(self, seconds: float, watch: Callable[[], object]) -> float:
+    def poke_until_whole(self, seconds: float, watch: Callable[[], object] = lambda: None) -> float:
         """Poke until the node gives nothing up, but not much longer than a limit.
 
         Parameters
         ----------
         seconds : float, s
             The limit.
-        watch : Callable[[], object]
+        watch : Callable[[], object], optional
             Called after each poke.
 
         Returns
