@@ -22,6 +22,7 @@ from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.contact.grasp import COMPRESSED, at_lower_pole
+from tissue_sim.contact.pressed_points import pressed_points
 from tissue_sim.contact.quaternions import rotate
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
@@ -132,21 +133,16 @@ class Nip(Touching):
             self.scene.move(0, self.at, self.grasp.turn, self.angle)
             self.scene.step()
 
-    def draw(self) -> tuple[float, float]:
-        """Draw the gripper sideways for one tick; return friction and normal forces, N."""
+    def draw(self) -> None:
+        """Draw the gripper sideways for one tick."""
         self.lead(self.at + SPEED / self.scene.simulation.rate * self.beside, self.angle, 1)
-        return self.forces()
 
     def forces(self) -> tuple[float, float]:
         """Return the sums over the jaws of friction, and of the normal forces of their contact points, N."""
-        from tissue_sim.ros.node.output.contact_points import write_normals
-
         simulation = self.scene.simulation
-        state, touched = simulation.state, self.touched()
-        bodies, places = state.contacts.body[touched.entries], self.points(touched)
-        normals = np.zeros_like(places)  # of the jaws, outward
-        write_normals(simulation.shapes, bodies, state.body_pose, places, normals)
-        pressed = state.contact_pressed[0, touched.entries] * simulation.rate * max(int(state.status.substeps), 1)
+        state = simulation.state
+        entries, bodies, _, normals = pressed_points(state, simulation.shapes)
+        pressed = state.contact_pressed[0, entries] * simulation.rate * max(int(state.status.substeps), 1)
         friction = 0.0
         for jaw in range(2):
             of_jaw = bodies == jaw
@@ -233,7 +229,8 @@ def grasped(organ: Organ, seconds: float, friction: float = FRICTION) -> Grasped
         for _ in range(round(rate * FIRST / SPEED)):
             if found >= HELD * FRICTION * normal:
                 break
-            found, normal = nip.draw()
+            nip.draw()
+            found, normal = nip.forces()
         nip.lead(nip.at, nip.angle, round(SETTLED * rate))
     points = len(nip.touched().nodes)
     if points == 0:
@@ -244,7 +241,11 @@ def grasped(organ: Organ, seconds: float, friction: float = FRICTION) -> Grasped
     with progress.task(f"drawing the jaws along {organ.name}"):
         for _ in range(round(rate * FIRST / SPEED)):
             nip.draw()
-        found, normal = np.mean([nip.draw() for _ in range(round(rate * SLIDING / SPEED))], axis=0).tolist()
+        forces = []
+        for _ in range(round(rate * SLIDING / SPEED)):
+            nip.draw()
+            forces.append(nip.forces())
+        found, normal = np.mean(forces, axis=0).tolist()
     return Grasped(organ.name, points, held, seconds, crept, found, normal, found / (FRICTION * normal) - 1.0)
 
 

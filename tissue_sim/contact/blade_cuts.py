@@ -25,7 +25,7 @@ class BladeCuts:
     simulation : Simulation
         Simulation of the organ.
     coagulations : Sequence[Coagulation]
-        What the heat of each tool does to the walls of its cuts.
+        Effect of the heat of each tool on the walls of its cuts.
     """
 
     def __init__(self, simulation: Simulation, coagulations: Sequence[Coagulation]) -> None:

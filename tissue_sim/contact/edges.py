@@ -27,7 +27,7 @@ class Edge(NamedTuple):
     length: float  # m
     height: float  # m of the blade behind it
     speed: float  # m/s at which it parts tissue without force; 0: it cuts by force
-    coagulation: Coagulation  # what its heat does to the walls of its cut
+    coagulation: Coagulation  # effect of its heat on the walls of its cut
 
 
 def check_edge(name: str, edge: Edge) -> None:

@@ -125,7 +125,7 @@ class Tool:
 
     @property
     def coagulation(self) -> Coagulation:
-        """What its heat does to the walls of its cut."""
+        """Effect of its heat on the walls of its cut."""
         return Coagulation(self.cautery_stiffening, self.cautery_spread)
 
     @property
@@ -192,7 +192,7 @@ class ToolSet:
 
     @property
     def coagulations(self) -> list[Coagulation]:
-        """What the heat of each tool does to the walls of its cut."""
+        """Effect of the heat of each tool on the walls of its cut."""
         return [tool.coagulation for tool in self.tools]
 
     def index(self, tool: int | str) -> int:

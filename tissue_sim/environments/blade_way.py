@@ -1,6 +1,6 @@
-"""The way of the blade of Cut in the organ at rest, and how far a cut along it lies beside the line.
+"""Path of the blade of Cut in the organ at rest, and the distance of a cut along it from the line.
 
-The same for copies of a batch and for a tool over ROS.
+Copies of a batch and a tool over ROS use the same.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class PlannedCut(NamedTuple):
 
 
 class MadeCut(NamedTuple):
-    """What a cut is worth."""
+    """Errors of a cut, and its reward."""
 
     beside: float  # m from the line, on average
     off: float  # error of its depth, as a part of the depth
@@ -58,7 +58,7 @@ class MadeCut(NamedTuple):
 
     @property
     def is_good(self) -> bool:
-        """Whether the goal is met."""
+        """True where the goal is met."""
         return bool(self.beside < GOOD_LINE and self.off < GOOD_DEPTH and self.pressed == 0.0)
 
 
@@ -68,7 +68,7 @@ def moved_blade(blade: Floats, actions: Floats) -> Floats:
 
 
 class BladeWay:
-    """Where a blade was in the tissue, in the organ at rest, and which points of the line are cut.
+    """Path of a blade through the tissue, in the organ at rest, and the points of the line that it has cut.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class BladeWay:
         return PlannedCut(polyline, float(np.median(way[:, 3])))
 
     def judge(self, cut: PlannedCut, depth: float) -> MadeCut:
-        """Return what a cut is worth.
+        """Return the errors of a cut.
 
         Parameters
         ----------

@@ -79,9 +79,7 @@ def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) ->
     """Write where a place is, what holds it there, and how both yield."""
     state, shapes, scratch, cells = world.state, world.shapes, world.scratch, world.model.cut_cells
     blades, rotation, cell = shapes.blades, scratch.rotation[row.body], sample.cell
-    for axis in range(3):
-        scratch.blade_at[axis] = blades.at[row.sample, axis] + sample.offset[axis]
-    turned_by(rotation, scratch.blade_at, row.arm)
+    _write_arm(world, row, rotation, row.arm)
     turned_by(rotation, blades.forward[row.sample], row.forward)
     turned_by(rotation, blades.normal[row.sample], row.normal)
     f, n, e = row.forward, row.normal, row.along
@@ -119,6 +117,15 @@ def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) ->
         across += row.across_weight[place] ** 2 * mobility
     give, across = give * step + scratch.give[row.body], across * step + scratch.give[row.body]
     row.stiffness, row.across_stiffness = 1.0 / (give + GIVE / step), 1.0 / (across + GIVE / step)
+
+
+@kernel
+def _write_arm(world: World, row: BladeRow, rotation: Floats, arm: Floats) -> None:
+    """Write where a place is from its tool's origin, m, in a rotation (9,) of the tool, to arm (3,)."""
+    at = world.scratch.blade_at
+    for axis in range(3):
+        at[axis] = world.shapes.blades.at[row.sample, axis] + world.state.blades[row.sample].offset[axis]
+    turned_by(rotation, at, arm)
 
 
 @kernel
@@ -307,10 +314,8 @@ def _way_past(world: World, row: BladeRow, step: float) -> float:
     A place in an inverted cell moves on by that: its offset would not shrink by what it moves at rest, and it would cut
     the whole cell at once, without a load that pays for the area.
     """
-    state, scratch, at, past = world.state, world.scratch, world.scratch.blade_at, 0.0
-    for axis in range(3):
-        at[axis] = world.shapes.blades.at[row.sample, axis] + state.blades[row.sample].offset[axis]
-    turned_by(scratch.last_rotation[row.body], at, scratch.blade_way)
+    state, scratch, past = world.state, world.scratch, 0.0
+    _write_arm(world, row, scratch.last_rotation[row.body], scratch.blade_way)
     for axis in range(3):
         moved = scratch.origin[row.body, axis] + row.arm[axis]
         moved -= scratch.last_origin[row.body, axis] + scratch.blade_way[axis]

@@ -37,7 +37,7 @@ class Place(NamedTuple):
 
 
 class Coagulation(NamedTuple):
-    """What the heat of a tool does to the tissue at the walls of its cut."""
+    """Effect of a tool's heat on the tissue at the walls of its cut."""
 
     stiffening: float = 1.0  # factor on its moduli; 1: none, as a cold blade's
     spread: float = 0.0  # m from the cut that the heat reaches

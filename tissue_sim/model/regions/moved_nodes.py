@@ -1,4 +1,4 @@
-"""Which nodes a tick moves and places, in the whole organ or in a local region, and how far they are from rest."""
+"""Nodes that a tick moves and places, in the whole organ or in a local region, and their distance from rest."""
 
 from __future__ import annotations
 

@@ -16,6 +16,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.contact.pressed_points import warm_up
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.jit import is_compiled
@@ -33,7 +34,7 @@ from tissue_sim.ros.node.input.followed_frame import FollowedFrame
 from tissue_sim.ros.node.input.respiration import RespirationInput
 from tissue_sim.ros.node.input.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.node.output.contact_kernels import compile_beside
-from tissue_sim.ros.node.output.contact_points import ContactPoints, warm_up
+from tissue_sim.ros.node.output.contact_points import ContactPoints
 from tissue_sim.ros.node.output.diagnostics import Diagnostics, LoopReport
 from tissue_sim.ros.node.output.organ_publisher import OrganPublisher, ScenePublisher
 from tissue_sim.ros.node.output.publishing_thread import PublishingThread
@@ -264,7 +265,6 @@ class TissueNode(GuardedNode):
             self.organs.settings,
         )
         if frame_id := values[f"{name}.tf_frame"]:
-            port.input.follows = frame_id
             FollowedFrame(self, self._lookup, frame_id, port.input, 1.0 / values["rate"])
         return port
 

@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.contact.pressed_points import warm_up
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.node.output.contact_points import warm_up
 from tissue_sim.ros.shared.children import Child
 from tissue_sim.unexpected_errors import catch_all
 

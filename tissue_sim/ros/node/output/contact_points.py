@@ -11,11 +11,8 @@ from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2, PointField
 
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.contact.pressed_points import pressed_points
 from tissue_sim.contact.tools import ToolSet
-from tissue_sim.jit import kernel
-from tissue_sim.model.contact.gap import gap_and_normal
-from tissue_sim.model.contact.tool_motion import set_frame
-from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import state_like
 from tissue_sim.ros.node.output.organ_publisher import REPEAT_AFTER
 from tissue_sim.ros.shared.organs import Organs
@@ -82,17 +79,12 @@ class ContactPoints:
     def _points(self, number: int) -> tuple[Longs, Floats]:
         """Return the bodies (k,) that touch an organ, and a row of COLUMNS for each point, (k, 10)."""
         state, physics = self._states[number], self._organs.each[number]
-        contacts, pressed = state.contacts, state.contact_pressed[0]
-        touching = np.flatnonzero(pressed[: int(contacts.header.points)] > 0.0)
-        bodies = contacts.body[touching]
-        places = np.einsum("kc,kcx->kx", contacts.weight[touching], state.position[contacts.node[touching]])
-        normals = np.zeros_like(places)  # of the tools, outward
-        write_normals(self._tools.shapes, bodies, state.body_pose, places, normals)
-        held = state.contact_held[0, touching]
+        entries, bodies, places, normals = pressed_points(state, self._tools.shapes)
+        held = state.contact_held[0, entries]
         along = np.einsum("kx,kx->k", held, normals)
-        push = (pressed[touching] - along)[:, None] * normals + held  # N s, on the tissue
+        push = (state.contact_pressed[0, entries] - along)[:, None] * normals + held  # N s, on the tissue
         forces = push * (-max(int(state.status.substeps), 1) / physics.tick_time)
-        organ = np.full((len(touching), 1), number, dtype=np.float64)
+        organ = np.full((len(entries), 1), number, dtype=np.float64)
         return bodies, np.hstack([places + state.carried, -normals, forces, organ])
 
     def _message(self, rows: Floats) -> PointCloud2:
@@ -107,27 +99,3 @@ class ContactPoints:
         message.row_step = message.point_step * len(rows)
         message.data = rows.astype("<f4").tobytes()
         return message
-
-
-def warm_up(shapes: Shapes) -> None:
-    """Compile the kernels for tools of these shapes, which are the same for any.
-
-    Parameters
-    ----------
-    shapes : Shapes
-        Shapes of the tools.
-    """
-    write_normals(shapes, np.zeros(0, dtype=np.int64), np.zeros((1, 7)), np.zeros((0, 3)), np.zeros((0, 3)))
-
-
-@kernel
-def write_normals(shapes: Shapes, bodies: Longs, poses: Floats, places: Floats, normals: Floats) -> None:
-    """Write the outward normals (k, 3) of bodies (k,) at places (k, 3) m near their surfaces; poses (B, 7) of all."""
-    origin, r = np.zeros(3), np.zeros(9)
-    for index in range(len(bodies)):
-        body, place, normal = bodies[index], places[index], normals[index]
-        set_frame(poses[body], origin, r)
-        dx, dy, dz = place[0] - origin[0], place[1] - origin[1], place[2] - origin[2]
-        lx, ly = r[0] * dx + r[3] * dy + r[6] * dz, r[1] * dx + r[4] * dy + r[7] * dz
-        lz = r[2] * dx + r[5] * dy + r[8] * dz
-        _, normal[0], normal[1], normal[2] = gap_and_normal(shapes, body, r, lx, ly, lz)
