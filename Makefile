@@ -1,6 +1,6 @@
 # `make help` lists the targets.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-touched test-slow test-least fuzz regress bags lint style format organ colcon pins audit clean FORCE
+.PHONY: help demo install test test-all test-touched test-slow test-least fuzz regress bags lint style format organ colcon pins audit clean FORCE
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
@@ -26,6 +26,8 @@ help: ## this list
 demo: .venv/.installed-demo ## node, scripted haptic bridge and viewer (http://127.0.0.1:8080); SECONDS=20 ends by itself
 	@set -- .venv/bin/tissue_sim demo $(if $(SECONDS),--seconds '$(SECONDS)'); \
 	if [ -t 0 ]; then set -m; "$$@"; else exec "$$@"; fi
+
+install: .venv/.installed ## everything into .venv, with all extras; kernels are compiled, which takes minutes
 
 # Three at once, as those with real processes mostly wait; loadfile: a file's nodes and organs are made once, in the order of
 # test/conftest.py. What shares cores has no threads of its own, that would only wait. 5: none was selected.

@@ -241,13 +241,14 @@ def test_arrays_a_mesh_and_a_file_are_the_same_surface(tmp_path, monkeypatch):
     build(tmp_path / "egg.off", unit="mm", points=300)
     build(egg(), points=300)
     build([egg().vertices, egg().faces], points=300)
+    build(egg(), points=300, organ="liver")
     for mesh, request, keep_points in handed:
         np.testing.assert_allclose(mesh.positions, egg().vertices, atol=1e-9)
         np.testing.assert_array_equal(mesh.triangles, egg().faces)
         assert request.points == 300
         assert not keep_points
-    assert [request.name for _, request, _ in handed] == ["egg", "organ", "organ"]
-    assert [request.provenance["source"] for _, request, _ in handed] == ["egg.off", "arrays", "arrays"]
+    assert [request.name for _, request, _ in handed] == ["egg", "organ", "organ", "liver"]
+    assert [request.provenance["source"] for _, request, _ in handed] == ["egg.off", "arrays", "arrays", "arrays"]
 
 
 def test_a_mask_is_built_from_voxels():

@@ -1,16 +1,20 @@
 """What kernels take by reference."""
 
+import gc
 import inspect
 import os
 import subprocess
 import sys
+import weakref
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 import pytest
 
+from helpers.scenes import ball
 from tissue_sim.handles import handle, row
+from tissue_sim.model.simulation import Simulation
 
 
 class Inner(NamedTuple):
@@ -112,3 +116,38 @@ def test_handle_is_the_tuple_itself_without_the_compiler(monkeypatch):
     monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
     outer = Outer(np.zeros(3), 2.0, Inner(np.ones(3)))
     assert handle(outer) is outer
+
+
+def test_kernels_that_count_no_references_keep_none():
+    """Else no array of a simulation was ever freed: each cut, and each scene, took megabytes for good."""
+    simulation = Simulation(ball())
+    before = simulation.world._meminfo.refcount
+    simulation.step()
+    simulation.reset()
+    assert simulation.world._meminfo.refcount == before
+    words = simulation.state.words
+    while isinstance(words.base, np.ndarray):
+        words = words.base
+    left = weakref.ref(words)
+    del simulation, words
+    gc.collect()
+    assert left() is None
+
+
+def test_a_kernel_that_takes_a_handle_runs_no_code_of_numba_in_python():
+    """Numba drops an exception that comes out of it, Ctrl-C among them."""
+    simulation = Simulation(ball())
+
+    def moved():
+        simulation.step()
+        simulation.settle(np.zeros((len(simulation.organ.surface_positions), 3)))
+
+    moved()  # compiles, and learns the types of all arguments
+    called = []
+    sys.setprofile(lambda frame, event, _: called.append(frame.f_code.co_filename) if event == "call" else None)
+    try:
+        moved()
+    finally:
+        sys.setprofile(None)
+    assert called
+    assert [name for name in called if f"{os.sep}numba{os.sep}" in name] == []

@@ -9,6 +9,7 @@ import os
 import re
 import runpy
 import shutil
+import signal
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -265,6 +266,19 @@ def test_what_make_runs_is_not_silent(tmp_path):
     assert process.returncode == 7
     assert all(re.fullmatch(r"mypy: \d+ s, 3 packages\n", line) for line in lines)
     assert log.read_text().split()[:3] == ["3", "10", "10"]
+
+
+def test_ctrl_c_in_what_make_runs_says_what_is_left():
+    # Through Python, as a job in the background is started without the signal, and hands that down.
+    code = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); os.execv(sys.argv[1], sys.argv[1:])"
+    command = [sys.executable, "-c", code, str(ROOT / ".ci/alive"), "mypy", "sh", "-c", "echo begun; exec sleep 3600"]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    environment = os.environ | {"LEAVES": "make begins it again"}
+    with subprocess.Popen(command, env=environment, text=True, process_group=0, **streams) as process:
+        assert process.stdout.readline() == "begun\n"
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.wait(LIMIT) == 130
+        assert process.stderr.read() == "mypy: stopped; make begins it again\n"
 
 
 def test_continuous_integration_runs_make_test():

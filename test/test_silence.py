@@ -5,17 +5,20 @@ thread that tells would: not where none runs.
 """
 
 import importlib
+import inspect
 
 import numpy as np
 import pytest
 import trimesh
 
 from helpers.clock import clock_of
+from helpers.paths import ROOT
 from helpers.scenes import ball
 from tissue_sim import progress
 from tissue_sim.bench import timing
 from tissue_sim.cli import main
 
+BAG = ROOT / "bags" / "poke"
 SLOW = 11.0  # s: longer than from one line to the next
 
 
@@ -78,6 +81,48 @@ def test_a_line_comes_while_a_command_works(name, clock, files, monkeypatch, cap
     command = " ".join(words.split()[: 2 if words.startswith("bench") else 1])
     assert len(reported) == 2, reported
     assert all(line.startswith(command) for line in reported), reported
+
+
+STAGES = {  # of a command, with the function that does its work, in the order in which they come
+    "calibrate ball.npz --out o.npz": [
+        ("organ.organ.Organ.load", "reading"),
+        ("commands.calibrate.accuracy_warning", "looking for coarse places"),
+        ("calibration.calibrate.check_coarseness", "preparing"),
+        ("calibration.calibrate.prepared", "preparing"),
+        ("calibration.calibrate.Body", "preparing"),
+    ],
+    f"replay {BAG}": [
+        ("ros.bags.outcome.Recording.read", "poke, reading"),
+        ("ros.bags.player.Player.__init__", "poke, making the model"),
+        ("ros.bags.player.Player._take", "poke, ticks 0 of 1629"),
+        ("ros.bags.outcome.compare", "poke, comparing"),
+    ],
+    f"replay {BAG} {BAG}": [("ros.bags.outcome.compare", "poke (1 of 2), comparing")],
+}
+
+
+@pytest.mark.parametrize("words", STAGES, ids=["calibrate", "replay", "replay two"])
+def test_every_part_of_a_long_command_has_the_name_of_its_stage(words, files, monkeypatch, capsys):
+    seen: dict[str, str] = {}
+
+    def noting(name, work):
+        def noted(*given, **named):
+            first = name not in seen
+            seen.setdefault(name, progress._teller._path().partition(": ")[2])
+            if first and len(seen) == len(STAGES[words]):
+                raise Over
+            return work(*given, **named)
+
+        return noted
+
+    for name, _ in STAGES[words]:
+        place, _, attribute = name.rpartition(".")
+        owner = found(place)
+        work = noting(name, getattr(owner, attribute))
+        is_class = inspect.isclass(owner) and inspect.ismethod(getattr(owner, attribute))
+        monkeypatch.setattr(owner, attribute, staticmethod(work) if is_class else work)
+    main(words.split())
+    assert list(seen.items()) == STAGES[words]
 
 
 def found(name):

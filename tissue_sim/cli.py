@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 
 import tissue_sim
-from tissue_sim import progress
+from tissue_sim import interrupts, progress
 from tissue_sim.commands import COMMANDS
 from tissue_sim.errors import UserError, output_is_gone, printable, stop_output
-from tissue_sim.unexpected_errors import INTERRUPTED, catch_all, report_error
+from tissue_sim.unexpected_errors import INTERRUPTED, catch_all, report_error, write_error
 from tissue_sim.version import __version__
 
 UNTIL_ASKED = (
@@ -22,7 +22,7 @@ UNTIL_ASKED = (
     "bridge",
     "camera",
     "drive",
-)  # commands that Ctrl-C ends normally; they report no progress once they run
+)  # commands that Ctrl-C ends normally, with exit code 0; they report no progress once they run
 
 
 def _with_signs(words: Sequence[str]) -> list[str]:
@@ -66,18 +66,12 @@ class _Help(argparse.ArgumentDefaultsHelpFormatter):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command.
 
-    Parameters
-    ----------
-    arguments : Sequence[str] | None, optional
-        Arguments; None for those of the process.
-
-    Returns
-    -------
-    int
-        Exit code: 0, 1 for a failed check, 2 for invalid use.
+    arguments: arguments, None for those of the process. Returns exit code: 0, 1 for a failed check, 2 for invalid use,
+    130 after Ctrl-C.
     """
     if arguments is None:  # not where another program calls this
         catch_all("tissue_sim")
+        interrupts.remember()
     words = _with_signs(sys.argv[1:] if arguments is None else arguments)
     chosen = next((word for word in words if not word.startswith("-")), None)
     try:
@@ -85,28 +79,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = _run(words, chosen)
         sys.stdout.flush()  # so that a failure to write is reported here
         return code
-    except UserError as error:
-        sys.stderr.write(f"tissue_sim: error: {printable(str(error))}\n")
+    except (KeyboardInterrupt, Exception) as error:
+        if interrupts.caused(error):
+            return _stopped(" ".join(["tissue_sim", *_named(words)]), chosen in UNTIL_ASKED)
+        return _failed(error)
+
+
+def _stopped(title: str, until_asked: bool) -> int:
+    """Write the line of a command that Ctrl-C ended; return its exit code."""
+    left = interrupts.reported() or ("it had not begun" if until_asked else "")
+    write_error(f"{title}: stopped{'; ' if left else ''}{left}\n")
+    return 0 if until_asked else INTERRUPTED
+
+
+def _failed(error: BaseException) -> int:
+    """Write the line of an error that ended a command; return its exit code."""
+    if isinstance(error, UserError):
+        write_error(f"tissue_sim: error: {printable(str(error))}\n")
         return 2
-    except BrokenPipeError as error:
-        if not output_is_gone():
-            report_error(error, "tissue_sim")
-            return 1
+    if isinstance(error, BrokenPipeError) and output_is_gone():
         stop_output()
         return 0
-    except KeyboardInterrupt:  # before the command listens for it
-        return 0 if chosen in UNTIL_ASKED else INTERRUPTED
-    except Exception as error:  # what was not foreseen
-        report_error(error, "tissue_sim")
-        if isinstance(error, OSError):  # perhaps a full disk, where the remaining output would fail again
-            stop_output()
-        return 1
+    report_error(error, "tissue_sim")
+    if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
+        stop_output()  # the disk may be full, where the remaining output would fail again
+    return 1
 
 
 def _title(words: Sequence[str]) -> str:
-    """Return the command, with its benchmark."""
+    return " ".join(_named(words)) or "tissue_sim"
+
+
+def _named(words: Sequence[str]) -> list[str]:
+    """Return the command, with its benchmark; nothing where no command is named."""
     named = [word for word in words if not word.startswith("-")]
-    return " ".join(named[: 2 if named[:1] == ["bench"] else 1]) or "tissue_sim"
+    return named[: 2 if named[:1] == ["bench"] else 1]
 
 
 def _run(words: Sequence[str], chosen: str | None) -> int:
@@ -121,7 +128,8 @@ def _run(words: Sequence[str], chosen: str | None) -> int:
             formatter_class=_Help,
         )
         if name == chosen:
-            importlib.import_module(module).add_arguments(command)
+            with progress.task("loading"):
+                importlib.import_module(module).add_arguments(command)
     args, unknown = parser.parse_known_args(words)
     if unknown:
         command = commands.choices[args.command]

@@ -12,6 +12,7 @@ from numba.core import cgutils, types
 from numba.core.datamodel import default_manager, models
 from numba.core.extending import infer_getattr, lower_builtin, lower_getattr_generic
 from numba.core.imputils import impl_ret_borrowed
+from numba.core.pythonapi import _unboxers
 from numba.core.runtime.nrtdynmod import _meminfo_struct_type as _MEMORY
 from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global, signature
 from numba.experimental import structref
@@ -49,9 +50,28 @@ class Handle(types.StructRef):  # type: ignore[name-defined]
 class HandleProxy(structref.StructRefProxy):
     """Handle as Python holds it; only kernels look inside."""
 
+    # Numba drops what its own property raises while it runs: Ctrl-C in that moment would be lost.
+    _numba_type_ = structref.StructRefProxy._type
+
 
 default_manager.register(Handle, models.StructRefModel)
 structref.define_boxing(Handle, HandleProxy)
+_counted = _unboxers.functions.pop(Handle)
+
+
+@unbox(Handle)
+def _unbox_handle(kind, made, c):  # type: ignore[no-untyped-def]
+    """Convert a handle for a kernel, which borrows it.
+
+    Numba takes a reference, and kernels that count give it back when they end. Those that count none would keep it, and
+    with it every array of the handle for ever.
+    """
+    found = _counted(kind, made, c)
+    if not c.context.enable_nrt:
+        memory = c.pyapi.object_getattr_string(made, "_meminfo")
+        for number in (c.pyapi.call_method(memory, "release"), memory):
+            c.pyapi.decref(number)
+    return found
 
 
 @infer_getattr

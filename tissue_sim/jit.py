@@ -44,7 +44,7 @@ def cache_folder(layer: str) -> Path:
     for source in (path for one in called for path in sorted((Path(__file__).parent / one).rglob("*.py"))):
         content = source.read_bytes()
         # Kernels, what they are given, and the enumerations that are constants in them.
-        if any(word in content for word in (b"@kernel", b"@part", b"NamedTuple", b"(Record)", b"(IntEnum)")):
+        if any(word in content for word in (b"@kernel", b"@part", b"@short", b"NamedTuple", b"(Record)", b"(IntEnum)")):
             digest.update(content)
     name = f"{layer}-numba-{numba.__version__}-{digest.hexdigest()[:16]}"
     for base in (user_cache(), Path(tempfile.gettempdir()) / f"tissue_sim-{os.getuid()}"):
@@ -114,6 +114,24 @@ def kernel(function: Callable[..., Any]) -> Any:
     return _compiled(function, "never")
 
 
+def short(function: Callable[..., Any]) -> Any:
+    """Compile a kernel that keeps the GIL: one that only takes microseconds when Python calls it.
+
+    A thread that gives up the GIL for so little often waits for it afterwards, for as long as another one runs.
+
+    Parameters
+    ----------
+    function : Callable[..., Any]
+        The function.
+
+    Returns
+    -------
+    Any
+        The compiled kernel.
+    """
+    return _compiled(function, "never", nogil=False)
+
+
 def part(function: Callable[..., Any]) -> Any:
     """Compile a kernel that one other kernel calls, as a part of it.
 
@@ -132,12 +150,12 @@ def part(function: Callable[..., Any]) -> Any:
     return _compiled(function, "always")
 
 
-def _compiled(function: Callable[..., Any], inline: str) -> Any:
+def _compiled(function: Callable[..., Any], inline: str, *, nogil: bool = True) -> Any:
     numba.config.CACHE_DIR = folder_of(function.__module__.split(".")[1])
-    # The model's kernels allocate nothing, so they need no reference counts around every array that they touch.
-    counts = not function.__module__.startswith("tissue_sim.model.")
+    # Kernels that allocate nothing need no reference counts around every array that they touch.
+    counts = not function.__module__.startswith(("tissue_sim.model.", "tissue_sim.contact."))
     # No kernel is called from C: a wrapper for it would only take time to compile.
-    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts, "inline": inline}
+    options = {"nogil": nogil, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts, "inline": inline}
     return compiled_once(numba.njit(**options)(function))
 
 

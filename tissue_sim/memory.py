@@ -7,7 +7,6 @@ import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -49,7 +48,7 @@ def give_back() -> None:
         _trim(0)
 
 
-def provide(values: Any) -> None:
+def provide(values: object) -> None:
     """Have the system provide the memory of arrays, which otherwise it does page by page as each is first written to.
 
     A thread that must not wait, and that is handed new arrays, would wait for each page: some of them for a
@@ -57,7 +56,7 @@ def provide(values: Any) -> None:
 
     Parameters
     ----------
-    values : Any
+    values : object
         An array, or a NamedTuple of such and of further ones; they must not be in use.
     """
     if isinstance(values, tuple):

@@ -23,24 +23,8 @@ def user_cache() -> Path:
 def used_longest_ago(folder: Path, pattern: str, kept: int) -> list[Path]:
     """Return a folder's files of a pattern, except those that were used last.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    pattern : str
-        Glob pattern.
-    kept : int
-        Number of files that are left out, the most recently used ones.
-
-    Returns
-    -------
-    list[Path]
-        The files, the least recently used first.
-
-    Raises
-    ------
-    OSError
-        Where a file is removed meanwhile.
+    pattern: glob pattern; kept: number of files that are left out, the most recently used ones. Returns the files, the
+    least recently used first. Raises OSError where a file is removed meanwhile.
     """
     return sorted(folder.glob(pattern), key=lambda path: path.stat().st_mtime)[:-kept]
 
@@ -50,19 +34,7 @@ def remembered(kind: str, key: str, make: Callable[[], dict[str, NDArray]]) -> d
 
     A damaged file, a full disk or a home that may not be written to cost time and nothing else.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of result.
-    key : str
-        Identifies the inputs.
-    make : Callable[[], dict[str, NDArray]]
-        Computes the arrays.
-
-    Returns
-    -------
-    dict[str, NDArray]
-        Arrays by name.
+    kind: kind of result; key: identifies the inputs; make: computes the arrays. Returns arrays by name.
     """
     folder = user_cache()
     path = folder / f"{kind}-{key[:24]}.npz"

@@ -80,7 +80,7 @@ def report_error(error: BaseException, program: str) -> None:
         write_error(f"{program}: error: internal: {described(error)}; {TRACEBACK}=1 shows the traceback\n")
 
 
-def catch_all(program: str) -> None:
+def catch_all(program: str, stopped: str = "") -> None:
     """Report every error that nothing else catches in this process by `report_error`; for programs only.
 
     Closed standard streams are opened on the null device: writing to them must neither fail nor go to another file.
@@ -89,6 +89,8 @@ def catch_all(program: str) -> None:
     ----------
     program : str
         Name of the program.
+    stopped : str, optional
+        What Ctrl-C leaves of its work, which is written; empty where another program writes that.
     """
     for name, number in (("stdin", 0), ("stdout", 1), ("stderr", 2)):
         if getattr(sys, name) is None:
@@ -97,6 +99,8 @@ def catch_all(program: str) -> None:
     def uncaught(_: type[BaseException], error: BaseException, __: TracebackType | None) -> None:
         if not isinstance(error, KeyboardInterrupt):
             report_error(error, program)
+        elif stopped:
+            write_error(f"{program}: stopped; {stopped}\n")
 
     def in_thread(given: threading.ExceptHookArgs) -> None:
         if given.exc_value is not None:

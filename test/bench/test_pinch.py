@@ -145,7 +145,8 @@ def test_what_did_not_settle_is_reported_and_leaves_the_bound_open():
 def test_finite_elements_are_compressed_on_two_meshes(monkeypatch):
     monkeypatch.setattr(pinch_reference, "FRACTIONS", (0.05,))
     organ = ball_of_cells()
-    (row,) = pinch_reference.by_elements(organ, two_tools.place(organ, 0, two_tools.SPHERE), 0)
+    both = [pinch_reference.compressed_between(organ, 0, mesh) for mesh in pinch_reference.MESHES]
+    (row,) = pinch_reference.rows_of(0, *both)
     force, coarse, fine = (np.array(row[name]) for name in ("force_n", "coarse_n", "fine_n"))
     np.testing.assert_allclose(force, fine - (coarse - fine) / 3.0, atol=1e-5)
     assert force[0, 0] < -0.01

@@ -40,7 +40,7 @@ FAST = Motion(0.8, 500.0), Motion(5.0, 30.0), Motion(0.0, 500.0, 0.002), Motion(
 class Ticks:
     """A hand that presses by ticks, as `presser.Presser` does by the clock; a contact set every 4 ms."""
 
-    gap = 0.0
+    gap, state = 0.0, "fresh"
 
     def __init__(self, tool, friction=None):
         self.scene = Scene(kidney(), [tool], ticks_a_set=4)
@@ -174,7 +174,7 @@ def test_places_are_anywhere_on_the_surface_and_ways_lead_in():
 class Starved:
     """A presser whose loop gets no time while it presses, and then does the ticks that are waited for."""
 
-    gap = 0.0
+    gap, state = 0.0, "fresh"
 
     def __init__(self, in_the_end):
         self.in_the_end, self.pressed, self.held = in_the_end, 0, []

@@ -43,7 +43,7 @@ def test_where_nothing_was_measured_it_is_an_interrupt(monkeypatch, capsys):
     monkeypatch.setattr(fall, "in_one_thread", interrupted)
     assert main(["bench", "fall"]) == 130
     captured = capsys.readouterr()
-    assert (captured.out, captured.err) == ("", "stopped before anything was measured\n")
+    assert (captured.out, captured.err) == ("", "tissue_sim bench fall: stopped; there is no result\n")
 
 
 FALLEN = fall.SuddenLoad(0.2, "bump", 0.1, 1e-3, 0.001, True, 0, 0.9, 0)

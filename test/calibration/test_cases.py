@@ -1,5 +1,7 @@
 """Load cases: two generators that share neither centres nor draws."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,8 @@ from tissue_sim.calibration.cases import (
     surface_of,
 )
 from tissue_sim.errors import UserError
+from tissue_sim.organ.refined import refined
+from tissue_sim.organ.refinement import Ball, Refinement
 
 
 def test_centres_are_disjoint_and_clear_of_the_clamp(monkeypatch):
@@ -109,7 +113,17 @@ def test_lengths_shrink_with_a_small_organ():
     assert surface_of(ball(2)).size < 1.0
 
 
-@pytest.mark.parametrize("organ", [ball(1), ball(3), kidney()], ids=["coarse ball", "ball", "kidney"])
+def graded():
+    """A large ball, most of whose points are in one half."""
+    large = replace(
+        ball(2), surface_positions=3.0 * ball(2).surface_positions, atom_positions=3.0 * ball(2).atom_positions
+    )
+    return refined(large, Refinement(places=(Ball(np.array([0.09, 0.0, 0.0]), 0.09, 0.009),)))
+
+
+@pytest.mark.parametrize(
+    "organ", [ball(1), ball(3), kidney(), graded()], ids=["coarse ball", "ball", "kidney", "graded ball"]
+)
 def test_no_smooth_load_is_narrower_than_a_node_and_its_neighbours(organ):
     held = held_out_cases(organ, 20, 0)
     assert np.count_nonzero(held.force.any(axis=2), axis=1).min() >= 4

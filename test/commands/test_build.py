@@ -249,6 +249,36 @@ def test_triples():
         parse_triple("--seed", "nan,1,2")
 
 
+CT, SEED = "study.nii.gz", ("--seed", "1,2,3")
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ((CT, *SEED), "study"),
+        ((CT, *SEED, "--organ", "kidney"), "kidney"),
+        ((CT, *SEED, "--organ", "any"), "study"),
+        ((CT, *SEED, "--organ", "kidney", "--name", "left kidney"), "left kidney"),
+        (("--mask", CT), "study"),
+        (("--mask", CT, "--label", "5"), "study"),
+        (("--mask", CT, "--label", "1:5"), "study"),
+        (("--mask", CT, "--label", "spleen"), "spleen"),
+        (("--surface", "a/mesh.obj", "--unit", "mm", "--part", "2"), "mesh"),
+        (("--surface", "a/mesh.obj", "--unit", "mm", "--part", "Liver_1"), "Liver_1"),
+    ],
+)
+def test_an_organ_is_named_by_what_it_is_said_to_be(words, name, tmp_path, monkeypatch):
+    asked = []
+
+    def make(kind, source, request, *_):
+        asked.append(request.name)
+        raise UserError("not built")
+
+    monkeypatch.setattr("tissue_sim.commands.build.make", make)
+    assert main(["build", *words, "--out", str(tmp_path / "o.npz")]) == 2
+    assert asked == [name]
+
+
 def test_help_names_every_option(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["build", "--help"])
@@ -399,6 +429,7 @@ def test_a_segment_of_a_dicom_segmentation_is_named(tmp_path, capsys):
     assert "several labels (1 organ, 2 tumour); choose one with --label" in refused(capsys, "--mask", path)
     words = ["--mask", path, "--label", "organ", "--inclusion", "tumour:5"]
     organ, _ = build(capsys, *words, out=tmp_path / "o.npz")
+    assert organ.name == "organ"
     assert organ.volume == pytest.approx(4 / 3 * np.pi * 13.0**3 * 1e-9, rel=0.03)
     assert [one.stiffness for one in inclusions_of(organ)] == [5.0]
 

@@ -145,6 +145,20 @@ def test_an_organ_without_a_clamp_is_refused(folder, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.extended
+@needs_finite_elements
+def test_an_organ_that_does_not_come_to_rest_is_no_calibrated_organ(folder, monkeypatch, capsys):
+    out = folder / "restless.npz"
+    command = ["calibrate", str(folder / "ball.npz"), "--out", str(out), *SMALL]
+    monkeypatch.setattr("tissue_sim.calibration.evaluation.LONGEST", 0.01)
+    assert main(command) == 2
+    assert "error: organ 'ball' is held so loosely that" in capsys.readouterr().err
+    monkeypatch.setattr(pipeline, "check_pace", lambda *_: None)
+    assert main(command) == 2
+    assert "error: organ 'ball' came to rest under 0 of 6 held-out loads only" in capsys.readouterr().err
+    assert not out.exists()
+
+
 @pytest.mark.parametrize("module", ["skfem", "netgen", "joblib", "threadpoolctl"])
 def test_a_missing_library_is_named(folder, monkeypatch, capsys, module):
     monkeypatch.setitem(sys.modules, module, None)

@@ -131,6 +131,35 @@ def test_the_hand_does_not_feel_that_the_cut_opens():
     assert max(falls) < 0.1
 
 
+def test_a_place_that_was_left_behind_pays_for_what_it_cuts():
+    """It ran after its blade at once, and cut on its way without a load: more energy was used than the hand gave."""
+    made, ticks, behind = Cutting(), 5, 1e-3
+    made.begin()
+    made.step(SPEED, 200)
+    place, width = 2, float(made.simulation.shapes.blades.width[2])
+    made.blades.rest[place, 2] += behind
+    before, force = float(made.blades.area[place]), float(made.blades.force[place, 0])
+    made.step(SPEED, ticks)
+    assert float(made.blades.area[place]) - before < 3.0 * ticks * SPEED * width < 0.5 * behind * width
+    assert force < float(made.blades.force[place, 0]) < 2.2 * force
+    made.step(SPEED, 150)
+    lowest = np.delete(made.blades.rest[:ALONG, 2], place)
+    assert made.blades.rest[place, 2] - lowest.mean() < 0.3 * behind
+
+
+def test_a_place_that_is_beside_its_flank_throws_no_tissue():
+    """As where it leaves what is between two lips: it was held at its flank at once, with the energy of that."""
+    made, place, beside = Cutting(), 3, 1e-3
+    made.begin()
+    made.step(SPEED, 20)
+    assert not made.simulation.cuts
+    made.blades.rest[place, 0] += beside
+    made.step(SPEED, 1)
+    assert np.abs(made.blades.force[place, 2]) < 0.1
+    made.step(0.0, 100)
+    assert np.abs(made.blades.rest[place, 0] - np.delete(made.blades.rest[:ALONG, 0], place).mean()) < 0.2 * beside
+
+
 @pytest.mark.extended
 def test_nothing_goes_with_a_blade_that_leaves():
     """The last places held light copies of nodes, which went with it out of a kidney, and then jumped."""

@@ -8,7 +8,7 @@ from tissue_sim.contact.broad_phase import approach
 from tissue_sim.contact.organ_contact_finder import DEEPEST, MARGIN, OrganContactFinder
 from tissue_sim.contact.self_contact_finder import SelfFinder
 from tissue_sim.contact.triangles import nearest_weights
-from tissue_sim.model.stepping.organ_contact import used_words
+from tissue_sim.model.stepping.contact_pairs import used_words
 from tissue_sim.organ.placement import placed
 from tissue_sim.organ.winding import inside
 

@@ -49,10 +49,10 @@ def measured(presses, organ):
 
 @pytest.mark.extended
 def test_an_organ_that_relaxes_comes_back(organ, presses):
-    """Numbers of the tissue, not of the force, which relaxes less; and its modulus once it has relaxed."""
+    """What the force shows are the tissue's numbers; the modulus is that of tissue that has relaxed."""
     truth = replace(with_stiffness(organ, FACTOR, {}), relaxation_fraction=FRACTION, relaxation_time=CONSTANT)
     found = identify(organ, measured(presses, truth), Settings(friction=FRICTION, with_map=False))
-    assert found.rate_effects.relaxation.fraction < 0.8 * FRACTION, "the yardstick: what the force shows isn't enough"
+    assert found.rate_effects.relaxation.fraction == pytest.approx(FRACTION, abs=0.03)
     assert found.organ.relaxation_fraction == pytest.approx(FRACTION, abs=0.02)
     assert found.organ.relaxation_time == pytest.approx(CONSTANT, rel=0.1)
     assert found.organ.youngs_modulus == pytest.approx(truth.youngs_modulus, rel=0.04)

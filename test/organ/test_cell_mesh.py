@@ -8,9 +8,10 @@ import pytest
 from helpers.scenes import ball, kidney
 from tissue_sim.bench.measured.lattice import shell
 from tissue_sim.errors import UserError
-from tissue_sim.organ.cell_mesh import LEAST_QUALITY, quality_of, tetrahedra, tissue_cells, with_cells
+from tissue_sim.organ.cell_mesh import LEAST_QUALITY, bridging, quality_of, tetrahedra, tissue_cells, with_cells
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.topology import assemble_like, assemble_organ
 
 
@@ -49,6 +50,55 @@ def test_cells_fill_the_organ_join_every_node_and_none_is_a_sliver(organ):
     assert on_surface <= 2, "a dent must turn such a cell inside out"
     missed = triangles - faces_of(tetrahedra(organ.rest_positions, organ.surface_positions, organ.surface_triangles))
     assert len(missed) < 0.01 * len(triangles)
+
+
+def hairpin(gap):
+    """A tube of 10 mm radius, bent so that its two limbs lie `gap` mm apart: points with its axis, surface, triangles.
+
+    Its limbs end near x = 0, its bend begins at 60 mm, and the rings of points of the two are staggered.
+    """
+    radius, around = 10.0, 10
+    turn = radius + 0.5 * gap
+    bend = [(60.0 + turn * np.sin(t), -turn * np.cos(t), np.sin(t), -np.cos(t)) for t in np.linspace(0, np.pi, 7)]
+    limb = np.linspace(0.0, 50.0, 4)
+    path = np.array([(x, -turn, 0, -1) for x in limb] + bend + [(max(x - 3.7, 0.0), turn, 0, 1) for x in limb[::-1]])
+    angle = 2 * np.pi * np.arange(around) / around
+    out = np.cos(angle)[None, :, None] * np.pad(path[:, None, 2:], ((0, 0), (0, 0), (0, 1)))
+    axis = np.pad(path[:, :2], ((0, 0), (0, 1)))
+    rings = axis[:, None] + radius * (out + np.sin(angle)[None, :, None] * np.array([0.0, 0.0, 1.0]))
+    surface = np.concatenate([rings.reshape(-1, 3), axis[[0, -1]] - [0.5, 0.0, 0.0]])
+    k, first = np.arange(around), around * np.arange(len(path) - 1)[:, None]
+    here, there = first + k, first + (k + 1) % around
+    sides = np.stack([here, there, there + around, here, there + around, here + around], axis=-1).reshape(-1, 3)
+    ends = len(surface) - 2, len(surface) - 1
+    last = around * (len(path) - 1)
+    caps = [np.stack([0 * k + ends[0], (k + 1) % around, k], axis=1)]
+    caps += [np.stack([0 * k + ends[1], last + k, last + (k + 1) % around], axis=1)]
+    triangles = np.concatenate([sides, *caps])
+    if signed_volume(surface, triangles) < 0.0:
+        triangles = triangles[:, [0, 2, 1]]
+    return 1e-3 * np.concatenate([surface, axis[1:-1]]), 1e-3 * surface, triangles.astype(np.int32)
+
+
+def test_no_cell_joins_two_loops_that_nearly_touch():
+    """Its centroid lies inside one of them, and it would hold them together as if they had grown into each other."""
+    points, surface, triangles = hairpin(3.0)
+
+    def joined(cells):
+        limb = np.where(points[:, 0] < 0.055, np.sign(points[:, 1]), 0.0)[cells]
+        return np.flatnonzero((limb.min(axis=1) < 0.0) & (limb.max(axis=1) > 0.0))
+
+    found = tetrahedra(points, surface, triangles)
+    assert len(joined(found)) > 0, "without the test of edges there are some"
+    assert bridging(points, found, surface, triangles)[joined(found)].all()
+    left = joined(tissue_cells(points, surface, triangles, "hairpin"))
+    assert len(left) < 0.1 * len(joined(found)), "those that a node would otherwise be without any cell"
+
+
+def test_cells_of_an_organ_without_loops_all_stay():
+    organ = calibrated()
+    cells = organ.cell_nodes.astype(np.int64)
+    assert not bridging(organ.rest_positions, cells, organ.surface_positions, organ.surface_triangles).any()
 
 
 def test_moduli_are_those_of_the_tissue():

@@ -6,6 +6,7 @@ import pytest
 from helpers.shapes import solid
 from tissue_sim.organ.refinement import (
     BESIDE,
+    HINGE,
     NEAREST,
     SHORTEST,
     THROUGH,
@@ -52,11 +53,24 @@ def test_edges_go_by_the_distance_from_the_clamp():
     rim = clamp_rim(POSITIONS, TRIANGLES, HELD)
     np.testing.assert_allclose(rim[:, 0], -0.03, atol=EDGE)
     size = relative_size(4 / 3 * np.pi * 0.05 * 0.05 * 0.01)
-    near, far = wanted(Refinement(clamp=True), [[-0.028, 0.0, 0.008], [0.03, 0.0, 0.008]])
-    assert near == pytest.approx(BESIDE * NEAREST * size, rel=0.02)
+    near, far = wanted(Refinement(clamp=True), [[-0.03, 0.0, 0.008], [0.03, 0.0, 0.008]])
+    assert near < BESIDE * NEAREST * size, "thin at the clamp"
     assert far == pytest.approx(BESIDE * 0.06, rel=0.05)
     held, free = wanted(Refinement(clamp=True), [[-0.05, 0.0, 0.0], [-0.01, 0.0, 0.0098]])
     assert held > 1.5 * free, "what is held does not move"
+
+
+def test_edges_at_the_clamp_of_a_slender_body_go_by_its_thickness():
+    rod = POSITIONS * [1.0, 0.16, 0.8]
+    found = wanted_edges(Refinement(clamp=True), rod, TRIANGLES, HELD)(np.array([[-0.03, 0.0, 0.0064]]))
+    assert found == pytest.approx(HINGE * 2 * 0.008 * 0.8, rel=0.1)
+
+
+def test_edges_at_the_clamp_of_a_thick_body_go_by_its_size():
+    body = POSITIONS * [1.0, 1.0, 5.0]
+    found = wanted_edges(Refinement(clamp=True), body, TRIANGLES, HELD)(np.array([[-0.028, 0.0, 0.04]]))
+    assert relative_size(4 / 3 * np.pi * 0.05**3) == 1.0
+    assert found == pytest.approx(BESIDE * NEAREST, rel=0.02)
 
 
 def test_edges_go_by_the_distance_from_a_ball():

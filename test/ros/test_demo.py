@@ -80,9 +80,20 @@ def test_an_end_before_the_node_is_up_is_said(tmp_path, monkeypatch, capfd):
             return True
 
     monkeypatch.setattr(demo.client, "Stop", AtOnce)
-    assert main(["demo", "--no-viewer"]) == 1
-    assert capfd.readouterr().err == "tissue_sim demo: stopped before the node was up\n"
+    assert main(["demo", "--no-viewer"]) == 130
+    assert capfd.readouterr().err == "tissue_sim demo: stopped before the node was up; no bag was recorded\n"
     assert not list((tmp_path / "recordings").iterdir())  # no empty folder is left
+
+
+def test_a_bag_of_a_node_that_had_no_time_to_report_it_is_named(tmp_path, monkeypatch, capfd):
+    folder = tmp_path / "bags"
+    old, new = folder / "old", folder / "new"
+    old.mkdir(parents=True)
+    records = [sys.executable, "-c", f"import os; os.mkdir({str(new)!r});" + SLEEPER.format("0")]
+    monkeypatch.setattr(demo, "node_command", lambda organ, folder, priority: records)
+    monkeypatch.setattr(demo.client.Stop, "__bool__", lambda _: new.exists())
+    assert main(["demo", "--no-viewer", "--bag-folder", str(folder)]) == 0
+    assert capfd.readouterr().out.splitlines()[-1].endswith(f"replay {new}")
 
 
 @pytest.mark.parametrize(

@@ -23,19 +23,11 @@ def add_shared(
 ) -> None:
     """Add ORGAN and --json, and further arguments on request.
 
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        The benchmark's parser.
-    organ : str | None, optional
-        Description of the default organ; None for no argument ORGAN.
-    out : str | None, optional
-        Description of --out; None where there is nothing to draw.
-    seconds : float | None, optional
-        Default of --seconds; None where the duration can't be chosen.
-    check : bool, optional
-        Whether there are bounds, and so --check.
+    organ: description of the default organ, None for no argument ORGAN; out: description of --out, None where there is
+    nothing to draw; seconds: default of --seconds, None where the duration can't be chosen; check: whether there are
+    bounds, and so --check.
     """
+    parser.set_defaults(out=None, check=False)
     if organ is not None:
         parser.add_argument("organ", nargs="?", metavar="ORGAN", help=f"organ file (.npz); default: {organ}")
     parser.add_argument(
@@ -50,13 +42,7 @@ def add_shared(
 
 
 def add_priority(parser: argparse.ArgumentParser) -> None:
-    """Add --realtime-priority, of a node and what is measured beside it.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        The benchmark's parser.
-    """
+    """Add --realtime-priority, of a node and what is measured beside it."""
     parser.add_argument(
         "--realtime-priority",
         type=int,
@@ -68,13 +54,7 @@ def add_priority(parser: argparse.ArgumentParser) -> None:
 
 
 def check_priority(priority: int) -> None:
-    """Raise UserError when the system doesn't allow a real-time priority.
-
-    Parameters
-    ----------
-    priority : int
-        The priority.
-    """
+    """Raise UserError when the system doesn't allow a real-time priority."""
     if not is_allowed(priority):
         raise UserError(f"this user is not allowed to use real-time priority {priority}: see 'ulimit -r'")
 
@@ -82,18 +62,8 @@ def check_priority(priority: int) -> None:
 def check_shared(args: argparse.Namespace) -> None:
     """Report before the work what would fail after it, and make the folder of --out.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed arguments.
-
-    Raises
-    ------
-    UserError
-        Where the file for JSON is an organ (as in `--json ORGAN`), the folder can't be made, or --seconds or
-        --realtime-priority is out of range.
-    ModuleNotFoundError
-        Where something is to be drawn without matplotlib.
+    Raises UserError where the file for JSON is an organ (as in `--json ORGAN`), the folder can't be made, or --seconds
+    or --realtime-priority is out of range; ModuleNotFoundError where something is to be drawn without matplotlib.
     """
     if args.json and args.json.endswith(".npz"):
         raise UserError(f"--json {args.json} would overwrite an organ; put ORGAN before --json, or - after it")

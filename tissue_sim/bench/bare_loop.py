@@ -17,19 +17,7 @@ MOST_OF_BARE, POINTS_BEYOND = 2.0, 0.2  # bound on the fraction of late ticks, a
 def bare(seconds: float, busy: float, priority: int = 0) -> Floats:
     """Return how late the ticks of a loop at RATE are that only keeps the processor busy.
 
-    Parameters
-    ----------
-    seconds : float, s
-        Duration.
-    busy : float, s
-        Busy time of each tick.
-    priority : int, optional
-        Real-time priority, 0 for none.
-
-    Returns
-    -------
-    Floats, shape (ticks,), s
-        Lateness.
+    seconds: duration, s; busy: busy time of each tick, s; priority: real-time priority, 0 for none. Returns (ticks,) s.
     """
     late = np.zeros(round(seconds * RATE), dtype=np.int64)
     clock = np.zeros(4, dtype=np.int64)
@@ -38,37 +26,14 @@ def bare(seconds: float, busy: float, priority: int = 0) -> Floats:
 
 
 def late_percent(late: Floats) -> float:
-    """Return the percentage of ticks that were late by more than a period.
-
-    Parameters
-    ----------
-    late : Floats, shape (ticks,), s
-        Lateness.
-
-    Returns
-    -------
-    float, %
-        The percentage.
-    """
+    """Return the percentage of ticks that were late by more than a period, from their lateness (ticks,) s."""
     return 100.0 * float(np.mean(late > 1.0 / RATE))
 
 
 def late_bound(name: str, percent: float, usual_percent: float) -> Bound:
     """Return the bound on a percentage of late ticks, relative to that of a bare loop, or of a quiet machine.
 
-    Parameters
-    ----------
-    name : str
-        Name of the bound.
-    percent : float, %
-        The percentage.
-    usual_percent : float, %
-        That of the comparison.
-
-    Returns
-    -------
-    Bound
-        The bound.
+    percent: the percentage, %; usual_percent: that of the comparison, %.
     """
     return Bound(name, percent, MOST_OF_BARE * usual_percent + POINTS_BEYOND, "%")
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.pressed_flex import PressedFlex
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_batch import SceneBatch
 from tissue_sim.contact.tools import Tool
@@ -58,9 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-peers", action="store_true", help="leave MuJoCo out")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     if not 2 <= args.copies <= 10_000:
         raise UserError(f"--copies {args.copies} is outside 2..10000")
     organ = Organ.load(args.organ or shipped_organ())
@@ -76,8 +75,7 @@ def run(args: argparse.Namespace) -> int:
             peers.append(of_flex(name, step, presses, args.seconds))
             rows.report(name, f"{peers[-1].steps_a_second:.1f} steps/s")
     found = as_json(organ, measured, peers, batch.bytes_a_copy, differing(scene, presses))
-    emit(found, text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(found))
 
 
 class Presses(NamedTuple):

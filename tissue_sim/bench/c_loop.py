@@ -11,7 +11,6 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -273,21 +272,8 @@ class _Model(ctypes.Structure):
 class CLoop:
     """Bursts of substeps in C of a simulation's model under forces.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        The simulation.
-    flags : tuple[str, ...]
-        Flags of the compiler.
-    nodes : NDArray[np.int64], shape (k,)
-        Loaded nodes.
-    forces : Floats, shape (k, 3), N
-        Forces on them.
-
-    Raises
-    ------
-    CLoopError
-        Where there is no compiler, or the result is not that of the kernels.
+    flags: flags of the compiler; nodes (k,): loaded nodes; forces (k, 3) N: forces on them. Raises CLoopError where
+    there is no compiler, or the result is not that of the kernels.
     """
 
     def __init__(
@@ -355,7 +341,7 @@ class CLoop:
         return difference
 
 
-def _library(flags: tuple[str, ...]) -> Any:
+def _library(flags: tuple[str, ...]) -> ctypes.CDLL:
     """Return the source compiled with flags, and loaded."""
     compiler = shutil.which(COMPILER)
     if compiler is None:

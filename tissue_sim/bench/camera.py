@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.bare_loop import MOST_OF_BARE, POINTS_BEYOND, RATE, bare, late_percent
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
@@ -52,17 +52,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--nice", type=int, choices=range(20), metavar="0..19", help="how much the camera stands back")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     if args.seconds < SHORTEST:
         raise UserError(f"--seconds {args.seconds:g} is less than {SHORTEST:g}")
     words = [f"--samples={args.samples}", f"--rate={PICTURES:g}"]
     words += ["--baseline=0.005"] * args.stereo + ([f"--nice={args.nice}"] if args.nice is not None else [])
     topics = STEREO["JPEG"] if args.stereo else IMAGES["JPEG" if args.jpeg else "images"]
     found = measure(args.organ or str(shipped_organ()), args.seconds, words, topics)
-    emit(found, text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(found))
 
 
 def measure(organ_file: str, seconds: float, words: list[str], topics: tuple[str, ...]) -> JsonObject:
@@ -86,11 +84,10 @@ def _measure_node(path: str, seconds: float, node: JsonObject, filmed: tuple[lis
         from tissue_sim.ros.probes.picture_times import PictureTimes
         from tissue_sim.ros.probes.poke_probe import PokeProbe
         from tissue_sim.ros.probes.tool_driver import RADIUS
-        from tissue_sim.ros.shared.client import client_node
 
         served = graph.start_node(path, f"rate:={RATE}", f"realtime_priority:={priority}", f"left.radius:={RADIUS}")
         ticks(served)
-        own = graph.enter_context(client_node("camera_probe", NODE))
+        own = graph.client("camera_probe")
         hand = PokeProbe(own, NODE, Organ.load(path), rate=RATE, priority=below(below(priority)))
         hand.meet()
         hand.poke(WARMING_UP)
@@ -174,7 +171,7 @@ def _medians(turns: list[dict[str, float]]) -> dict[str, float]:
     return {key: float(np.median([turn[key] for turn in turns])) for key in turns[0]}
 
 
-def text(found: Mapping[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as a table."""
     head = ["node", "camera", "ticks/s", "late", "bare loop", "tick p99", "late by, p99", "images", "a picture"]
     table = [head]
@@ -199,6 +196,6 @@ def text(found: Mapping[str, Any]) -> str:
     return "\n".join([about, *aligned(table, left=2), "", *bound_lines(found["bounds"])])
 
 
-def _whose(node: Mapping[str, Any]) -> str:
+def _whose(node: JsonObject) -> str:
     priority = node["realtime_priority"]
     return f"priority {priority}" if priority else "no priority"

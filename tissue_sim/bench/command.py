@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import sys
 from types import ModuleType
 
 from tissue_sim.bench import rows
+from tissue_sim.bench.arguments import check_shared
+from tissue_sim.bench.printing import finish
 from tissue_sim.errors import UserError
+from tissue_sim.interrupts import leaving
 from tissue_sim.unexpected_errors import INTERRUPTED
 
 BENCHMARKS = {
@@ -97,14 +99,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run a benchmark; return 0, 1 when a bound that it states was missed, 130 when it was stopped."""
+    """Run a benchmark; return 0, 1 when a bound that is checked was missed, 130 when it was stopped."""
     rows.begin()
     try:
-        code = int(_load(BENCHMARKS[args.benchmark][0]).run(args))
+        check_shared(args)
+        with leaving("there is no result"):
+            code = finish(_load(BENCHMARKS[args.benchmark][0]).run(args), args)
         return INTERRUPTED if rows.stopped() else code
-    except KeyboardInterrupt:
-        sys.stderr.write("stopped before anything was measured\n")
-        raise
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("tissue_sim"):
             raise

@@ -19,17 +19,7 @@ def surface_compliance(model: Model, nodes: NDArray[np.int64]) -> NDArray[np.flo
 
     It is the inverse of the tangent stiffness, kept in single precision as such products are.
 
-    Parameters
-    ----------
-    model : Model
-        The model.
-    nodes : NDArray[np.int64], shape (k,)
-        Loaded nodes.
-
-    Returns
-    -------
-    NDArray[np.float32], shape (3 n_surface, 3 k), m/N
-        Compliance.
+    nodes (k,): loaded nodes. Returns (3 n_surface, 3 k) m/N.
     """
     free = free_axes(model)
     place = np.full(3 * len(model.rest), -1, dtype=np.int64)

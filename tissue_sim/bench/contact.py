@@ -15,8 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines
+from tissue_sim.bench.arguments import add_shared
+from tissue_sim.bench.pinch_tools import both
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines, figure, noise_lines
 from tissue_sim.bench.timing import in_one_thread, noise_burst
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
@@ -44,12 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, check=True)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print; return 0, or with --check 1 when the bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     found = in_one_thread(measure, Organ.load(args.organ or shipped_organ()))
-    emit(found, text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(found))
 
 
 def measure(organ: Organ) -> JsonObject:
@@ -90,9 +89,6 @@ def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:
     box.apply_translation([0.0, 0.0, -0.015])
     box.export(folder / "box.stl")
     trimesh.creation.torus(0.01, 0.003).export(folder / "ring.stl")
-
-    def both(**given: Any) -> list[Tool]:
-        return [Tool("left", **given), Tool("right", **given)]
 
     return [
         ("two spheres of 5 mm", both(radius=0.005)),

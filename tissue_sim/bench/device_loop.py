@@ -221,19 +221,7 @@ class ObservedPort:
 def tried(world: World, holder: Holder, stiffness: float) -> Trial:
     """Push a device onto what it touches, through a coupling of a stiffness, and return its motion.
 
-    Parameters
-    ----------
-    world : World
-        What it touches.
-    holder : Holder
-        The device.
-    stiffness : float, N/m
-        Stiffness of the coupling.
-
-    Returns
-    -------
-    Trial
-        Positions and forces.
+    world: what it touches; holder: the device; stiffness: stiffness of the coupling, N/m. Returns positions and forces.
     """
     device, link = holder.device, holder.link
     world.begin(stiffness)
@@ -272,17 +260,7 @@ def stable_stiffness(world: World, holder: Holder) -> float:
     The search starts from what theory allows and doubles it, as a device may come to rest again where the coupling is
     far too stiff; then the logarithm is bisected. The result lies between SOFTEST and STIFFEST.
 
-    Parameters
-    ----------
-    world : World
-        What it touches.
-    holder : Holder
-        The device.
-
-    Returns
-    -------
-    float, N/m
-        Stiffness; 0 where it oscillates at SOFTEST.
+    world: what it touches; holder: the device. Returns stiffness; 0 where it oscillates at SOFTEST, N/m.
     """
     low = max(holder.passive, SOFTEST)
     while tried(world, holder, low).swings:

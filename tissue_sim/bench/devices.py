@@ -93,16 +93,7 @@ NO_HAND, GRIP = Hand(0.0, 0.0, 0.0), Hand(0.05, 2.0, 100.0)  # the latter assume
 class Moving:
     """Device that is pushed along its axis: position m (negative: into the tissue), speed m/s.
 
-    Parameters
-    ----------
-    device : Device
-        The device.
-    hand : Hand
-        The hand on it.
-    push : float, N
-        Force of the hand towards the tissue.
-    start : float, m
-        Position at the start.
+    hand: the hand on it; push: force of the hand towards the tissue, N; start: position at the start, m.
     """
 
     def __init__(self, device: Device, hand: Hand, push: float, start: float) -> None:
@@ -154,15 +145,7 @@ def move(motion: Floats, properties: Floats, force: float, step: float, count: i
 def quarters(places: Floats) -> tuple[float, float]:
     """Return the peak-to-peak motion in the last quarter but one, and in the last.
 
-    Parameters
-    ----------
-    places : Floats, shape (n,), m
-        Positions.
-
-    Returns
-    -------
-    tuple[float, float], m
-        Both.
+    places (n,) m: positions. Returns both, m.
     """
     count = len(places) // 4
     third, last = places[-2 * count : -count], places[-count:]

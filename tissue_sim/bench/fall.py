@@ -14,8 +14,8 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.arguments import add_shared
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.calibration.cases import held_out_cases, tractions
 from tissue_sim.calibration.evaluation import LONGEST, RAMP, TOLERANCE
@@ -54,15 +54,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Settle, compare and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     if not SHARP <= args.loads <= 1000:
         raise UserError(f"--loads {args.loads} is outside {SHARP}..1000")
     organ = Organ.load(args.organ or shipped_organ())
     found = as_json(in_one_thread(measure, organ, args.loads))
-    emit(found, text(organ, found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(organ, found))
 
 
 def measure(organ: Organ, count: int, fractions: Sequence[float] = TRACTIONS) -> list[SuddenLoad]:

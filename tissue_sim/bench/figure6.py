@@ -5,11 +5,10 @@ The organ shaded in the colour of its displacement, from one view and with one s
 
 from __future__ import annotations
 
-import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,6 @@ from tissue_sim.array_types import Floats, Pixels
 from tissue_sim.bench.organs import press_node
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.errors import UserError
 from tissue_sim.figures import empty_figure
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
@@ -28,6 +26,7 @@ from tissue_sim.organ.winding import inside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
 
@@ -78,16 +77,6 @@ def pinch_and_release(organ: Organ) -> tuple[Panel, Panel]:
     """Return panels of two jaws that take the organ at its top and pull, and of the organ after the release.
 
     The jaws are balls; they touch the organ as the tools of the node do.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-
-    Returns
-    -------
-    tuple[Panel, Panel]
-        Both panels.
     """
     scene = Scene(organ, [Tool("left", radius=JAW), Tool("right", radius=JAW)])
     surface = organ.surface_positions
@@ -133,51 +122,28 @@ def _way_out(organ: Organ, start: Floats, direction: Floats) -> float:
     return float(way[np.argmin(within)])
 
 
-def write_figure(organ: Organ, panels: Sequence[Panel], folder: Path) -> list[Path]:
-    """Write one PNG of all panels and one of each.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    panels : Sequence[Panel]
-        The panels.
-    folder : Path
-        Where they are written.
-
-    Returns
-    -------
-    list[Path]
-        Their paths.
-
-    Raises
-    ------
-    UserError
-        Where the folder can't be written.
-    """
+def pictures_of(organ: Organ, panels: Sequence[Panel]) -> dict[str, Callable[[], Figure]]:
+    """Return what draws one picture of all panels, and one of each, by their files' names."""
     rest = organ.surface_positions
     most = max(float(np.linalg.norm(panel.positions - rest, axis=1).max()) for panel in panels)
     view = _view(organ, panels)
     drawn = [_shaded(view, organ, panel, most) for panel in progress.steps(panels, "pictures")]
-    written = []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        width = _PANEL * view.size[0] / view.size[1] + 0.3
-        figure = empty_figure(2.0 * width + 1.0, 2.0 * _PANEL + 1.2)
-        axes = np.ravel(figure.subplots(2, 2))
-        for axis, panel, pixels in zip(axes, panels, drawn, strict=True):
-            _show(axis, view, organ, panel, pixels)
+    width = _PANEL * view.size[0] / view.size[1] + 0.3
+
+    def figure_of(numbers: Sequence[int], size: tuple[float, float]) -> Figure:
+        figure = empty_figure(*size)
+        axes = np.ravel(figure.subplots(-(-len(numbers) // 2), min(len(numbers), 2), squeeze=False))
+        for axis, number in zip(axes, numbers, strict=True):
+            _show(axis, view, organ, panels[number], drawn[number])
         _colour_bar(figure, list(axes), most)
-        written.append(_save(figure, folder / "figure6.png"))
-        for panel, pixels in zip(panels, drawn, strict=True):
-            single = empty_figure(width + 1.0, _PANEL + 0.6)
-            axis = single.subplots()
-            _show(axis, view, organ, panel, pixels)
-            _colour_bar(single, [axis], most)
-            written.append(_save(single, folder / f"figure6_{panel.name}.png"))
-    except OSError as error:
-        raise UserError(f"cannot write to {folder}: {error.strerror}") from None
-    return written
+        return figure
+
+    whole = partial(figure_of, range(len(panels)), (2.0 * width + 1.0, 2.0 * _PANEL + 1.2))
+    single = (width + 1.0, _PANEL + 0.6)
+    return {
+        "figure6.png": whole,
+        **{f"figure6_{panel.name}.png": partial(figure_of, [k], single) for k, panel in enumerate(panels)},
+    }
 
 
 def _view(organ: Organ, panels: Sequence[Panel]) -> View:
@@ -246,23 +212,16 @@ def _show(axis: Axes, view: View, organ: Organ, panel: Panel, pixels: Pixels) ->
         axis.annotate("", head[:2] / _SUPERSAMPLING, tail[:2] / _SUPERSAMPLING, arrowprops=style)
 
 
-def _colours() -> Any:
+def _colours() -> Colormap:
     """Return the colour map."""
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("tissue", _COLOURS)
 
 
-def _colour_bar(figure: Figure, axes: list[Any], most: float) -> None:
+def _colour_bar(figure: Figure, axes: list[Axes], most: float) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
     scale = ScalarMappable(Normalize(0.0, 1e3 * most), _colours())
     figure.colorbar(scale, ax=axes, label="displacement (mm)", shrink=0.7, pad=0.02)
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130)
-    path.write_bytes(buffer.getvalue())
-    return path

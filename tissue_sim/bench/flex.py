@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,27 +25,9 @@ class Flex:
     The integrator is `discrete` with conjugate gradients: MuJoCo integrates a flex's elasticity implicitly with no
     other, and its explicit one diverges here even at 0.05 ms.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    nodes : NDArray[np.int64], shape (k,)
-        Loaded nodes.
-    forces : Floats, shape (k, 3), N
-        Forces on them.
-    filling : tuple[Floats, NDArray[np.int32]] | None, optional
-        Points (p, 3) m, the organ's surface first, and tetrahedra (c, 4), instead of Delaunay's of the organ's nodes.
-    step : float, s, optional
-        Time step.
-    damping : float, s, optional
-        Damping proportional to stiffness.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        Without mujoco.
-    UserError
-        Where it can't load the organ.
+    nodes (k,): loaded nodes; forces (k, 3) N: forces on them; filling: points (p, 3) m, the organ's surface first, and
+    tetrahedra (c, 4), instead of Delaunay's of the organ's nodes; step: time step, s; damping: damping proportional to
+    stiffness, s. Raises ModuleNotFoundError without mujoco; UserError where it can't load the organ.
     """
 
     def __init__(
@@ -69,11 +50,11 @@ class Flex:
         self.rest = points
         self.n_tetrahedra = len(cells)
         try:
-            self.model: Any = mujoco.MjModel.from_xml_string(scene_xml(organ, points, cells, step, damping))
+            self.model = mujoco.MjModel.from_xml_string(scene_xml(organ, points, cells, step, damping))
         except ValueError as error:
             raise UserError(f"MuJoCo does not load '{organ.name}': {str(error).splitlines()[0]}") from None
         self._reset = mujoco.mj_resetData
-        self.data: Any = mujoco.MjData(self.model)
+        self.data = mujoco.MjData(self.model)
         self.load(nodes, forces)
 
     def load(self, nodes: NDArray[np.int64], forces: Floats) -> None:

@@ -11,15 +11,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.arguments import add_shared
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.contact.grasp import COMPRESSED, at_lower_pole
 from tissue_sim.contact.pressed_points import pressed_points
@@ -27,6 +27,7 @@ from tissue_sim.contact.quaternions import rotate
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_file
 
@@ -86,21 +87,8 @@ class Touching:
 class Nip(Touching):
     """A gripper at an organ's lower pole, its jaws closed on either side.
 
-    Parameters
-    ----------
-    gripper : Tool
-        A gripper.
-    friction : float
-        Its coefficient.
-    organ : Organ
-        The organ.
-    left : float, optional
-        Fraction of the width that the closed jaws leave.
-
-    Raises
-    ------
-    ValueError
-        Where the jaws can't take hold of the organ.
+    friction: its coefficient; left: fraction of the width that the closed jaws leave. Raises ValueError where the jaws
+    can't take hold of the organ.
     """
 
     def __init__(self, gripper: Tool, friction: float, organ: Organ, left: float = COMPRESSED) -> None:
@@ -117,14 +105,7 @@ class Nip(Touching):
     def lead(self, place: Floats, angle: float, ticks: int) -> None:
         """Move the gripper to a place and open or close it to an angle.
 
-        Parameters
-        ----------
-        place : Floats, shape (3,), m
-            The place.
-        angle : float, rad
-            The angle.
-        ticks : int
-            Within so many.
+        place (3,) m; angle: rad; ticks: within so many.
         """
         start, began = self.at, self.angle
         for fraction in np.arange(1, ticks + 1) / ticks:
@@ -150,13 +131,7 @@ class Nip(Touching):
         return friction, float(pressed.sum())
 
     def hold(self, seconds: float) -> float:
-        """Stand still; return how far a point that is held moves meanwhile, at most, m.
-
-        Parameters
-        ----------
-        seconds : float, s
-            So long.
-        """
+        """Stand still; return how far a point that is held moves meanwhile, at most, m. seconds: so long, s."""
         rate = self.scene.simulation.rate
         held, crept = self.touched(), 0.0
         before = self.points(held)
@@ -180,15 +155,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--hold", type=float, default=60.0, metavar="SECONDS", help="simulated time of each hold, s")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Grasp, hold, draw off and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     if not 0.1 <= args.hold <= 3600.0:
         raise UserError(f"--hold {args.hold:g} is outside 0.1..3600 s")
     organs = [Organ.load(args.organ)] if args.organ else [Organ.load(_file(name)) for name in ORGANS]
     found = as_json(in_one_thread(measure, organs, args.hold))
-    emit(found, text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(found))
 
 
 def measure(organs: Sequence[Organ], seconds: float) -> list[Grasped]:
@@ -205,19 +178,8 @@ def measure(organs: Sequence[Organ], seconds: float) -> list[Grasped]:
 def grasped(organ: Organ, seconds: float, friction: float = FRICTION) -> Grasped:
     """Return the results of one organ.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    seconds : float, s
-        Simulated time of the hold.
-    friction : float, optional
-        Coefficient of the jaws; Coulomb's force is always that of FRICTION, so that another one is to be seen.
-
-    Raises
-    ------
-    UserError
-        Where the jaws can't take hold of it.
+    seconds: simulated time of the hold, s; friction: coefficient of the jaws (Coulomb's force is always that of
+    FRICTION, so that another one is to be seen). Raises UserError where the jaws can't take hold of it.
     """
     with progress.task(f"grasping {organ.name}"):
         try:
@@ -249,7 +211,7 @@ def grasped(organ: Organ, seconds: float, friction: float = FRICTION) -> Grasped
     return Grasped(organ.name, points, held, seconds, crept, found, normal, found / (FRICTION * normal) - 1.0)
 
 
-def as_json(found: Sequence[Grasped]) -> dict[str, Any]:
+def as_json(found: Sequence[Grasped]) -> JsonObject:
     """Return all figures, and the bounds on the worst organ."""
     bounds = [
         Bound("slip force against Coulomb's, worst organ", max(100.0 * abs(one.off) for one in found), MOST_OFF, "%"),
@@ -262,7 +224,7 @@ def as_json(found: Sequence[Grasped]) -> dict[str, Any]:
     }
 
 
-def text(found: dict[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as a table, a row for each organ."""
     table = [["organ", "points", "held at", "for s", "crept um", "friction N", "normal N", "slips at"]]
     for one in found["organs"]:

@@ -13,15 +13,14 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache, partial
 from itertools import product
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.device_loop import (
     STIFFEST,
     Holder,
@@ -33,7 +32,9 @@ from tissue_sim.bench.device_loop import (
     tried,
 )
 from tissue_sim.bench.devices import DEVICES, GRIP, NO_HAND, Device
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, save
+from tissue_sim.bench.haptics_plot import drawn
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
+from tissue_sim.bench.processes import on_all_cores
 from tissue_sim.bench.rows import each, report, stopped, until_stopped
 from tissue_sim.json_types import JsonObject
 from tissue_sim.model.contact.virtual_coupling import passive_stiffness
@@ -102,18 +103,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--observer", action="store_true", help="also test the passivity observer, at fewer delays")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     organ = args.organ or str(shipped_organ())
     Organ.load(organ)
     found = as_json(*measure(cells_of(organ, observed=args.observer)))
-    emit(found, text(found), args.json)
-    if args.out and not stopped():
-        from tissue_sim.bench.haptics_plot import drawn
-
-        save(drawn(found), Path(args.out) / "haptics.png")
-    return exit_code(found, check=args.check)
+    return Result(found, text(found), {} if stopped() else {"haptics.png": partial(drawn, found)})
 
 
 def cells_of(organ: str, *, observed: bool) -> list[Cell]:
@@ -131,7 +126,7 @@ def measure(cells: Sequence[Cell]) -> tuple[list[Row], list[Bare]]:
     rows: list[Row] = []
     bare: list[Bare] = []
     with until_stopped():
-        for found in each(_worked_out(cells), "searches", len(cells)):
+        for found in each(on_all_cores(worked_out, [(cell,) for cell in cells]), "searches", len(cells)):
             at = f"{found.device}, {found.rate:g} Hz"
             if isinstance(found, Row):
                 rows.append(found)
@@ -140,12 +135,6 @@ def measure(cells: Sequence[Cell]) -> tuple[list[Row], list[Bare]]:
                 bare.append(found)
                 report(f"{at}, uncoupled", "none" if found.delay is None else f"{1e3 * found.delay:g} ms")
     return rows, bare
-
-
-def _worked_out(cells: Sequence[Cell]) -> Iterator[Row | Bare]:
-    from joblib import Parallel, delayed
-
-    yield from Parallel(n_jobs=-1, return_as="generator", batch_size=1)(delayed(worked_out)(cell) for cell in cells)
 
 
 def worked_out(cell: Cell) -> Row | Bare:

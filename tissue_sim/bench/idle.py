@@ -11,14 +11,13 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
+from tissue_sim.bench.arguments import add_shared
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines, figure
 from tissue_sim.bench.processor_load import processor_load_during, processor_seconds
 from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.shipped import shipped_organ
@@ -35,23 +34,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, seconds=20.0, check=True)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     found = measure(args.organ or str(shipped_organ()), args.seconds)
-    emit(found, text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(found))
 
 
 def measure(organ_file: str, seconds: float) -> JsonObject:
     """Return the processor use of node and peers in turns of TURN. Raises UserError where the node can't run."""
     with Graph() as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.probes.viewer import Viewer
-        from tissue_sim.ros.shared.client import client_node
 
         served = graph.start_node(organ_file)
         ticks(served)
-        own = graph.enter_context(client_node("bench", NODE))
+        own = graph.client("bench")
         organ = [f"/{NODE}/{name}" for name in ("mesh", "markers", "surface")]
         with Viewer(own, *organ) as viewer:
             viewer.wait()  # the first one; DDS brings the processes together meanwhile
@@ -96,7 +92,7 @@ def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> JsonObje
     }
 
 
-def text(found: Mapping[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables."""
     percents = found["shares_percent"]
     table = [["% of a core", "least", "median", "most", "node's median relative to this"]]

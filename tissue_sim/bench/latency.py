@@ -18,9 +18,9 @@ import numpy as np
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import latency_busy, rows, smoothing
-from tissue_sim.bench.arguments import add_priority, add_shared, check_priority, check_shared
+from tissue_sim.bench.arguments import add_priority, add_shared, check_priority
 from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -50,13 +50,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     mode = latency_busy if args.busy else sys.modules[__name__]
     found = mode.measure(args.organ, args.seconds, args.realtime_priority)
-    emit(found, mode.text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, mode.text(found))
 
 
 # measuring -----------------------------------------------------------------------------------------
@@ -74,14 +72,13 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> JsonOb
     with Graph() as graph:
         from tissue_sim.ros.probes.probe import Probe, together
         from tissue_sim.ros.probes.tool_driver import RADIUS
-        from tissue_sim.ros.shared.client import client_node
 
         settings = f"rate:={RATE}", f"realtime_priority:={priority}", "marker_rate:=60.0", f"left.radius:={RADIUS}"
         served = graph.start_node(path, *settings)
         graph.start("probes.echo", str(below(priority)))
         graph.start("probes.marker_subscriber", NODE)
         ticks(served)
-        own = graph.enter_context(client_node("latency_probe", NODE))
+        own = graph.client("latency_probe")
         probe = Probe(own, NODE, organ, RATE)
         probe.meet()
         turns = max(1, round(seconds / TURN))

@@ -79,13 +79,12 @@ def _measure_node(path: str, seconds: float, node: JsonObject) -> None:
     with Graph() as graph:
         from tissue_sim.ros.probes.poke_probe import PokeProbe
         from tissue_sim.ros.probes.tool_driver import RADIUS
-        from tissue_sim.ros.shared.client import client_node
 
         settings = f"rate:={RATE}", f"realtime_priority:={priority}", "marker_rate:=60.0", f"left.radius:={RADIUS}"
         served = graph.start_node(path, *settings)
         graph.start("probes.marker_subscriber", NODE)
         ticks(served)
-        own = graph.enter_context(client_node("busy_probe", NODE))
+        own = graph.client("busy_probe")
         hand = PokeProbe(own, NODE, Organ.load(path), rate=RATE, priority=below(below(priority)))
         hand.meet()
         hand.poke(WARMING_UP)

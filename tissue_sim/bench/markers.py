@@ -13,15 +13,15 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.bench import message_rate as arriving
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
+from tissue_sim.bench.arguments import add_shared
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines, figure
 from tissue_sim.bench.processor_load import processor_load_during, processor_seconds
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
@@ -55,25 +55,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     path = args.organ or str(shipped_organ())
     if not 0.0 <= (args.loss or 0.0) <= 0.5:
         raise UserError(f"--loss {args.loss:g} is outside 0..0.5")
     if args.points is not None and not 100 <= args.points <= 100_000:
         raise UserError(f"--points {args.points} is outside 100..100000")
+    if args.loss is None and args.points is None:
+        found = as_json(measure_colours(path, args.seconds))
+        return Result(found, text(found))
     if args.loss is not None:
         found = arriving.behind_link(path, args.loss, args.seconds)
-        table = arriving.text(found)
-    elif args.points is not None:
-        found = arriving.of_large_organ(args.points, args.seconds)
-        table = arriving.text(found)
     else:
-        found = as_json(measure_colours(path, args.seconds))
-        table = text(found)
-    emit(found, table, args.json)
-    return exit_code(found, check=args.check)
+        found = arriving.of_large_organ(args.points, args.seconds)
+    return Result(found, arriving.text(found))
 
 
 def measure_colours(organ_file: str, seconds: float) -> dict[str, list[dict[str, dict[str, float]]]]:
@@ -95,7 +91,6 @@ def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict
     with Graph() as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.probes.tool_driver import RADIUS, Hand
         from tissue_sim.ros.probes.viewer import Viewer
-        from tissue_sim.ros.shared.client import client_node
 
         # Without damping it oscillates on after its release, so that no pose and no contact adds noise.
         # Ticks must rarely be late, because a node that falls behind slows its markers.
@@ -108,7 +103,7 @@ def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict
         )
         served = graph.start_node(organ_file, *settings)
         ticks(served)
-        own = graph.enter_context(client_node("bench", NODE))
+        own = graph.client("bench")
         hand = Hand(own, organ)
         hand.meet()
         hand.approach()
@@ -168,7 +163,7 @@ def as_json(turns: Mapping[str, Sequence[Mapping[str, Mapping[str, float]]]]) ->
     return {"rows": table, "bounds": [bound.as_json() for bound in bounds]}
 
 
-def text(found: Mapping[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables."""
     table = [["for each further subscriber", "", "% of a core", "Hz", "us each", "node's relative to this"]]
     for row in found["rows"]:

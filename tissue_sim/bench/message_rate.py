@@ -9,7 +9,6 @@ import json
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from tissue_sim.bench.organs import bean
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, figure
@@ -28,24 +27,8 @@ UNDAMPED = "damping_scale:=0.0"  # it keeps moving when the tool is gone
 def behind_link(organ_file: str, loss: float, seconds: float) -> JsonObject:
     """Return the rates of surfaces, Hz, behind a link that loses a fraction of the packets.
 
-    Parameters
-    ----------
-    organ_file : str
-        The organ.
-    loss : float
-        Fraction of the packets.
-    seconds : float, s
-        Duration.
-
-    Returns
-    -------
-    JsonObject
-        Rates and bounds.
-
-    Raises
-    ------
-    UserError
-        Where there are no network namespaces, rclpy is missing, or the node fails.
+    loss: fraction of the packets; seconds: duration, s. Raises UserError where there are no network namespaces, rclpy
+    is missing, or the node fails.
     """
     with lossy_link(loss, DELAY) as ends, Graph("SUBNET") as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.shared.messages import CloudTemplate
@@ -70,26 +53,10 @@ def behind_link(organ_file: str, loss: float, seconds: float) -> JsonObject:
 def of_large_organ(points: int, seconds: float) -> JsonObject:
     """Return the rates of markers and surfaces, Hz, of a large organ.
 
-    Parameters
-    ----------
-    points : int
-        Number of surface points.
-    seconds : float, s
-        Duration.
-
-    Returns
-    -------
-    JsonObject
-        Rates and bounds.
-
-    Raises
-    ------
-    UserError
-        As in `behind_link`.
+    points: number of surface points; seconds: duration, s. Raises UserError as in `behind_link`.
     """
     with Graph() as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.probes.viewer import Viewer
-        from tissue_sim.ros.shared.client import client_node
 
         organ_file = str(Path(folder, "bean.npz"))
         bean(points).save(organ_file)
@@ -97,7 +64,7 @@ def of_large_organ(points: int, seconds: float) -> JsonObject:
         settings = UNDAMPED, "stiffness_scale:=0.02", f"marker_rate:={LARGE_RATE}"
         ticks(graph.start_node(organ_file, *settings))
         last_line(graph.start("probes.tool_driver", organ_file))
-        own = graph.enter_context(client_node("bench", NODE))
+        own = graph.client("bench")
         topics = {kind: f"/{NODE}/{kind}" for kind in ("markers", "surface")}
         with Viewer(own, *topics.values()) as viewer:
             viewer.wait()
@@ -120,19 +87,8 @@ def as_json(about: str, rates: Mapping[str, float], least: float) -> JsonObject:
     return {"about": about, "arriving": rows, "bounds": bounds}
 
 
-def text(found: Mapping[str, Any]) -> str:
-    """Return the figures as tables.
-
-    Parameters
-    ----------
-    found : Mapping[str, Any]
-        The figures.
-
-    Returns
-    -------
-    str
-        The text.
-    """
+def text(found: JsonObject) -> str:
+    """Return the figures as tables."""
     rows = [["Hz that arrive", "node", "a node that only publishes", "ratio"]]
     for kind, one in found["arriving"].items():
         ratio = f"{figure(one['node_hz'] / one['sender_hz'])} x" if one["sender_hz"] else "-"

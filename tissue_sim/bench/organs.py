@@ -24,15 +24,7 @@ def bean(points: int) -> Organ:
 
     The points lie on a Fibonacci lattice, so there are 2 points - 4 triangles; 48 medial atoms lie on the axis.
 
-    Parameters
-    ----------
-    points : int
-        Number of surface points.
-
-    Returns
-    -------
-    Organ
-        The organ.
+    points: number of surface points.
     """
     k = np.arange(points) + 0.5
     z = 1.0 - 2.0 * k / points
@@ -62,16 +54,6 @@ def press_node(organ: Organ) -> int:
     """Return the surface node in the middle of a broad side: where the axis of least extent leaves the organ.
 
     It is the axis of the next larger extent where the first goes through the held nodes.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-
-    Returns
-    -------
-    int
-        The node.
     """
     middle = organ.surface_positions.mean(axis=0)
     from_centre = organ.surface_positions - middle
@@ -87,22 +69,7 @@ def press_node(organ: Organ) -> int:
 
 
 def patch(organ: Organ, node: int, count: int = PATCH_NODES) -> Longs:
-    """Return the free surface nodes nearest to a node, itself first.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    node : int
-        The node.
-    count : int, optional
-        Number of nodes.
-
-    Returns
-    -------
-    Longs, shape (count,)
-        Nodes.
-    """
+    """Return the free surface nodes nearest to a node, itself first, (count,). count: number of nodes."""
     distance = np.linalg.norm(organ.surface_positions - organ.surface_positions[node], axis=1)
     distance[organ.fixed] = np.inf
     return np.argsort(distance, kind="stable")[:count].astype(np.int64)
@@ -111,19 +78,7 @@ def patch(organ: Organ, node: int, count: int = PATCH_NODES) -> Longs:
 def patch_load(organ: Organ, newton: float, count: int = PATCH_NODES) -> tuple[Longs, Floats]:
     """Return an inward load on a patch in the middle of the broad side.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    newton : float, N
-        Sum of the forces.
-    count : int, optional
-        Number of nodes.
-
-    Returns
-    -------
-    tuple[Longs, Floats]
-        Nodes, shape (count,), and forces, shape (count, 3), N.
+    newton: sum of the forces, N; count: number of nodes. Returns nodes (count,) and forces (count, 3) N.
     """
     nodes = patch(organ, press_node(organ), count)
     normal = surface_normals(organ.surface_positions, organ.surface_triangles)[nodes].mean(axis=0)
@@ -131,21 +86,11 @@ def patch_load(organ: Organ, newton: float, count: int = PATCH_NODES) -> tuple[L
 
 
 def spread_nodes(organ: Organ, count: int) -> Longs:
-    """Return nodes spread over the half of the surface that the broad side faces, its middle first.
+    """Return nodes spread over the half of the surface that the broad side faces, its middle first, (count,).
 
     Each is as far as possible from those before it and from the held nodes (farthest point sampling).
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    count : int
-        Number of nodes.
-
-    Returns
-    -------
-    Longs, shape (count,)
-        Nodes.
+    count: number of nodes.
     """
     surface, first = organ.surface_positions, press_node(organ)
     normals = surface_normals(surface, organ.surface_triangles)

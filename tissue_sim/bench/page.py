@@ -17,13 +17,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tissue_sim import progress
-from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.arguments import add_shared
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.bench.processor_load import processor_load_during, processor_seconds
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
@@ -52,9 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     if not 0.0 <= (args.delay or 0.0) <= 1.0:
         raise UserError(f"--delay {args.delay:g} is outside 0..1")
     path = Path(args.scene) if args.scene else shipped_file(SCENE)
@@ -62,8 +60,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError("no scene is part of this installation; name one with --scene")
     with nullcontext(HERE) if args.delay is None else far(args.delay) as (host, within):
         found = measure(SceneFile.read(path), args.seconds, host, within)
-    emit(found, text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(found))
 
 
 @contextmanager
@@ -84,7 +81,6 @@ def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) 
     """
     with Graph() as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.probes.viewer import Viewer
-        from tissue_sim.ros.shared.client import client_node
 
         node = graph.serve(f"scene_file:={carried(scene, Path(folder))}")
         ticks(node)
@@ -92,7 +88,7 @@ def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) 
         children = {PAGE: page, SERVED: node, BARE: graph.start("probes.idle_loop", str(LEAST))}
         watcher = graph.start("probes.websocket_counter", served_at(page), str(seconds), within=within)
         first_within(lambda: watcher.output or watcher.exit_code is not None, START_TIME, "no picture arrived")
-        own = graph.enter_context(client_node("bench", NODE))
+        own = graph.client("bench")
         topic = f"/{NODE}/{scene.names[0]}/surface"
         viewer = graph.enter_context(Viewer(own, topic))
         sent: list[float] = []
@@ -136,7 +132,7 @@ def carried(scene: SceneFile, folder: Path) -> Path:
 
 def as_json(
     scene: SceneFile,
-    arrivals: Mapping[str, Any],
+    arrivals: JsonObject,
     sent: Sequence[float],
     percents: Mapping[str, float],
     seconds: float,
@@ -174,7 +170,7 @@ def as_json(
     }
 
 
-def text(found: Mapping[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables."""
     rows = [["organ", "points", "pictures a second", "in the worst second"]]
     for row in found["organs"]:

@@ -11,9 +11,9 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import pinch_reference, rows
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.pinch_tools import Pinch, pairs, pinched
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines, figure, noise_lines
 from tissue_sim.bench.timing import in_one_thread, noise_burst
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
@@ -39,20 +39,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--remake",
         action="store_true",
-        help="first compute the forces of the finite elements and write them there: 20 minutes",
+        help="first compute the forces of the finite elements and write them there: a quarter of an hour",
     )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     organ = Organ.load(args.organ or shipped_organ())
     # This comes first, because it reports what is missing.
     table = table_of(args, organ)
     reference = None if table is None else pinch_reference.as_json(pinch_reference.measure(organ, table))
     found = as_json(*in_one_thread(measure, organ), reference)
-    emit(found, text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(found))
 
 
 def table_of(args: argparse.Namespace, organ: Organ) -> JsonObject | None:

@@ -1,6 +1,6 @@
 """Force of two spheres that compress the organ and don't slip, compared with finite elements under the same spheres.
 
-The forces of the finite elements are stored, as they take a quarter of an hour; `tissue_sim bench pinch --remake`
+The forces of the finite elements are stored, as they take minutes; `tissue_sim bench pinch --remake`
 computes them again. Each pinch is settled on two meshes, and a third of their difference is added as a correction, as
 in calibration.reference.
 """
@@ -22,6 +22,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
 from tissue_sim.bench.pinch_tools import CLEAR, SPHERE, Place, both, place
 from tissue_sim.bench.printing import Bound, aligned
+from tissue_sim.bench.processes import on_all_cores
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.reference import LEFT
 from tissue_sim.calibration.sphere_compression import CompressionStep, compressed, touchable
@@ -80,35 +81,19 @@ def stored() -> Path | None:
 
 
 def make(organ: Organ) -> JsonObject:
-    """Squeeze finite elements along every axis by every fraction.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-
-    Returns
-    -------
-    JsonObject
-        The table.
-
-    Raises
-    ------
-    UserError
-        As Body does.
-    """
+    """Squeeze finite elements along every axis by every fraction. Raises UserError as Body does."""
     start = time.monotonic()
-    found = [
-        row
-        for axis in progress.steps(range(3), "finite elements, axes")
-        for row in by_elements(organ, place(organ, axis, SPHERE), axis)
-    ]
-    return {"organ": organ.name, "fits": fits(organ), "seconds": round(time.monotonic() - start), "rows": found}
+    # Those that take longest come first: on the finer mesh, and along the axis on which spheres go deepest.
+    axes = sorted(range(3), key=lambda axis: -place(organ, axis, SPHERE).width)
+    runs = [(axis, mesh) for mesh in reversed(MESHES) for axis in axes]
+    found = on_all_cores(compressed_between, [(organ, *run) for run in runs])
+    settled = dict(zip(runs, progress.steps(found, "finite elements, axes on two meshes", len(runs)), strict=True))
+    table = [row for axis in range(3) for row in rows_of(axis, *(settled[axis, mesh] for mesh in MESHES))]
+    return {"organ": organ.name, "fits": fits(organ), "seconds": round(time.monotonic() - start), "rows": table}
 
 
-def by_elements(organ: Organ, where: Place, axis: int) -> list[JsonObject]:
+def rows_of(axis: int, coarse: list[CompressionStep | None], fine: list[CompressionStep | None]) -> list[JsonObject]:
     """Return a row for every fraction: force on the tools (2, 3) N on both meshes, and the corrected one."""
-    coarse, fine = (_compressed_between(organ, where, axis, mesh) for mesh in MESHES)
     found_rows = []
     for fraction, one, other in zip(FRACTIONS, coarse, fine, strict=True):
         row: JsonObject = {"axis": "xyz"[axis], "share_percent": 100.0 * fraction, "force_n": None}
@@ -121,8 +106,9 @@ def by_elements(organ: Organ, where: Place, axis: int) -> list[JsonObject]:
     return found_rows
 
 
-def _compressed_between(organ: Organ, where: Place, axis: int, mesh: Grading) -> list[CompressionStep | None]:
-    """Return the equilibria of finite elements at every fraction; None where they don't settle."""
+def compressed_between(organ: Organ, axis: int, mesh: Grading) -> list[CompressionStep | None]:
+    """Return the equilibria of finite elements along an axis at every fraction; None where they don't settle."""
+    where = place(organ, axis, SPHERE)
     beside = np.delete(organ.surface_positions - where.start[0], axis, axis=1)
     solid, nodes = touchable(organ, np.linalg.norm(beside, axis=1) < UNDER, mesh)
     deep, last = [0.0], []
@@ -147,25 +133,7 @@ def meets_clamp(organ: Organ, where: Place) -> NDArray[np.bool_]:
 
 
 def read(path: Path, organ: Organ) -> JsonObject:
-    """Return a stored table.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    organ : Organ
-        The organ.
-
-    Returns
-    -------
-    JsonObject
-        The table.
-
-    Raises
-    ------
-    UserError
-        Where the file is no table, or was made for another organ.
-    """
+    """Return a stored table. Raises UserError where the file is no table, or was made for another organ."""
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
         made_for, name = table["fits"], table["organ"]
@@ -188,20 +156,7 @@ def read(path: Path, organ: Organ) -> JsonObject:
 
 
 def measure(organ: Organ, table: JsonObject) -> list[Compared]:
-    """Squeeze the organ as the table's rows were: slowly, until the force is constant.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    table : JsonObject
-        The table.
-
-    Returns
-    -------
-    list[Compared]
-        The comparisons.
-    """
+    """Squeeze the organ as the table's rows were: slowly, until the force is constant."""
     found: list[Compared] = []
     with rows.until_stopped():
         for axis in rows.each(range(3), "slowly, axes"):
@@ -250,18 +205,7 @@ def slowly(organ: Organ, axis: int) -> list[tuple[Floats, float]]:
 
 
 def as_json(found: list[Compared]) -> JsonObject:
-    """Return all figures, and the bound.
-
-    Parameters
-    ----------
-    found : list[Compared]
-        The comparisons.
-
-    Returns
-    -------
-    JsonObject
-        The figures by name.
-    """
+    """Return all figures, and the bound."""
     table = [
         {
             "axis": one.axis,
@@ -283,18 +227,7 @@ def as_json(found: list[Compared]) -> JsonObject:
 
 
 def lines(rows: list[JsonObject]) -> list[str]:
-    """Return the figures as a table.
-
-    Parameters
-    ----------
-    rows : list[JsonObject]
-        The figures.
-
-    Returns
-    -------
-    list[str]
-        The lines.
-    """
+    """Return the figures as a table."""
     table = [["axis", "%", "on the tools N", "finite elements N", "off %", "least J", "det F"]]
     for row in rows:
         sizes = [

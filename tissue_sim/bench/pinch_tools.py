@@ -59,34 +59,12 @@ class Place(NamedTuple):
 
 
 def both(**given: Any) -> list[Tool]:
-    """Return two tools of the same shape.
-
-    Parameters
-    ----------
-    given : Any
-        Options of Tool.
-
-    Returns
-    -------
-    list[Tool]
-        The tools.
-    """
+    """Return two tools of the same shape, by options of Tool."""
     return [Tool("left", **given), Tool("right", **given)]
 
 
 def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:
-    """Return names and tools; a mesh file is written into a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-
-    Returns
-    -------
-    list[tuple[str, list[Tool]]]
-        Name and tools of each pair.
-    """
+    """Return the name and the tools of each pair; a mesh file is written into a folder."""
     jaw = trimesh.creation.box((0.012, 0.012, 0.004))
     jaw.apply_translation([0.0, 0.0, -0.002])
     jaw.export(folder / "jaw.stl")
@@ -101,19 +79,7 @@ def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:
 def place(organ: Organ, axis: int, ahead: float = 0.0) -> Place:
     """Return either side of the organ's middle along an axis.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    axis : int
-        The axis.
-    ahead : float, m, optional
-        Distance of the tools' foremost point from their origin.
-
-    Returns
-    -------
-    Place
-        The places.
+    ahead: distance of the tools' foremost point from their origin, m.
     """
     surface = organ.surface_positions
     middle = surface.mean(axis=0)
@@ -130,25 +96,7 @@ def pinched(
 ) -> Pinch:
     """Squeeze the organ's middle along an axis, hold, release, and wait.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    name : str
-        Name of the pair.
-    tools : list[Tool]
-        The tools.
-    axis : int
-        The axis.
-    fraction : float
-        Fraction of the organ's width there.
-    friction : float | None, optional
-        Coulomb coefficient; None for the default.
-
-    Returns
-    -------
-    Pinch
-        The results.
+    fraction: fraction of the organ's width there; friction: Coulomb coefficient, None for the default.
     """
     scene = Scene(organ, tools, ticks_a_set=4)
     scene.finder.warm_up(organ.rest_positions)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tissue_sim.errors import UserError
 from tissue_sim.figures import empty_figure, hide_box
 from tissue_sim.json_types import JsonObject
 
@@ -16,37 +14,7 @@ if TYPE_CHECKING:
 _OURS, _THEIRS, _LIMIT = "#2166ac", "#b2182b", "#777777"
 
 
-def write_plots(found: JsonObject, folder: Path) -> list[Path]:
-    """Write tick.png and growth.png from the figures of `bench tick`.
-
-    Parameters
-    ----------
-    found : JsonObject
-        The figures.
-    folder : Path
-        The folder.
-
-    Returns
-    -------
-    list[Path]
-        Their paths.
-
-    Raises
-    ------
-    UserError
-        Where the folder can't be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        paths = [folder / "tick.png", folder / "growth.png"]
-        for path, draw in zip(paths, (_rows, _growth), strict=True):
-            draw(found).savefig(path, dpi=140)
-    except OSError as error:
-        raise UserError(f"cannot write to {folder}: {error.strerror}") from None
-    return paths
-
-
-def _rows(found: JsonObject) -> Figure:
+def drawn_rows(found: JsonObject) -> Figure:
     """Return a figure of the median and p99 of every row, on a logarithmic scale."""
     rows = [row for row in found["rows"] if row["median_us"] is not None][::-1]
     figure = empty_figure(9.0, 0.36 * len(rows) + 1.3)
@@ -69,7 +37,7 @@ def _rows(found: JsonObject) -> Figure:
     return figure
 
 
-def _growth(found: JsonObject) -> Figure:
+def drawn_growth(found: JsonObject) -> Figure:
     """Return a figure of whole tick, substep and modal tick over the number of points."""
     sizes = found["growth"]["sizes"]
     points = [size["points"] for size in sizes]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,25 +11,15 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench.flex import DAMPING, scene_xml, tetrahedra
 from tissue_sim.organ.organ import Organ
 
+if TYPE_CHECKING:
+    import mujoco
+
 
 class PressedFlex:
     """Copies of an organ in MuJoCo, each with a ball that follows given positions.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    radius : float, m
-        Radius of the ball.
-    step : float, s
-        MuJoCo's time step.
-    copies : int
-        How many.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        Without mujoco.
+    radius: radius of the ball, m; step: MuJoCo's time step, s; copies: how many. Raises ModuleNotFoundError without
+    mujoco.
     """
 
     def __init__(self, organ: Organ, radius: float, step: float, copies: int) -> None:
@@ -40,7 +30,7 @@ class PressedFlex:
         xml = scene_xml(organ, organ.rest_positions, tetrahedra(organ), step, DAMPING)
         xml = xml.replace('contype="0" conaffinity="0"', 'contype="1" conaffinity="1"')
         ball = f'<body name="ball" mocap="true" pos="1 0 0"><geom type="sphere" size="{radius:.9g}"/></body>'
-        self._model: Any = mujoco.MjModel.from_xml_string(xml.replace("<worldbody>", f"<worldbody>{ball}"))
+        self._model = mujoco.MjModel.from_xml_string(xml.replace("<worldbody>", f"<worldbody>{ball}"))
         self._data = [mujoco.MjData(self._model) for _ in range(copies)]
 
     def step(self, copies: Sequence[int], places: Floats, steps: int) -> None:
@@ -54,7 +44,7 @@ class PressedFlex:
         """Force of the contacts of each copy, (n,) N."""
         return np.array([np.linalg.norm(self._force(data)) for data in self._data])
 
-    def _force(self, data: Any) -> Floats:
+    def _force(self, data: mujoco.MjData) -> Floats:
         total, each = np.zeros(3), np.zeros(6)
         for contact in range(data.ncon):
             self._mujoco.mj_contactForce(self._model, data, contact, each)

@@ -12,7 +12,7 @@ import argparse
 from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,12 +20,15 @@ from scipy.spatial.transform import Rotation
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.arguments import add_shared
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_file, shipped_organ
+
+if TYPE_CHECKING:
+    from tissue_sim.ros.probes.press_probe import PressProbe
 
 ORGANS = "kidney", "kidney_tumour", "scenes/abdomen/liver"
 OUT = 0.004  # m outside, where presses begin
@@ -140,7 +143,10 @@ def motions() -> list[Motion]:
 
 
 class Pressed(NamedTuple):
-    """Results of one press: its motion, final forces of the slow one and this one, (3,) N, and the longest gap, s."""
+    """Results of one press: its motion, final forces of the slow one and this one, (3,) N, and the longest gap, s.
+
+    Of one that failed also the tool's state then.
+    """
 
     organ: str
     form: str
@@ -148,6 +154,7 @@ class Pressed(NamedTuple):
     slow: Floats
     force: Floats
     gap: float = 0.0
+    state: str = ""
 
     @property
     def is_lost(self) -> bool:
@@ -172,15 +179,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--friction", type=float, metavar="MU", help="friction of the tools (default: the node's)")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Press, compare and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     if not 1 <= args.places <= 1000:
         raise UserError(f"--places {args.places} is outside 1..1000")
     files = [args.organ] if args.organ else [str(organ_file(name)) for name in ORGANS]
     found = as_json(measure(files, args.places, args.friction))
-    emit(found, text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(found))
 
 
 def organ_file(name: str) -> Path | None:
@@ -210,11 +215,11 @@ def measure(files: Sequence[str], n_places: int, friction: float | None = None) 
 
 
 def at_place(
-    presser: Any, form: Form, place: Place, tried: Sequence[Motion], under_way: progress.Task, organ: str = ""
+    presser: PressProbe, form: Form, place: Place, tried: Sequence[Motion], under_way: progress.Task, organ: str = ""
 ) -> list[Pressed]:
     """Press slowly, and by each motion; nothing where a slow press meets hardly any force.
 
-    presser: has `press` and `hold_on`, as `presser.Presser`; under_way: counts presses.
+    under_way: counts presses.
     """
 
     def force_of(motion: Motion) -> Floats:
@@ -233,7 +238,7 @@ def at_place(
     for motion in tried:
         one = Pressed(organ, form.name, motion.name, slow, force_of(motion), presser.gap)
         if one.is_lost:
-            one = one._replace(force=np.asarray(presser.hold_on(HELD_TICKS)))
+            one = one._replace(force=np.asarray(presser.hold_on(HELD_TICKS)), state=presser.state)
         found.append(one)
     return found
 
@@ -294,7 +299,8 @@ def text(found: JsonObject) -> str:
         "",
         *(
             f"failed: {one['organ']}, {one['form']}, {one['motion']}: {np.linalg.norm(one['force']):.3f} N instead"
-            f" of {np.linalg.norm(one['slow']):.3f} N; longest between two poses {1e3 * one['gap']:.0f} ms"
+            f" of {np.linalg.norm(one['slow']):.3f} N; longest between two poses {1e3 * one['gap']:.0f} ms,"
+            f" the tool's state is {one['state'] or 'unknown'}"
             for one in found["lost"]
         ),
         *bound_lines(found["bounds"]),

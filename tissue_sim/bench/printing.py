@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
 
 from tissue_sim.bench import rows
 from tissue_sim.errors import UserError
+from tissue_sim.figures import save
 from tissue_sim.json_types import JsonObject
 from tissue_sim.outputs import write_json
 
@@ -20,17 +23,8 @@ if TYPE_CHECKING:
 def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
     """Return the lines of a table with aligned columns.
 
-    Parameters
-    ----------
-    rows : Sequence[Sequence[str]]
-        Cells of each row; the first row is the head.
-    left : int, optional
-        Number of columns, from the first, that are aligned left; the others are aligned right.
-
-    Returns
-    -------
-    list[str]
-        The lines.
+    rows: cells of each row (the first row is the head); left: number of columns, from the first, that are aligned left
+    (the others are aligned right).
     """
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
 
@@ -44,20 +38,20 @@ def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
 def with_remarks(table: Sequence[Sequence[str]]) -> list[str]:
     """Return the lines of a table whose last column is aligned left, after all others.
 
-    Parameters
-    ----------
-    table : Sequence[Sequence[str]]
-        Cells of each row; the first row is the head.
-
-    Returns
-    -------
-    list[str]
-        The lines.
+    table: cells of each row (the first row is the head).
     """
     lines = aligned([row[:-1] for row in table])
     remarks = [table[0][-1], "", *(row[-1] for row in table[1:])]
     width = max(len(line) for line in lines)
     return [f"{line.ljust(width)}  {remark}".rstrip() for line, remark in zip(lines, remarks, strict=True)]
+
+
+class Result(NamedTuple):
+    """Result of a benchmark: figures for --json, with `bounds` where it has any, text, and pictures for --out."""
+
+    found: JsonObject
+    text: str
+    pictures: Mapping[str, Callable[[], Figure]] = MappingProxyType({})  # by the names of files in --out
 
 
 NOISY = 1.5  # p99 over median of a fixed loop, beyond which only ratios of times are meaningful
@@ -100,19 +94,8 @@ class Bound(NamedTuple):
         return self._asdict() | {"met": self.met}
 
 
-def bound_lines(bounds: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return the lines of a table of bounds.
-
-    Parameters
-    ----------
-    bounds : Iterable[Mapping[str, Any]]
-        Bounds, as Bound.as_json has them.
-
-    Returns
-    -------
-    list[str]
-        The lines.
-    """
+def bound_lines(bounds: Iterable[JsonObject]) -> list[str]:
+    """Return the lines of a table of bounds. bounds: bounds, as Bound.as_json has them."""
     table = [["bound", "measured", "limit", ""]]
     for bound in bounds:
         sign = ">=" if bound["least"] else "<="
@@ -123,54 +106,16 @@ def bound_lines(bounds: Iterable[Mapping[str, Any]]) -> list[str]:
     return with_remarks(table)
 
 
-def exit_code(found: Mapping[str, Any], *, check: bool) -> int:
-    """Return 1 when bounds are checked and one of them is missed, 0 otherwise.
-
-    Parameters
-    ----------
-    found : Mapping[str, Any]
-        Figures with `bounds`, as Bound.as_json has them.
-    check : bool
-        Whether they are checked.
-
-    Returns
-    -------
-    int
-        The exit code.
-    """
-    return int(check and any(bound["met"] is False for bound in found["bounds"]))
-
-
 def figure(value: float) -> str:
-    """Return a number with three significant digits, without an exponent.
-
-    Parameters
-    ----------
-    value : float
-        The number.
-
-    Returns
-    -------
-    str
-        The text.
-    """
+    """Return a number with three significant digits, without an exponent. value: the number."""
     return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def built_or_skipped[Made](make: Callable[[], tuple[Made, str]], *also: type[Exception]) -> tuple[Made | None, str]:
     """Return what can be measured here and a remark on it; None and the reason where it can't be made.
 
-    Parameters
-    ----------
-    make : Callable[[], tuple[Made, str]]
-        Makes it.
-    also : type[Exception]
-        Further exceptions that are reasons, besides a missing package and UserError.
-
-    Returns
-    -------
-    tuple[Made | None, str]
-        The result and the remark.
+    make: makes it; also: further exceptions that are reasons, besides a missing package and UserError. Returns the
+    result and the remark.
     """
     known: tuple[type[Exception], ...] = (UserError, *also)
     try:
@@ -186,15 +131,7 @@ def built_or_skipped[Made](make: Callable[[], tuple[Made, str]], *also: type[Exc
 def noise_lines(noise: float | None) -> list[str]:
     """Return a remark on noise, the p99 of a fixed loop over its median, where it is high.
 
-    Parameters
-    ----------
-    noise : float | None
-        The ratio; None where it isn't known.
-
-    Returns
-    -------
-    list[str]
-        One line, or none.
+    noise: the ratio, None where it isn't known. Returns one line, or none.
     """
     if noise is None or noise < NOISY:
         return []
@@ -206,19 +143,8 @@ def noise_lines(noise: float | None) -> list[str]:
 def emit(found: JsonObject, text: str, json_to: str | None) -> None:
     """Print the text and write JSON to a file, or with - print the JSON instead; both say when it was stopped.
 
-    Parameters
-    ----------
-    found : JsonObject
-        The figures.
-    text : str
-        The text.
-    json_to : str | None
-        File for the JSON, `-` for the standard output; None for no JSON.
-
-    Raises
-    ------
-    UserError
-        Where the file can't be written.
+    json_to: file for the JSON, `-` for the standard output, None for no JSON. Raises UserError where the file can't be
+    written.
     """
     if rows.stopped():
         found, text = {**found, "stopped": True}, f"{STOPPED}\n\n{text}"
@@ -230,37 +156,14 @@ def emit(found: JsonObject, text: str, json_to: str | None) -> None:
         write_json(Path(json_to), found)
 
 
-def save(figure: Figure, path: Path, dpi: float = 140.0) -> None:
-    """Write a plot, and name it on the standard error.
+def finish(result: Result, args: argparse.Namespace) -> int:
+    """Print what was found, write the pictures; return 1 when bounds are checked and one of them is missed, else 0.
 
-    Parameters
-    ----------
-    figure : Figure
-        The figure.
-    path : Path
-        The picture.
-    dpi : float, optional
-        Its resolution.
-
-    Raises
-    ------
-    UserError
-        Where it can't be written.
+    args: `json`, `out` and `check`, which all benchmarks have. Raises UserError where a file can't be written.
     """
-    try:
-        figure.savefig(path, dpi=dpi)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from None
-    print_pictures([path])
-
-
-def print_pictures(pictures: Iterable[Path]) -> None:
-    """Name the pictures that were written on the standard error.
-
-    Parameters
-    ----------
-    pictures : Iterable[Path]
-        The files.
-    """
-    for path in pictures:
+    emit(result.found, result.text, args.json)
+    for name, draw in result.pictures.items() if args.out else ():
+        path = Path(args.out) / name
+        save(draw(), path)
         print(f"picture: {path}", file=sys.stderr)
+    return int(args.check and any(bound["met"] is False for bound in result.found["bounds"]))

@@ -13,24 +13,9 @@ _OF_PROCESS, _OF_THREAD = 2, 6
 
 
 def processor_seconds(process: int, *, busiest: bool = True) -> float:
-    """Return the processor time of a running process, including its threads that have ended.
+    """Return the processor time of a running process, including its threads that have ended, s.
 
-    Parameters
-    ----------
-    process : int
-        Process ID.
-    busiest : bool, optional
-        Whether its busiest thread is included.
-
-    Returns
-    -------
-    float, s
-        The time.
-
-    Raises
-    ------
-    UserError
-        Where it has ended.
+    process: process ID; busiest: whether its busiest thread is included. Raises UserError where it has ended.
     """
     try:
         spent = _clock(process, _OF_PROCESS)
@@ -52,17 +37,7 @@ def _clock(number: int, kind: int) -> float:
 def processor_load_during(spent: Mapping[str, Callable[[], float]], wait: Callable[[], object]) -> dict[str, float]:
     """Return the percentage of a core that each process takes while `wait` runs.
 
-    Parameters
-    ----------
-    spent : Mapping[str, Callable[[], float]]
-        Functions that return the processor time so far, s, by name.
-    wait : Callable[[], object]
-        Runs meanwhile.
-
-    Returns
-    -------
-    dict[str, float], %
-        Percentages by name.
+    spent: functions that return the processor time so far, s, by name; wait: runs meanwhile. Returns them by name.
     """
     began, before = time.monotonic(), {name: read() for name, read in spent.items()}
     wait()

@@ -13,9 +13,9 @@ from scipy.sparse.linalg import splu
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.organs import PATCH_NODES, bean, patch, patch_load
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines, figure
 from tissue_sim.bench.timing import Phase, Ticks, Timing, interleave
 from tissue_sim.calibration.stiffness import Settings, prepared
 from tissue_sim.errors import UserError
@@ -79,9 +79,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Settle every case in every region and print errors; return 1 with --check when a bound is missed, else 0."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     if not 0 <= args.places <= 1000:
         raise UserError(f"--places {args.places} is outside 0..1000")
     if args.points and not 100 <= min(args.points) <= max(args.points) <= 64_000:
@@ -89,8 +88,7 @@ def run(args: argparse.Namespace) -> int:
     organ = Organ.load(args.organ or shipped_organ())
     cases, sizes = measure(organ, args.places), measure_sizes(sorted(args.points), args.seconds)
     found = as_json(cases, sizes)
-    emit(found, text(organ, cases, sizes, found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(organ, cases, sizes, found))
 
 
 def measure(organ: Organ, count: int) -> list[PlaceErrors]:

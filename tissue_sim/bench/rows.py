@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
-from tissue_sim import progress
+from tissue_sim import interrupts, progress
 
 
 class _Measured:
@@ -33,15 +33,7 @@ def keep() -> None:
 
 
 def report(name: str, *figures: str) -> None:
-    """Report a row that has been measured.
-
-    Parameters
-    ----------
-    name : str
-        Name of the row.
-    figures : str
-        Its figures.
-    """
+    """Report a row that has been measured."""
     keep()
     progress.say(f"{name}: {', '.join(figures)}" if figures else name)
 
@@ -51,28 +43,19 @@ def until_stopped() -> Iterator[None]:
     """Leave this block on Ctrl-C, and continue after it where something has been measured."""
     try:
         yield
-    except KeyboardInterrupt:
-        if not _measured.any:
+    except (KeyboardInterrupt, Exception) as error:
+        if not interrupts.caused(error):
             raise
+        if not _measured.any:
+            raise KeyboardInterrupt from None
+        interrupts.reported()  # by the table
         stop()
 
 
 def each[Item](items: Iterable[Item], name: str, total: int | None = None) -> Iterator[Item]:
     """Yield what is to be measured, with progress; nothing once it was stopped.
 
-    Parameters
-    ----------
-    items : Iterable[Item]
-        The items.
-    name : str
-        Name of the work.
-    total : int | None, optional
-        Number of items, where they have no length.
-
-    Yields
-    ------
-    Iterator[Item]
-        One item.
+    total: number of items, where they have no length.
     """
     if not _measured.stopped:
         yield from progress.steps(items, name, total)

@@ -44,17 +44,8 @@ class Grown(NamedTuple):
 def measure(sizes: tuple[int, ...], seconds: float) -> list[Grown]:
     """Measure every size in turns with the others.
 
-    Parameters
-    ----------
-    sizes : tuple[int, ...]
-        Numbers of surface points.
-    seconds : float, s
-        Duration for each of the two ticks of a size.
-
-    Returns
-    -------
-    list[Grown]
-        The results; empty once it was stopped.
+    sizes: numbers of surface points; seconds: duration for each of the two ticks of a size, s. Returns the results;
+    empty once it was stopped.
     """
     bursts: dict[str, Ticks] = {}
     made: dict[int, tuple[Simulation, Simulation, Modes, float]] = {}
@@ -132,18 +123,7 @@ def carried_modes(coarse: Organ, coarse_modes: Modes, fine: Organ, model: Model)
 
 
 def as_json(grown: list[Grown]) -> JsonObject:
-    """Return the growth for machines; units stand in the names.
-
-    Parameters
-    ----------
-    grown : list[Grown]
-        The results.
-
-    Returns
-    -------
-    JsonObject
-        The figures by name.
-    """
+    """Return the growth for machines; units stand in the names."""
     points = [size.points for size in grown]
     return {
         "sizes": [

@@ -8,18 +8,19 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load, press_node
-from tissue_sim.bench.printing import Bound, bound_lines, emit, exit_code, figure, noise_lines, with_remarks
+from tissue_sim.bench.printing import Bound, Result, bound_lines, figure, noise_lines, with_remarks
 from tissue_sim.bench.tick_rows import FORCE
 from tissue_sim.bench.timing import (
+    Burst,
     Phase,
     Ticks,
     Timing,
@@ -98,15 +99,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="fewer samples")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print the table; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     organ = Organ.load(Path(args.organ) if args.organ else shipped_organ())
     scene = SceneFile.read(Path(args.scene) if args.scene else shipped_scene())
     measured = in_one_thread(measure, organ, scene, QUICK_SECONDS if args.quick else SECONDS)
     found = as_json(organ, scene, measured)
-    emit(found, text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(found))
 
 
 def shipped_scene() -> Path:
@@ -123,7 +122,7 @@ def shipped_scene() -> Path:
 def measure(organ: Organ, scene: SceneFile, seconds: float) -> Figures:
     """Time every row; meant for a process of one thread."""
     with progress.task("preparing"):
-        bursts: dict[str, Any] = {
+        bursts: dict[str, Burst] = {
             ALONE: Ticks(Simulation(organ), *patch_load(organ, FORCE)),
             BESIDE: JoinedTicks(apart(organ, 2), range(1)),
             ASLEEP: JoinedTicks(apart(organ, ORGANS), ()),

@@ -18,14 +18,13 @@ from scipy.spatial import cKDTree
 from trimesh.remesh import subdivide
 
 from tissue_sim.array_types import Floats, Ints, Longs
-from tissue_sim.contact.triangles import nearest_weights
+from tissue_sim.contact.triangles import nearest_among
 from tissue_sim.model.elasticity.diagonal import diagonal
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.resample import thicken
 from tissue_sim.organ.topology import assemble_like, node_area
 from tissue_sim.result_cache import remembered
 
-_CANDIDATES = 16  # triangles with the nearest centres, among which the nearest one is searched
 _PASS = 0.12  # fraction of the points that a pass of halving adds: roughly the longest edges first
 _ON_PLANE = 1e-9  # of the body's length: distance within which a point lies on a triangle
 _VERSION = "2"  # version of what is cached
@@ -82,20 +81,7 @@ class Sized:
 
 
 def sized(organ: Organ, reference: Organ) -> Sized:
-    """Return an organ beside the reference, whose surface is another one of the same body or its own.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    reference : Organ
-        The reference.
-
-    Returns
-    -------
-    Sized
-        Their relation.
-    """
+    """Return an organ beside the reference, whose surface is another one of the same body or its own."""
     if organ.n_surface == reference.n_surface and np.array_equal(organ.surface_positions, reference.surface_positions):
         same = diagonal(np.ones(organ.n_surface)).tocsr()
         return Sized(organ, reference, same, same)
@@ -105,37 +91,11 @@ def sized(organ: Organ, reference: Organ) -> Sized:
 def interpolation(source: Organ, target: Organ) -> csr_array:
     """Return the values (m, n) at the target's surface nodes of values at the source's: barycentric, nearest place."""
     triangles, points = source.surface_triangles, target.surface_positions
-    chosen, weight, _ = nearest_places(source.surface_positions[triangles], points)
+    chosen, weight, _ = nearest_among(source.surface_positions[triangles], points)
     return coo_array(
         (weight.ravel(), (np.repeat(np.arange(len(points)), 3), triangles[chosen].ravel())),
         shape=(len(points), source.n_surface),
     ).tocsr()
-
-
-def nearest_places(corner: Floats, points: Floats) -> tuple[Longs, Floats, Floats]:
-    """Return the place on triangles nearest to each point.
-
-    Returns the triangle (p,), its corners' weights there (p, 3) and the distance (p,) m.
-
-    Parameters
-    ----------
-    corner : Floats, shape (t, 3, 3), m
-        Corners of the triangles.
-    points : Floats, shape (p, 3), m
-        Points.
-
-    Returns
-    -------
-    tuple[Longs, Floats, Floats]
-        Triangles, shape (p,), weights of their corners, shape (p, 3), and distances, shape (p,), m.
-    """
-    count = min(_CANDIDATES, len(corner))
-    near = cKDTree(corner.mean(axis=1)).query(points, k=count)[1].reshape(len(points), count)
-    weights, distance = nearest_weights(corner[near].reshape(-1, 3, 3), np.repeat(points, count, axis=0))
-    distance = distance.reshape(len(points), count)
-    rows = np.arange(len(points))
-    best = distance.argmin(axis=1)
-    return near[rows, best], weights.reshape(len(points), count, 3)[rows, best], distance[rows, best]
 
 
 def at_size(organ: Organ, points: int) -> Organ:
@@ -144,17 +104,7 @@ def at_size(organ: Organ, points: int) -> Organ:
     It has the organ's interior atoms on its own surface, and none at another size: a fit of cells has its own. A
     coarser surface is taken from the user's cache when it was made before.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    points : int
-        Number of surface points.
-
-    Returns
-    -------
-    Organ
-        The organ of that size.
+    points: number of surface points.
     """
     if points == organ.n_surface:
         return reassembled(organ, organ.surface_positions, organ.surface_triangles, organ.n_interior)
@@ -208,7 +158,7 @@ def held_points(organ: Organ, positions: Floats) -> Longs:
     within[:size] = held
     if len(whole):
         near = _ON_PLANE * float(np.ptp(positions, axis=0).max())
-        within |= nearest_places(organ.surface_positions[whole], positions)[2] < near
+        within |= nearest_among(organ.surface_positions[whole], positions)[2] < near
     return np.flatnonzero(within)
 
 

@@ -34,18 +34,7 @@ class Smoothed(NamedTuple):
 
 
 def measure(organ: Organ) -> list[Smoothed]:
-    """Return the figures of every smoothing at every rate.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-
-    Returns
-    -------
-    list[Smoothed]
-        The figures.
-    """
+    """Return the figures of every smoothing at every rate."""
     return [one(organ, smoothing, rate) for rate in POSE_RATES for smoothing in SMOOTHINGS]
 
 
@@ -77,34 +66,12 @@ def one(organ: Organ, smoothing: float, rate: float) -> Smoothed:
 
 
 def as_json(found: list[Smoothed]) -> list[JsonObject]:
-    """Return the figures for --json.
-
-    Parameters
-    ----------
-    found : list[Smoothed]
-        The figures.
-
-    Returns
-    -------
-    list[JsonObject]
-        The figures by name.
-    """
+    """Return the figures for --json."""
     return [one._asdict() for one in found]
 
 
 def table(found: list[JsonObject]) -> list[list[str]]:
-    """Return the figures as rows of cells, the first of which is the head.
-
-    Parameters
-    ----------
-    found : list[JsonObject]
-        The figures by name.
-
-    Returns
-    -------
-    list[list[str]]
-        The rows.
-    """
+    """Return the figures as rows of cells, the first of which is the head."""
     rows = [["poses, Hz", "smoothing", "half of a step takes effect after, ticks", "largest step of force, mN"]]
     for one in found:
         rows.append([f"{one['rate']:g}", f"{one['smoothing']:g}", f"{one['half']}", f"{1e3 * one['step']:.1f}"])

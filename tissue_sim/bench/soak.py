@@ -14,24 +14,26 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_priority, add_shared, check_priority, check_shared
+from tissue_sim.bench.arguments import add_priority, add_shared, check_priority
 from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, save
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.bench.soak_bag import BagFound, read_bag
+from tissue_sim.bench.soak_plot import drawn
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
-from tissue_sim.ros.probes.soak_monitor import PATIENCE, Sample, Watch
+from tissue_sim.ros.probes.soak_monitor import Sample, Watch
 from tissue_sim.ros.shared.children import Child
 
 SHORTEST, LONGEST = 0.1, 1440.0  # min
@@ -68,20 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     if not SHORTEST <= args.minutes <= LONGEST:
         raise UserError(f"--minutes {args.minutes:g} is outside {SHORTEST:g}..{LONGEST:g}")
     with tempfile.TemporaryDirectory(prefix="tissue_sim-soak-") as folder:
         bag_folder = Path(args.bag_folder or folder).absolute()
         found = as_json(measure(args.organ, args.minutes, bag_folder, args.realtime_priority, replays=args.replay))
-    emit(found, text(found), args.json)
-    if args.out and not rows.stopped():
-        from tissue_sim.bench.soak_plot import drawn
-
-        save(drawn(found), Path(args.out) / "soak.png")
-    return exit_code(found, check=args.check)
+    return Result(found, text(found), {} if rows.stopped() else {"soak.png": partial(drawn, found)})
 
 
 # measuring -----------------------------------------------------------------------------------------
@@ -99,16 +95,14 @@ def measure(
     path = organ_file or str(shipped_organ())
     organ = Organ.load(path)
     with Graph() as graph:
-        from tissue_sim.ros.shared.client import client_node
-
         parameters = f"rate:={RATE}", f"realtime_priority:={priority}", "marker_rate:=60.0"
         served = graph.start_node(path, *parameters, "record:=true", f"record_folder:={folder}")
         graph.start("probes.marker_subscriber", NODE)
         ticks(served)
-        own = graph.enter_context(client_node("soak", NODE))
+        own = graph.client("soak")
         watch = Watch(own, NODE, served.pid)
         before = watch.at_rest()
-        clamp = _force_clamp(own)
+        clamp = watch.force_clamp()
         bridge = _bridge()
         graph.callback(bridge.stop)
         samples, turns = _soak(watch, served, bridge, 60.0 * minutes, priority)
@@ -179,15 +173,6 @@ def _bridge() -> Child:
     """Return the bridge that moves two tools."""
     words = [sys.executable, "-m", "tissue_sim", "bridge", "--rate", f"{RATE:g}"]
     return Child("bridge", words, os.environ)
-
-
-def _force_clamp(node: Any) -> float:
-    """Return the largest force, N, that the node may publish. Raises UserError when it does not answer."""
-    from tissue_sim.ros.probes.graph import first_within
-    from tissue_sim.ros.shared.node_parameters import NodeParameters
-
-    values = first_within(NodeParameters(node, NODE).poll, PATIENCE, "the node sent no parameters")
-    return float((values or {})["force_clamp"])
 
 
 def _repeats(bag: Path) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -28,23 +28,7 @@ class BagFound(NamedTuple):
 
 
 def read_bag(path: Path) -> BagFound:
-    """Read all of a closed bag.
-
-    Parameters
-    ----------
-    path : Path
-        The bag.
-
-    Returns
-    -------
-    BagFound
-        Its content.
-
-    Raises
-    ------
-    UserError
-        Where it can't be read, or was broken off.
-    """
+    """Read all of a closed bag. Raises UserError where it can't be read, or was broken off."""
     from rosbags.rosbag2 import Reader
 
     from tissue_sim.ros.bags import recovery
@@ -108,6 +92,6 @@ class _Reading:
         from tissue_sim.ros.bags import bag
         from tissue_sim.ros.shared.cdr import parse_octets
 
-        rows: dict[str, Any] = bag.unpack(parse_octets(raw))
+        rows = bag.unpack(parse_octets(raw))
         for kind in self._promised:
             self._promised[kind] += len(rows[kind])

@@ -8,13 +8,15 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from tissue_sim import progress
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import emit, print_pictures
+from tissue_sim.bench.arguments import add_shared
+from tissue_sim.bench.printing import Bound, Result
 from tissue_sim.bench.sweeps.cells import AXES, QUICK_AXES, SMALL_ORGAN, Cell, axes_named, cells_of
+from tissue_sim.bench.sweeps.stability_map import drawn
 from tissue_sim.bench.sweeps.trial import Record, run_cell
 from tissue_sim.bench.sweeps.trial_simulations import made_for, organ_of, simulation_of
 from tissue_sim.calibration.cohort import on_cluster
@@ -47,9 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--check", action="store_true", help="exit with 1 when a run with default settings diverged")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Sweep, map and report; return 1 with --check when a cell with default settings diverged."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     axes = axes_named(args.axes or (",".join(QUICK_AXES) if args.quick else "all"))
     if args.jobs < 1:
         raise UserError(f"--jobs {args.jobs} is less than 1")
@@ -60,17 +61,11 @@ def run(args: argparse.Namespace) -> int:
     seconds = time.perf_counter() - start
     report = _report(records, organ, args.quick, seconds)
     shown = summary(records, seconds)
-    emit(report, shown, args.json)
     if args.json == "-":
         print(shown, file=sys.stderr)
     if args.out:
-        from tissue_sim.bench.sweeps.stability_map import draw_map
-
-        picture = Path(args.out) / "stability.png"
-        draw_map(records, f"Stability of {report['organ']}: {len(records)} runs", picture)
-        write_json(picture.with_suffix(".json"), report)
-        print_pictures([picture])
-    return int(bool(args.check and violations(records)))
+        write_json(Path(args.out) / "stability.json", report)
+    return Result(report, shown, {"stability.png": partial(drawn, records, str(report["organ"]))})
 
 
 def regions_of(organ: Organ) -> tuple[str, ...]:
@@ -157,6 +152,7 @@ def _report(records: Sequence[Record], organ: str, quick: bool, seconds: float) 
             "violations": [[r.axis, r.value, r.integrator, r.local_region, list(r.problems)] for r in broken],
         },
         "cells": [record.as_json() for record in records],
+        "bounds": [Bound("failed runs with default settings", len(broken), 0.0, "").as_json()],
     }
 
 

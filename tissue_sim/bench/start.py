@@ -18,12 +18,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from tissue_sim import progress
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, built_or_skipped, emit, exit_code, figure
+from tissue_sim.bench.arguments import add_shared
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines, built_or_skipped, figure
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
@@ -83,12 +83,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="kernels on disk only")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     found = measure(Path(args.organ or shipped_organ()), [ON_DISK] if args.quick else [TO_COMPILE, ON_DISK])
-    emit(found, text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(found))
 
 
 # measuring -----------------------------------------------------------------------------------------
@@ -192,7 +190,7 @@ def to_find(environment: Mapping[str, str]) -> float:
 
 
 def as_json(
-    starts: Mapping[str, Mapping[str, Any]],
+    starts: Mapping[str, JsonObject],
     nodes: Mapping[str, Mapping[str, float] | None],
     peers: Mapping[str, Start],
     remark: str,
@@ -212,7 +210,7 @@ def as_json(
     }
 
 
-def text(found: Mapping[str, Any]) -> str:
+def text(found: JsonObject) -> str:
     """Return the figures as tables."""
     starts, peers = found["starts"], found["peers"]
     parts = list(next(iter(starts.values()))["parts"])

@@ -6,9 +6,10 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 
 from tissue_sim.array_types import Floats
-from tissue_sim.bench.sizes import Sized, nearest_places
+from tissue_sim.bench.sizes import Sized
 from tissue_sim.calibration.fe_mesh import FeMesh
 from tissue_sim.calibration.fem import Body
+from tissue_sim.contact.triangles import nearest_among
 
 AT_ONCE = 64  # loads solved together
 STEPS = 60  # of Newton's method, at most
@@ -17,23 +18,11 @@ _MIDDLES = ((0, 1), (1, 2), (0, 2))  # corners whose midpoints are nodes
 
 
 def answers(body: Body, size: Sized, forces: Floats) -> Floats:
-    """Return linear displacements at the points of a size under the reference's forces.
+    """Return linear displacements at the points of a size under the reference's forces, (c, n, 3) m.
 
     On a coarser surface, they are those that bring it closest to the reference's own points.
 
-    Parameters
-    ----------
-    body : Body
-        The reference's body.
-    size : Sized
-        The size.
-    forces : Floats, shape (c, m, 3), N
-        The reference's forces.
-
-    Returns
-    -------
-    Floats, shape (c, n, 3), m
-        Displacements.
+    body: the reference's body; forces (c, m, 3) N: the reference's forces.
     """
     finer = size.organ.n_surface > size.reference.n_surface
     if finer:
@@ -55,7 +44,7 @@ def sampling(filling: FeMesh, points: Floats) -> csr_array:
     method inverts.
     """
     corner = filling.nodes[filling.facets[:, :3]]
-    facet, weight, _ = nearest_places(corner, points)
+    facet, weight, _ = nearest_among(corner, points)
     nodes = filling.facets[facet]
     wanted = weight[:, 1:]
     place = np.zeros((len(points), 6, 2))  # of each node, in the facet's two barycentric coordinates

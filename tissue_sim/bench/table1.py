@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +11,19 @@ from numpy.typing import NDArray
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
+from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared
 from tissue_sim.bench.organs import spread_nodes
-from tissue_sim.bench.printing import aligned, emit, noise_lines, print_pictures
-from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
+from tissue_sim.bench.printing import Result, aligned, noise_lines
+from tissue_sim.bench.timing import Burst, Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
+
+if TYPE_CHECKING:
+    from tissue_sim.bench.figure6 import Panel
 
 GLOBAL_POINTS = 10
 
@@ -78,21 +80,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure, print the table, write pictures; return 0. Raises UserError for a unit out of range."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for. Raises UserError for a unit out of range."""
     if not 1e-3 <= args.unit <= 1e3:
         raise UserError(f"--unit {args.unit:g} mN is outside 0.001..1000")
     organ = Organ.load(args.organ or shipped_organ(AS_BUILT))
     unit = 1e-3 * args.unit
     cells, noise = in_one_thread(measure, organ, unit, args.quick)
     found = as_json(organ, unit, cells, noise)
-    emit(found, text(found), args.json)
-    if args.out and not rows.stopped():
-        from tissue_sim.bench.figure6 import write_figure
+    if not args.out or rows.stopped():
+        return Result(found, text(found))
+    from tissue_sim.bench.figure6 import pictures_of
 
-        print_pictures(write_figure(organ, panels(organ, unit, cells), Path(args.out)))
-    return 0
+    return Result(found, text(found), pictures_of(organ, panels(organ, unit, cells)))
 
 
 def load(organ: Organ, force: Force, unit: float) -> tuple[NDArray[np.int64], Floats]:
@@ -108,7 +108,7 @@ def load(organ: Organ, force: Force, unit: float) -> tuple[NDArray[np.int64], Fl
 def measure(organ: Organ, unit: float, quick: bool) -> tuple[dict[str, dict[str, Entry]], Timing]:
     """Return every variant under every force, by names of force and variant, and the timing of the fixed loop."""
     simulations = [Simulation(organ, model=variant.model, local_region=variant.local_region) for variant in VARIANTS]
-    bursts: dict[str, Any] = {"noise": noise_burst}
+    bursts: dict[str, Burst] = {"noise": noise_burst}
     settled: dict[tuple[str, str], tuple[Floats, bool, int, int]] = {}
     jobs = [
         (force, variant, simulation)
@@ -210,7 +210,7 @@ def text(found: JsonObject) -> str:
     return "\n".join(lines + noise_lines(found["noise"]))
 
 
-def panels(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], *, with_nip: bool = True) -> list[Any]:
+def panels(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], *, with_nip: bool = True) -> list[Panel]:
     """Return the panels of Figure 6: nip and release, global deformation of the hybrid and of the surface model."""
     from tissue_sim.bench.figure6 import NO_JAWS, Panel, pinch_and_release
 

@@ -52,15 +52,8 @@ Maker = Callable[[], tuple[Burst, str]]  # makes the burst of a row, and a remar
 def make_bursts(makers: Mapping[str, Maker]) -> tuple[dict[str, Burst], dict[str, str]]:
     """Return bursts of the rows that can be measured here, and for every row a remark.
 
-    Parameters
-    ----------
-    makers : Mapping[str, Maker]
-        Makers by name of the row.
-
-    Returns
-    -------
-    tuple[dict[str, Burst], dict[str, str]]
-        Bursts and remarks by name; a remark says what the row is, or why it is skipped.
+    makers: makers by name of the row. Returns bursts and remarks by name; a remark says what the row is, or why it is
+    skipped.
     """
     bursts: dict[str, Burst] = {}
     remarks: dict[str, str] = {}
@@ -72,18 +65,7 @@ def make_bursts(makers: Mapping[str, Maker]) -> tuple[dict[str, Burst], dict[str
 
 
 def makers_of(organ: Organ) -> dict[str, Maker]:
-    """Return for each row a function that makes its burst and a remark.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-
-    Returns
-    -------
-    dict[str, Maker]
-        Makers by name of the row.
-    """
+    """Return for each row, by name, a function that makes its burst and a remark."""
     still = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     makers: dict[str, Maker] = {
         f"hybrid, {name}": partial(_ticks, organ, model="hybrid", integrator=name) for name in INTEGRATORS

@@ -7,23 +7,15 @@ from __future__ import annotations
 
 import argparse
 import time
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 from tissue_sim.bench import scaling as growth
-from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
+from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
-from tissue_sim.bench.printing import (
-    Bound,
-    aligned,
-    bound_lines,
-    emit,
-    exit_code,
-    figure,
-    noise_lines,
-    print_pictures,
-    with_remarks,
-)
+from tissue_sim.bench.plots import drawn_growth, drawn_rows
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines, figure, noise_lines, with_remarks
 from tissue_sim.bench.tick_rows import (
     ASLEEP,
     C_PLAIN,
@@ -79,19 +71,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="fewer samples, no organ over 4000 points")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure, print the tables, write plots; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     path = Path(args.organ) if args.organ else shipped_organ(AS_BUILT)
     organ = Organ.load(path)
     measured = in_one_thread(measure, organ, args.quick)
     found = as_json(organ, measured)
-    emit(found, text(found), args.json)
-    if args.out:
-        from tissue_sim.bench.plots import write_plots
-
-        print_pictures(write_plots(found, Path(args.out)))
-    return exit_code(found, check=args.check)
+    return Result(
+        found, text(found), {"tick.png": partial(drawn_rows, found), "growth.png": partial(drawn_growth, found)}
+    )
 
 
 # measuring -----------------------------------------------------------------------------------------

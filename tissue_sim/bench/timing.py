@@ -16,14 +16,14 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import nullcontext
 from functools import cache
 from types import FrameType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from tissue_sim import progress
+from tissue_sim import interrupts, progress
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench import rows
 from tissue_sim.environment import environment
@@ -75,15 +75,7 @@ def interleave(phase: Phase) -> dict[str, Timing]:
 
     Ctrl-C ends it with what was measured so far: nothing, where not every burst has run.
 
-    Parameters
-    ----------
-    phase : Phase
-        The bursts.
-
-    Returns
-    -------
-    dict[str, Timing]
-        Timings by name.
+    phase: the bursts. Returns timings by name.
     """
     rounds = max(LEAST_SAMPLES, round(phase.seconds / BURST))
     samples: dict[str, list[Floats]] = {}
@@ -110,23 +102,11 @@ def interleave(phase: Phase) -> dict[str, Timing]:
     return {name: describe(np.concatenate(parts or [first[name]])) for name, parts in samples.items()}
 
 
-def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> Result:
+def in_one_thread[Result](function: Callable[..., Result], *arguments: object) -> Result:
     """Call a function of a module in a new process whose numerical libraries use one thread.
 
     They read their number of threads when they are loaded, so a process of its own is needed; that reports its
     progress, and Ctrl-C ends it with what it has measured.
-
-    Parameters
-    ----------
-    function : Callable[..., Result]
-        The function.
-    arguments : Any
-        Its arguments.
-
-    Returns
-    -------
-    Result
-        Its result.
     """
     context = multiprocessing.get_context("spawn")
     try:
@@ -155,15 +135,15 @@ def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> R
 def _begin() -> None:
     """Let Ctrl-C interrupt this process once, from any sender, so that its measurements are handed over."""
 
-    def interrupt(_: int, __: FrameType | None) -> None:
+    def interrupt(number: int, frame: FrameType | None) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        raise KeyboardInterrupt
+        interrupts.interrupt(number, frame)
 
     exit_with_parent()
     signal.signal(signal.SIGINT, interrupt)
 
 
-def _measured[Result](name: str, function: Callable[..., Result], arguments: tuple[Any, ...]) -> tuple[Result, bool]:
+def _measured[Result](name: str, function: Callable[..., Result], arguments: tuple[object, ...]) -> tuple[Result, bool]:
     """Return what a function returns, and whether it was stopped before its end."""
     with progress.task(name or "measuring"):
         return function(*arguments), rows.stopped()
@@ -180,18 +160,7 @@ def _signal_children(number: signal.Signals) -> None:
 
 @numba.njit(nogil=True)
 def now(clock: Longs) -> int:
-    """Return the processor time of this thread.
-
-    Parameters
-    ----------
-    clock : Longs, shape (2,)
-        Buffer for the timespec.
-
-    Returns
-    -------
-    int, ns
-        The time.
-    """
+    """Return the processor time of this thread, ns. clock (2,): buffer for the timespec."""
     _clock_gettime(CLOCK_THREAD_CPUTIME_ID, clock.ctypes.data)
     return clock[0] * 1_000_000_000 + clock[1]
 
@@ -205,32 +174,16 @@ def _time_nothing(clock: Longs, times: Longs) -> None:
 
 @cache
 def clock_cost() -> float:
-    """Return the median time that reading the clock adds to a piece of work.
-
-    Returns
-    -------
-    float, s
-        The time.
-    """
+    """Return the median time that reading the clock adds to a piece of work, s."""
     times = np.zeros(2000, dtype=np.int64)
     _time_nothing(np.zeros(2, dtype=np.int64), times)
     return 1e-9 * float(np.median(times))
 
 
 def time_calls(work: Callable[[], object], count: int) -> Floats:
-    """Return the times of calls from Python, after two more that warm the caches.
+    """Return the times of calls from Python, after two more that warm the caches, (count,) s.
 
-    Parameters
-    ----------
-    work : Callable[[], object]
-        The call.
-    count : int
-        Number of calls.
-
-    Returns
-    -------
-    Floats, shape (count,), s
-        Times.
+    count: number of calls.
     """
     seconds = np.zeros(count + 2)
     for index in range(len(seconds)):
@@ -247,15 +200,7 @@ def time_calls(work: Callable[[], object], count: int) -> Floats:
 def swelling(phase: Longs) -> float:
     """Return the fraction of a load that rises and falls five times a second.
 
-    Parameters
-    ----------
-    phase : Longs, shape (1,)
-        The tick; advanced by one.
-
-    Returns
-    -------
-    float
-        The fraction.
+    phase (1,): the tick, which advances by one.
     """
     fraction = 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / _LOAD_PERIOD))
     phase[0] = phase[0] % _LOAD_PERIOD + 1
@@ -300,18 +245,8 @@ class Ticks:
 
     Without nodes the organ is left alone. Tools get their unchanged poses again before each tick.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        The simulation.
-    nodes : NDArray[np.int64], shape (k,)
-        Loaded nodes.
-    forces : Floats, shape (k, 3), N
-        Forces on them.
-    steady : bool, optional
-        Whether every burst begins at rest, under the full force.
-    guard : bool, optional
-        Whether only the guard of each tick is timed.
+    nodes (k,): loaded nodes; forces (k, 3) N: forces on them; steady: whether every burst begins at rest, under the
+    full force; guard: whether only the guard of each tick is timed.
     """
 
     def __init__(
@@ -365,17 +300,9 @@ def _time_arithmetic(clock: Longs, times: Longs) -> float:
 
 
 def noise_burst(count: int) -> Floats:
-    """Return the times of a fixed loop of arithmetic, whose scatter is that of the machine.
+    """Return the times of a fixed loop of arithmetic, whose scatter is that of the machine, (count,) s.
 
-    Parameters
-    ----------
-    count : int
-        Number of turns.
-
-    Returns
-    -------
-    Floats, shape (count,), s
-        Times.
+    count: number of turns.
     """
     times = np.zeros(count, dtype=np.int64)
     _time_arithmetic(np.zeros(2, dtype=np.int64), times)

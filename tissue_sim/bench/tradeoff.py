@@ -10,18 +10,18 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Sequence
+from functools import partial
 from itertools import pairwise
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.peers.engine import Engine, Load
 from tissue_sim.bench.peers.rows import CALIBRATED, Row, rows_of
-from tissue_sim.bench.printing import built_or_skipped, emit, figure, noise_lines, save, with_remarks
+from tissue_sim.bench.printing import Result, built_or_skipped, figure, noise_lines, with_remarks
 from tissue_sim.bench.rows import each, report, stopped, until_stopped
 from tissue_sim.bench.scaling import exponent
 from tissue_sim.bench.sizes import Sized, sized
@@ -105,9 +105,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure, print the table, draw the plot; return 0."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     points = sizes_named(args.points) if args.points else () if args.quick else POINTS
     organ = Organ.load(args.organ or shipped_organ())
     start = time.perf_counter()
@@ -115,12 +114,11 @@ def run(args: argparse.Namespace) -> int:
         fit_on_cluster(organ, sorted({organ.n_surface, *points}), args.scheduler)
     found = in_one_thread(measure, organ, points, args.quick)
     figures = as_json(organ, found, time.perf_counter() - start)
-    emit(figures, text(figures), args.json)
-    if args.out and not stopped():
-        from tissue_sim.bench.tradeoff_plot import drawn
+    if stopped():
+        return Result(figures, text(figures))
+    from tissue_sim.bench.tradeoff_plot import drawn
 
-        save(drawn(figures), Path(args.out) / "tradeoff.png", dpi=150)
-    return 0
+    return Result(figures, text(figures), {"tradeoff.png": partial(drawn, figures)})
 
 
 def sizes_named(text: str) -> tuple[int, ...]:

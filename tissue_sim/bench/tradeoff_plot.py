@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from tissue_sim.bench.peers.rows import CALIBRATED
 from tissue_sim.bench.variants import BALANCED
@@ -95,11 +95,14 @@ def _kind(name: str, ours: bool) -> _Kind:
     return _CELLS if name.startswith(CALIBRATED) else _SPRINGS
 
 
+_Name = tuple[tuple[float, float], str, _Kind]  # where its mark is, the text, and how it looks
+
+
 def _place(row: JsonObject) -> tuple[float, float]:
     return row["ms_per_ms"], max(row["mean_percent"], _LEAST)
 
 
-def _name_marks(figure: Figure, axis: Axes, names: list[Any], marks: list[tuple[float, float]]) -> None:
+def _name_marks(figure: Figure, axis: Axes, names: list[_Name], marks: list[tuple[float, float]]) -> None:
     """Write each name beside its mark, where it covers no other name and no mark, as far as there is room."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.transforms import Bbox

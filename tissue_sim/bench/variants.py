@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim import progress
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Array, Floats
 from tissue_sim.bench.sizes import Sized, at_size, sized
 from tissue_sim.bench.surface_field import answers
 from tissue_sim.calibration.calibrate import CELL_BOUNDS
@@ -96,22 +96,9 @@ def effort_at(points: int) -> Effort:
 def variants_of(body: Body, points: int, *, fits: bool, every_aim: bool = False) -> Variants:
     """Return the organs of one size of the organ of a finite-element body.
 
-    Parameters
-    ----------
-    body : Body
-        The reference's body.
-    points : int
-        Number of surface points.
-    fits : bool
-        Whether missing calibrations are made, which takes minutes each; they are kept in the user's cache. Springs are
-        fitted by groups at the organ's own size alone.
-    every_aim : bool, optional
-        Whether cells are also fitted for speed and for accuracy.
-
-    Returns
-    -------
-    Variants
-        The organs.
+    body: the reference's body; points: number of surface points; fits: whether missing calibrations are made, which
+    takes minutes each, once (springs are fitted by groups at the organ's own size alone); every_aim: whether cells are
+    also fitted for speed and for accuracy.
     """
     organ = body.organ
     plain = at_size(organ, points)
@@ -144,22 +131,11 @@ def fits_of(organ: Organ, plain: Organ, every_aim: bool) -> list[Fit]:
 def fit_on_cluster(organ: Organ, points: Sequence[int], scheduler: str) -> None:
     """Let a Dask cluster make the fits of several sizes that are not kept yet.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    points : Sequence[int]
-        Numbers of surface points.
-    scheduler : str
-        Address of the scheduler.
-
-    Raises
-    ------
-    UserError
-        Where the scheduler doesn't answer. What fails there is tried again, and reported, where it is used.
+    points: numbers of surface points; scheduler: address of the scheduler. Raises UserError where the scheduler doesn't
+    answer. What fails there is tried again, and reported, where it is used.
     """
 
-    def missing(_: Fit) -> dict[str, Any]:
+    def missing(_: Fit) -> dict[str, Array]:
         raise UserError(_MISSING)
 
     fits = [fit for count in points for fit in fits_of(organ, at_size(organ, count), count == organ.n_surface)]
@@ -195,13 +171,13 @@ def _kept(fit: Fit, make: Callable[[Fit], dict[str, NDArray]]) -> Organ | str:
     source = f"{_VERSION} {SEED} {tuple(effort)} {fit.reference.digest()} {fit.organ.digest()}"
     key = hashlib.sha256(source.encode()).hexdigest()
     try:
-        made: dict[str, Any] = remembered(f"calibrated-{fit.kind}", key, lambda: make(fit))
+        made = remembered(f"calibrated-{fit.kind}", key, lambda: make(fit))
     except UserError as error:
         return str(error)
     lowest, next_ones = 100.0 * made["modes_off"]
     text = f"{fit.kind}: {effort.cases} linear loads, {effort.steps} evaluations; the error of modes 1 to {MODES}"
     text += f" is at most {lowest:.1f} %, of {MODES + 1} to {MORE_MODES} at most {next_ones:.1f} %"
-    values = {name: value for name, value in made.items() if name != "modes_off"}
+    values: dict[str, Any] = {name: value for name, value in made.items() if name != "modes_off"}
     return dataclasses.replace(fit.organ, provenance={**fit.organ.provenance, "fit": text}, **values)
 
 

@@ -23,7 +23,15 @@ from tissue_sim.calibration.cases import (
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
 from tissue_sim.calibration.coarseness import check_coarseness
 from tissue_sim.calibration.elastic import Elastic
-from tissue_sim.calibration.evaluation import Answer, Release, errors, released, settled_answers
+from tissue_sim.calibration.evaluation import (
+    Answer,
+    Release,
+    check_pace,
+    check_settled,
+    errors,
+    released,
+    settled_answers,
+)
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.fit import Misfit, fit
 from tissue_sim.calibration.groups import GROUPS, group_of, search
@@ -101,7 +109,8 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     Raises
     ------
     UserError
-        Where the organ has no clamp, is too thin for its triangles or can't be filled, and where a library is missing.
+        Where the organ has no clamp, is too thin for its triangles, comes to rest too slowly or can't be filled, and
+        where a library is missing.
     """
     # One core is left to the reference: threads that wait for it would take more time than they save. One thread also
     # gives the same bits on machines of any number of cores.
@@ -110,18 +119,25 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
 
 
 def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress: Progress) -> Calibrated:
-    check_coarseness(organ)
-    start = prepared(organ, settings)
+    with progress.stage("preparing", 1) as done:
+        check_coarseness(organ)
+        start = prepared(organ, settings)
+        held_out = held_out_cases(start, settings.smooth, settings.sharp)
+        reference = Reference(start, checkpoint, held_out.force)
+        try:
+            body = Body(start)
+            pushes = fit_cases(start, settings.cases, settings.seed)
+        except BaseException:
+            reference.stop()
+            raise
+        done(f"{body.n_nodes} nodes, {len(held_out)} held-out loads")
     stiffens = start.stiffening > 0.0
-    held_out = held_out_cases(start, settings.smooth, settings.sharp)
-    reference = Reference(start, checkpoint, held_out.force)
     try:
-        body = Body(start)
-        pushes = fit_cases(start, settings.cases, settings.seed)
         with progress.stage("linear reference", 1) as done:
             fitted = checkpoint.remember("linear-fit", lambda: {"fit": body.settle_linear(pushes)})["fit"]
             linear = reference.linear()
-            done(f"{body.n_nodes} nodes, {len(pushes)} cases")
+            check_pace(start.name, float(linear["frequencies"][0]))
+            done(f"{len(pushes)} cases")
         judged = scale_to_depth(held_out, linear["held_out"], start, HELD_OUT_SEED, DEPTH)
         size = (np.linalg.norm(judged.force, axis=(1, 2)) / np.linalg.norm(held_out.force, axis=(1, 2)))[:, None, None]
         judged_linear = linear["held_out"] * size
@@ -138,12 +154,14 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
             )
             accuracy = Refined(int(finer["nodes"]), int(finer["finer_nodes"]), finer["difference"])
             done(f"{accuracy.finer_nodes} nodes, remaining error at most {accuracy.worst:.2f} %")
-        model = assemble(start)
-        elastic = Elastic(model)
-        answers = made_good(fitted, fitted[some], finer["samples"])
-        misfit = Misfit(elastic, *principal(pushes, answers))
-        first = first_stiffness(start, model)
-        group = group_of(start, model) if settings.method == "groups" else None
+        with progress.stage("model", 1) as done:
+            model = assemble(start)
+            elastic = Elastic(model)
+            answers = made_good(fitted, fitted[some], finer["samples"])
+            misfit = Misfit(elastic, *principal(pushes, answers))
+            first = first_stiffness(start, model)
+            group = group_of(start, model) if settings.method == "groups" else None
+            done()
         with progress.stage("fit", _most_evaluations(settings)) as done:
             stiffness = checkpoint.remember(
                 "fit", lambda: {"stiffness": _fitted(first, group, misfit, settings, done)}
@@ -173,6 +191,7 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
         # This comes before the reference, on which the other process is still working.
         with progress.stage("held-out", len(judged)) as done:
             found = settled_answers(made, judged, done)
+            check_settled(start.name, found)
         with progress.stage("held-out reference", len(judged)) as done:
             settled = reference.answer(body, done)
             wanted = settled._replace(displacement=settled.displacement + finer["answers"] - judged_linear)
@@ -187,6 +206,15 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
         wanted, found = (Answer(*(part[kept] for part in answer)) for answer in (wanted, found))
     finally:
         reference.stop()
+    with progress.stage("figures", 1) as done:
+        motion_figures = {
+            "frequencies_hz": [round(float(v), 4) for v in frequencies_of(elastic, stiffness, mass)],
+            "reference_hz": [round(float(v), 4) for v in linear["frequencies"]],
+            "damping_rate_per_s": round(rate, 4),
+            "release_percent": round(100.0 * motion.error, 3),
+        }
+        step = step_figures(made)
+        done()
     figures: JsonObject = {
         "made_of": organ.digest(),
         "version": __version__,
@@ -204,13 +232,8 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
             "worst_percent": round(float(100.0 * found_error.max()), 3),
         },
         "held_out": held_out_figures(judged, wanted, judged_linear, found),
-        "motion": {
-            "frequencies_hz": [round(float(v), 4) for v in frequencies_of(elastic, stiffness, mass)],
-            "reference_hz": [round(float(v), 4) for v in linear["frequencies"]],
-            "damping_rate_per_s": round(rate, 4),
-            "release_percent": round(100.0 * motion.error, 3),
-        },
-        "step": step_figures(made),
+        "motion": motion_figures,
+        "step": step,
     }
     if group is not None:
         factors = {GROUPS[k]: float(np.median((stiffness / first)[group == k])) for k in np.unique(group)}

@@ -132,9 +132,10 @@ def _release(found: Calibrated) -> Figure:
     figure = empty_figure(7.0, 3.8)
     axis = figure.subplots()
     motion = found.release
-    for history, label, colour in ((motion.wanted, "finite elements", _REFERENCE), (motion.found, "model", _MODEL)):
+    both = ((motion.wanted, "finite elements", _REFERENCE, "-"), (motion.found, "model", _MODEL, "--"))
+    for history, label, colour, style in both:
         along = history @ (motion.wanted[0] / np.linalg.norm(motion.wanted[0]))
-        axis.plot(motion.time, 1e3 * along, color=colour, label=label)
+        axis.plot(motion.time, 1e3 * along, style, color=colour, label=label)
     axis.set_xlabel("time after the release (s)")
     axis.set_ylabel("displacement of the poked node (mm)")
     axis.set_title(f"error {100.0 * motion.error:.1f} % (relative L2)", loc="left")

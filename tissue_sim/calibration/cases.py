@@ -18,6 +18,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surfaces.sizing import local_edges, relative_edges
 from tissue_sim.organ.tool_resolution import relative_size
 from tissue_sim.organ.topology import node_area
 
@@ -79,6 +80,7 @@ class Surface(NamedTuple):
     free: NDArray[np.bool_]  # (n,)
     size: float  # factor of lengths, 1 for an organ of a kidney's size or larger
     edge: float  # m, median
+    near_edge: Floats  # (n,) m: the same, or on a graded surface the mean around each node
 
 
 def size_of(organ: Organ) -> float:
@@ -120,8 +122,10 @@ def surface_of(organ: Organ) -> Surface:
     free[organ.fixed] = False
     apart = np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=1)
     edge = float(np.median(apart[apart > 0.0]))
+    graded = np.ptp(relative_edges(positions, triangles)) > 0.0
+    near = local_edges(positions, triangles) if graded else np.full(n, edge)
     normal, area = surface_normals(positions, triangles), node_area(positions, triangles)
-    return Surface(positions, normal, area, ring, free, size_of(organ), edge)
+    return Surface(positions, normal, area, ring, free, size_of(organ), edge, near)
 
 
 def split_centres(organ: Organ) -> tuple[Longs, Longs]:
@@ -237,7 +241,7 @@ def held_out_cases(
         pair, pulls = case % 10 == 9, case % 5 == 4
         at = np.concatenate([spread[case : case + 1], random.choice(centres, 1)]) if pair else spread[case : case + 1]
         for node in at:
-            radius = max(random.uniform(*SMOOTH_RADIUS) * surface.size, NARROWEST * surface.edge)
+            radius = max(random.uniform(*SMOOTH_RADIUS) * surface.size, NARROWEST * surface.near_edge[node])
             reach = np.linalg.norm(surface.positions - surface.positions[node], axis=1) / radius
             facing = surface.normal @ surface.normal[node] > 0.0
             weight = np.where((reach < 1.0) & facing & surface.free, (1.0 - reach**2) ** 2, 0.0) * surface.area

@@ -148,7 +148,10 @@ def _in_process[Item, Result](
         (Path(folder) / _ASKED).write_bytes(pickle.dumps(work))
         command = [sys.executable, "-m", "tissue_sim.calibration.cohort", folder]
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-        with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        # In a group of its own, which Ctrl-C in a terminal doesn't reach: it would end as if its work had failed.
+        with subprocess.Popen(
+            command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, process_group=0
+        ) as process:
             errors = _errors_of(process, stopped)
         answer = Path(folder) / _ANSWERED
         if process.returncode == 0 and answer.is_file():

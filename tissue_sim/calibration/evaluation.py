@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -10,12 +11,14 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import Cases
 from tissue_sim.calibration.fem import volume_change
+from tissue_sim.errors import UserError
 from tissue_sim.model.elasticity.cells import swelling
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
 TOLERANCE = 1e-4  # residual force over load, below which it counts as settled
 LONGEST = 20.0  # simulated seconds after which a load is given up
+LEAST_SETTLED = 0.5  # fraction of the loads; with fewer, errors say nothing of the organ
 RAMP = 0.3  # s in which a load is raised: slowly, as a hand does and as the finite elements without inertia imply
 RELEASE_STEP = 0.01  # s of the implicit dynamics
 RELEASE_TIME = 1.0  # s
@@ -60,6 +63,43 @@ def settled_answers(organ: Organ, cases: Cases, watch: Callable[[], None] | None
         if watch is not None:
             watch()
     return Answer(displacement, volume, converged, least)
+
+
+def check_pace(name: str, lowest: float) -> None:
+    """Raise UserError where an organ comes to rest too slowly for its calibration to be judged.
+
+    Parameters
+    ----------
+    name : str
+        The organ's name.
+    lowest : float, Hz
+        Its lowest frequency. Damped critically, that motion takes log(1 / TOLERANCE) / (2 pi lowest) to die away.
+    """
+    needed = math.log(1.0 / TOLERANCE) / (2.0 * math.pi * lowest)
+    if needed > LONGEST:
+        raise UserError(
+            f"organ '{name}' is held so loosely that its slowest motion takes {1.0 / lowest:.0f} s: under a load it"
+            f" would come to rest after {needed:.0f} s, and at most {LONGEST:g} s are simulated; hold it in more places"
+            " with --fixed"
+        )
+
+
+def check_settled(name: str, found: Answer) -> None:
+    """Raise UserError where an organ comes to rest under fewer than half of the loads.
+
+    Parameters
+    ----------
+    name : str
+        The organ's name.
+    found : Answer
+        The model's answers.
+    """
+    settled, count = int(found.converged.sum()), len(found.converged)
+    if settled < LEAST_SETTLED * count:
+        raise UserError(
+            f"organ '{name}' came to rest under {settled} of {count} held-out loads only, so that nothing is known of"
+            " its accuracy; hold it in more places with --fixed, or build it with more --points"
+        )
 
 
 def errors(found: Floats, wanted: Floats) -> Floats:

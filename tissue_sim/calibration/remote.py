@@ -12,8 +12,10 @@ from typing import Any
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
 from tissue_sim.parent_exit import exit_with_parent
+from tissue_sim.progress import SETTING
 
-_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # for each BLAS, which reads it when it is loaded
+# One thread for each BLAS, which reads it when it is loaded; progress is reported by this process, which waits for it.
+_SETTING = {"OPENBLAS_NUM_THREADS": "1", SETTING: "0"}
 
 
 class Remote:
@@ -32,7 +34,7 @@ class Remote:
 
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
         self._manager = _Process(ctx=get_context("spawn"))
-        with environment(_ONE_THREAD), _script_hidden():
+        with environment(_SETTING), _script_hidden():
             self._manager.start(exit_with_parent)
         self._object = self._manager.make(make, *arguments)  # type: ignore[attr-defined]
 

@@ -16,6 +16,7 @@ from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.commands.calibrate_many import calibrate_many
 from tissue_sim.contact.scene_file import FORMAT, SceneFile
 from tissue_sim.errors import UserError
+from tissue_sim.interrupts import leaving
 from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.organ import Organ
@@ -92,7 +93,11 @@ def _run(args: argparse.Namespace) -> int:
     folder = Path(args.out) / NAME
     make_folder(folder)
     source = "masks of a CT" if args.masks else "synthetic abdomen"
-    with tempfile.TemporaryDirectory(prefix="tissue_sim-") as spare:
+    again = "" if args.as_built else ", and the same command calibrates the others"
+    with (
+        tempfile.TemporaryDirectory(prefix="tissue_sim-") as spare,
+        leaving(f"organs that are ready stay in {folder}{again}"),
+    ):
         built = folder if args.as_built else Path(spare)
         files = [built / f"{part.name}.npz" for part in PARTS]
         for part, file in steps(zip(PARTS, files, strict=True), "organs", len(PARTS)):

@@ -21,8 +21,9 @@ from tissue_sim.commands.build_refine import HELP as REFINE_HELP
 from tissue_sim.commands.build_refine import parse_refine
 from tissue_sim.commands.law_options import add_law, law_of, with_law
 from tissue_sim.errors import UserError
+from tissue_sim.interrupts import leaving
 from tissue_sim.json_types import JsonObject
-from tissue_sim.organ.build import EXTRA, digest_of, make, stem_of
+from tissue_sim.organ.build import EXTRA, digest_of, make, name_of, stem_of
 from tissue_sim.organ.build_record import STAGES, Progress
 from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
@@ -37,13 +38,7 @@ _UNITS = ("mm", "cm", "m", "um", "in")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `tissue_sim build`.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        The command's parser.
-    """
+    """Add the arguments of `tissue_sim build`."""
     parser.add_argument("image", nargs="?", metavar="IMAGE", help="CT: a NIfTI, NRRD or MHA file, or a DICOM folder")
     source = parser.add_argument_group("input (IMAGE with a seed, or one of --mask, --surface)")
     source.add_argument(
@@ -94,7 +89,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.html",
         help="write a page with pictures and figures of every stage (default: the organ file's name with .html)",
     )
-    organ.add_argument("--name", help="name of the organ (default: the input's file name)")
+    organ.add_argument(
+        "--name",
+        help="name of the organ (default: that of --organ, --label or --part, or the input's file name)",
+    )
     organ.add_argument("--points", type=int, default=994, help="points of the balloon surface (default: %(default)s)")
     organ.add_argument("--refine", action="append", default=[], metavar="WHERE", help=REFINE_HELP)
     organ.add_argument(
@@ -133,20 +131,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Build the organ that the arguments describe, print what was done, and return 0.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed arguments.
-
-    Returns
-    -------
-    int
-        Exit code.
-
-    Raises
-    ------
-    UserError
-        As the stages do, and for invalid use.
+    Raises UserError as the stages do, and for invalid use.
     """
     try:
         return _run(args)
@@ -161,7 +146,7 @@ def _run(args: argparse.Namespace) -> int:
     check_folder(out, "the organ file")
     report = report_path(args, out)
     _check_counts(args)
-    name = args.name or stem_of(Path(source))
+    name = args.name or name_of(args.organ, args.label, args.part, stem_of(Path(source)))
     request = Request(
         name=name,
         points=args.points,
@@ -184,12 +169,13 @@ def _run(args: argparse.Namespace) -> int:
     )
     kind, given = _given(args)
     with _under_way(_stages_of(args)) as progress:
-        organ = with_law(make(kind, source, request, given, progress), args)
+        with leaving("no organ was written"):
+            organ = with_law(make(kind, source, request, given, progress), args)
         organ.save(out)
         if report:
             from tissue_sim.organ.reporting.page import write_report
 
-            with progress.stage("report"):
+            with progress.stage("report"), leaving(f"{out} is written, and its report is not"):
                 write_report(progress.record, report, organ_file=out.name)
     n, edge = organ.n_surface, 1e3 * usual_edge(organ)
     print(
@@ -221,7 +207,7 @@ def _add_stages(parser: argparse.ArgumentParser) -> None:
         default="any",
         metavar="NAME",
         help="kind of organ, so that even a small leak into a neighbour is detected: kidney, liver, spleen, heart,"
-        " bladder, prostate, or any (default: %(default)s)",
+        " bladder, prostate, or any (default: %(default)s); it also names the organ",
     )
     group.add_argument(
         "--accept",

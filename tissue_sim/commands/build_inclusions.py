@@ -11,22 +11,8 @@ from tissue_sim.organ.inclusions import check_stiffness
 def parse_inclusions(given: Sequence[str], label: str | None) -> dict[str, float]:
     """Return the stiffness factor of each label.
 
-    Parameters
-    ----------
-    given : Sequence[str]
-        Values of the option, N:TIMES each.
-    label : str | None
-        Label of the organ itself.
-
-    Returns
-    -------
-    dict[str, float]
-        Factors by label.
-
-    Raises
-    ------
-    UserError
-        Where a value isn't N:TIMES, or a label occurs twice.
+    given: values of the option, N:TIMES each; label: label of the organ itself. Returns factors by label. Raises
+    UserError where a value isn't N:TIMES, or a label occurs twice.
     """
     found: dict[str, float] = {}
     for text in given:

@@ -40,5 +40,5 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    catch_all("build_shipped")
+    catch_all("build_shipped", "no organ was written")
     sys.exit(main())

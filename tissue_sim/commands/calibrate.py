@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -27,6 +26,7 @@ from tissue_sim.commands.calibrate_many import (
 )
 from tissue_sim.commands.law_options import add_law, law_of, with_law
 from tissue_sim.errors import UserError
+from tissue_sim.interrupts import leaving
 from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.refined import refined
@@ -114,23 +114,24 @@ def run(args: argparse.Namespace) -> int:
     check_organ_file(out)
     if args.report and importlib.util.find_spec("matplotlib") is None:
         raise UserError("--report needs matplotlib: pip install 'tissue_sim[calibration]'")
-    organ = Organ.load(args.organ[0])
+    with progress.task("reading"):
+        organ = Organ.load(args.organ[0])
     if args.refine:
-        organ, before = refined(organ, parse_refine(args.refine)), organ.n_surface
+        with progress.task("refining"):
+            organ, before = refined(organ, parse_refine(args.refine)), organ.n_surface
         print(f"refined from {before} to {organ.n_surface} points")
     organ = with_law(organ, args)
-    if warning := accuracy_warning(organ):
+    with progress.task("looking for coarse places"):
+        warning = accuracy_warning(organ)
+    if warning:
         print(f"warning: {warning}")
     started = time.perf_counter()
     folder = out.with_name(f".{out.name}.calibration")
     checkpoint = Checkpoint(folder, {"organ": organ.digest(), "version": __version__, **asdict(settings)})
     if checkpoint.found:
         print(f"continuing from {folder}")
-    try:
+    with leaving(f"the same command continues from {folder}"):
         found = calibrate(organ, settings, checkpoint, progress.Stages())
-    except KeyboardInterrupt:
-        sys.stderr.write(f"stopped; the same command continues from {folder}\n")
-        raise
     write_whole(found.organ, out)
     checkpoint.remove()
     for line in lines(found.figures):
@@ -139,10 +140,10 @@ def run(args: argparse.Namespace) -> int:
         for path in write_pictures(found, Path(args.report)):
             print(f"{path}: picture")
     print(f"{out}: {found.organ.name}, {time.perf_counter() - started:.0f} s")
-    missed = list(_missed(found.figures)) if args.check else []
+    missed = list(_missed(found.figures))
     for line in missed:
-        print(f"missed: {line}")
-    return int(bool(missed))
+        print(f"{'missed' if args.check else 'warning'}: {line}")
+    return int(bool(missed and args.check))
 
 
 def _run_many(args: argparse.Namespace, settings: Settings) -> int:
@@ -159,11 +160,8 @@ def _run_many(args: argparse.Namespace, settings: Settings) -> int:
     make_folder(folder)
     organs = [Path(name) for name in args.organ]
     outputs = outputs_of(organs, folder)
-    try:
+    with leaving(f"organs that are ready stay in {folder}, and the same command continues with the others"):
         found = calibrate_many(organs, outputs, settings, args.jobs or 1, args.scheduler)
-    except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command continues from here\n")
-        raise
     if args.json:
         write_figures(found, Path(args.json))
     failed = [name for name, figures in found.items() if isinstance(figures, str)]
@@ -171,12 +169,12 @@ def _run_many(args: argparse.Namespace, settings: Settings) -> int:
     missed = [
         f"{name}: {line}"
         for name, figures in found.items()
-        if args.check and not isinstance(figures, str)
+        if not isinstance(figures, str)
         for line in _missed(figures)
     ]
     for line in missed:
-        print(f"missed: {line}")
-    return int(bool(failed or missed))
+        print(f"{'missed' if args.check else 'warning'}: {line}")
+    return int(bool(failed or (missed and args.check)))
 
 
 def _settings(args: argparse.Namespace) -> Settings:

@@ -43,13 +43,7 @@ class Done(NamedTuple):
 
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments that say where organs are calibrated.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        The command's parser.
-    """
+    """Add the arguments that say where organs are calibrated."""
     parser.add_argument("--jobs", type=int, metavar="N", help="number of organs calibrated at once (default: 1)")
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="use the workers of a Dask cluster, such as tcp://10.0.0.1:8786"
@@ -57,13 +51,7 @@ def add_cluster(parser: argparse.ArgumentParser) -> None:
 
 
 def check_cluster(args: argparse.Namespace) -> None:
-    """Raise UserError for values out of range, or for both options.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed arguments.
-    """
+    """Raise UserError for values out of range, or for both options."""
     if args.jobs is not None and args.jobs < 1:
         raise UserError(f"--jobs {args.jobs} is less than 1")
     if args.jobs and args.scheduler:
@@ -73,22 +61,8 @@ def check_cluster(args: argparse.Namespace) -> None:
 def outputs_of(organs: Sequence[Path], folder: Path) -> list[Path]:
     """Return the output file of each organ.
 
-    Parameters
-    ----------
-    organs : Sequence[Path]
-        Organ files.
-    folder : Path
-        Folder of the outputs.
-
-    Returns
-    -------
-    list[Path]
-        The output files.
-
-    Raises
-    ------
-    UserError
-        Where two would be one file, or an organ would be overwritten.
+    organs: organ files; folder: folder of the outputs. Raises UserError where two would be one file, or an organ would
+    be overwritten.
     """
     found: dict[Path, Path] = {}
     for organ in organs:
@@ -108,28 +82,9 @@ def calibrate_many(
 
     An output that was made from the same organ with the same settings isn't made again.
 
-    Parameters
-    ----------
-    organs : Sequence[Path]
-        Organ files.
-    outputs : Sequence[Path]
-        Files of the calibrated organs.
-    settings : Settings
-        Settings of the calibrations.
-    jobs : int
-        Number of calibrations at a time on this machine.
-    scheduler : str | None
-        Address of a Dask scheduler; None for this machine.
-
-    Returns
-    -------
-    dict[str, JsonObject | str]
-        Figures by name, or the reason why there are none.
-
-    Raises
-    ------
-    UserError
-        Where the scheduler doesn't answer.
+    organs: organ files; outputs: files of the calibrated organs; settings: settings of the calibrations; jobs: number
+    of calibrations at a time on this machine; scheduler: address of a Dask scheduler, None for this machine. Returns
+    figures by name, or the reason why there are none. Raises UserError where the scheduler doesn't answer.
     """
     found: dict[str, JsonObject | str] = {}
     with progress.task("organs", len(organs)) as under_way:
@@ -202,20 +157,7 @@ def made_before(source: Path, out: Path, settings: Settings) -> JsonObject | Non
 
 
 def write_whole(organ: Organ, out: Path) -> None:
-    """Write the organ completely or not at all.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    out : Path
-        The file.
-
-    Raises
-    ------
-    UserError
-        Where it can't be written.
-    """
+    """Write the organ completely or not at all. Raises UserError where it can't be written."""
     part = out.with_name(f".{out.name}.part")
     organ.save(part)
     try:
@@ -225,20 +167,7 @@ def write_whole(organ: Organ, out: Path) -> None:
 
 
 def write_figures(found: dict[str, JsonObject | str], path: Path) -> None:
-    """Write all figures as JSON.
-
-    Parameters
-    ----------
-    found : dict[str, JsonObject | str]
-        Figures by name.
-    path : Path
-        The file.
-
-    Raises
-    ------
-    UserError
-        Where the file can't be written.
-    """
+    """Write all figures as JSON. Raises UserError where the file can't be written."""
     try:
         path.write_text(json.dumps(found, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     except OSError as error:

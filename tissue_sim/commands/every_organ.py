@@ -125,5 +125,5 @@ def _build(name: str, file: Path, options: tuple[str, ...], out: Path) -> None:
 
 
 if __name__ == "__main__":
-    catch_all("every_organ")
+    catch_all("every_organ", "organs that are ready stay in their folder, and calibrated ones are kept")
     sys.exit(main())

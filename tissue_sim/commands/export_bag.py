@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tissue_sim.errors import UserError
+from tissue_sim.interrupts import leaving
 from tissue_sim.organ.reporting.exchange import UNITS
 from tissue_sim.outputs import check_folder
 from tissue_sim.ros.bags.frames import frames_of, write_glb, write_vtu
@@ -16,21 +17,8 @@ FORMATS = {".pvd": write_vtu, ".glb": write_glb}
 def export_bag(bag: Path, out: Path, every: int, unit: str) -> None:
     """Write frames of a bag, and print what was written.
 
-    Parameters
-    ----------
-    bag
-        Its folder.
-    out
-        A .pvd or .glb file, which frames are named after.
-    every
-        Ticks from one frame to the next.
-    unit
-        m or mm.
-
-    Raises
-    ------
-    UserError
-        For a bag that can't be replayed, and for files that can't be written.
+    bag: its folder; out: a .pvd or .glb file, which frames are named after; every: ticks from one frame to the next;
+    unit: m or mm. Raises UserError for a bag that can't be replayed, and for files that can't be written.
     """
     write = FORMATS.get(out.suffix.lower())
     if write is None:
@@ -40,9 +28,11 @@ def export_bag(bag: Path, out: Path, every: int, unit: str) -> None:
         raise UserError(f"{out}: GLB is in metres; leave out --unit {unit}")
     if every < 1:
         raise UserError(f"--every {every} is less than 1 tick")
-    frames = frames_of(read_bag(bag), every)
+    with leaving("nothing was written"):
+        frames = frames_of(read_bag(bag), every)
     try:
-        written = write(out, frames, UNITS[unit])
+        with leaving("the frames so far are written"):
+            written = write(out, frames, UNITS[unit])
     except OSError as error:
         raise UserError(f"cannot write {error.filename or out}: {error.strerror}") from None
     first, last = frames[0], frames[-1]

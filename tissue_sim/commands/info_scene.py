@@ -15,20 +15,7 @@ from tissue_sim.model.simulation import Simulation
 def describe_scene(path: Path) -> JsonObject:
     """Return all figures of a scene, ready for JSON; units stand in the names.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    JsonObject
-        The figures by name.
-
-    Raises
-    ------
-    UserError
-        Where the file isn't a scene.
+    Raises UserError where the file isn't a scene.
     """
     said = SceneFile.read(path)
     scene = said.scene([])
@@ -74,18 +61,7 @@ def _attachment(one: Attachment, said: SceneFile, simulations: list[Simulation])
 
 
 def scene_lines(found: JsonObject) -> list[str]:
-    """Return the figures as lines of text.
-
-    Parameters
-    ----------
-    found : JsonObject
-        The figures by name.
-
-    Returns
-    -------
-    list[str]
-        The lines.
-    """
+    """Return the figures as lines of text."""
     lines = [f"scene {found['scene']}: {len(found['organs'])} organs"]
     for organ in found["organs"]:
         low, high = (", ".join(f"{v:.0f}" for v in organ[key]) for key in ("lower_corner_mm", "upper_corner_mm"))

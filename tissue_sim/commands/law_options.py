@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from typing import Any
 
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 
 
-def add_law(parser: Any) -> None:
-    """Add the options.
-
-    Parameters
-    ----------
-    parser : Any
-        Parser, or a group of its arguments.
-    """
+def add_law(parser: argparse._ActionsContainer) -> None:
+    """Add the options to a parser, or to a group of its arguments."""
     parser.add_argument(
         "--stiffening",
         type=float,
@@ -36,15 +30,7 @@ def add_law(parser: Any) -> None:
 def law_of(args: argparse.Namespace) -> dict[str, float]:
     """Return the fields of an organ that the options set.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed arguments.
-
-    Raises
-    ------
-    UserError
-        Where a relaxation is not two numbers; the organ refuses numbers out of range.
+    Raises UserError where a relaxation is not two numbers; the organ refuses numbers out of range.
     """
     found: dict[str, float] = {}
     if args.stiffening is not None:
@@ -69,19 +55,6 @@ def _two_numbers(text: str) -> tuple[float, float]:
 
 
 def with_law(organ: Organ, args: argparse.Namespace) -> Organ:
-    """Return the organ with the law that the options ask for.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    args : argparse.Namespace
-        Parsed arguments.
-
-    Raises
-    ------
-    UserError
-        As `law_of` and `Organ` do.
-    """
-    law: dict[str, Any] = {**law_of(args)}
+    """Return the organ with the law that the options ask for. Raises UserError as `law_of` and `Organ` do."""
+    law: JsonObject = {**law_of(args)}
     return replace(organ, **law) if law else organ

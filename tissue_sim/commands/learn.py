@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tissue_sim.errors import UserError
+from tissue_sim.interrupts import leaving
 from tissue_sim.organ.organ import Organ
 
 if TYPE_CHECKING:
@@ -45,7 +46,8 @@ def run(args: argparse.Namespace) -> int:
         episodes=args.episodes or plan.episodes,
     )
     organ = None if args.organ is None else Organ.load(args.organ)
-    learned = learn(args.task, plan, args.seed, organ, args.threads)
+    with leaving("no policy was written"):
+        learned = learn(args.task, plan, args.seed, organ, args.threads)
     for line in lines_of(learned):
         print(line)
     if args.out is not None:
@@ -58,13 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def lines_of(learned: Learned) -> list[str]:
-    """Return the learning curve and what is reached, as lines of text.
-
-    Parameters
-    ----------
-    learned : Learned
-        The policy.
-    """
+    """Return the learning curve and what is reached, as lines of text."""
     lines = [f"{'generation':>10} {'steps':>8} {'processor s':>12} {'mean return':>12} {'best return':>12}"]
     for number, one in enumerate(learned.about["curve"]):
         lines.append(f"{number:10d} {one['steps']:8d} {one['seconds']:12.1f} {one['mean']:12.2f} {one['best']:12.2f}")
@@ -79,10 +75,7 @@ def lines_of(learned: Learned) -> list[str]:
 def plot(learned: Learned, path: str) -> None:
     """Draw the learning curve of a policy into a picture.
 
-    Raises
-    ------
-    UserError
-        Without matplotlib, and where it can't be written.
+    Raises UserError without matplotlib, and where it can't be written.
     """
     try:
         import matplotlib.pyplot as plt

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tissue_sim.errors import UserError
+from tissue_sim.interrupts import leaving
 from tissue_sim.outputs import check_folder
 
 if TYPE_CHECKING:
@@ -52,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
         from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
     except ModuleNotFoundError as error:
         raise UserError(f"a phantom needs {error.name}; install the extra: pip install 'tissue_sim[image]'") from None
-    phantom = make_phantom(PhantomParameters(noise=args.noise, gap=args.gap))
+    with leaving("nothing was written"):
+        phantom = make_phantom(PhantomParameters(noise=args.noise, gap=args.gap))
     kidney = float(phantom.kidney.array.sum()) * phantom.kidney.voxel_volume
     seed = ",".join(f"{value:.0f}" for value in phantom.seed_point)
     _write(args.out, phantom.ct, "int16")
@@ -75,6 +77,7 @@ def _write(path: str, volume: Volume, kind: str) -> None:
     import SimpleITK as sitk
 
     try:
-        sitk.WriteImage(volume.with_array(volume.array.astype(kind)).to_sitk(), path)
+        with leaving(f"{path} may be incomplete"):
+            sitk.WriteImage(volume.with_array(volume.array.astype(kind)).to_sitk(), path)
     except RuntimeError:
         raise UserError(f"cannot write {path}; check the free space and the permissions there") from None

@@ -11,6 +11,7 @@ import numpy as np
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
+from tissue_sim.interrupts import leaving
 from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS
 from tissue_sim.model.elasticity.assembly import MODEL_NAMES
 from tissue_sim.model.simulation import Simulation
@@ -69,10 +70,11 @@ def run(args: argparse.Namespace) -> int:
     displacements = np.zeros_like(forces)
     seconds = np.zeros(len(forces))
     converged = np.zeros(len(forces), dtype=bool)
-    for load in progress.steps(range(len(forces)), "loads"):
-        start = time.perf_counter()
-        displacements[load], converged[load] = simulation.settle(forces[load], args.tolerance, args.longest)
-        seconds[load] = time.perf_counter() - start
+    with leaving("nothing was written"):
+        for load in progress.steps(range(len(forces)), "loads"):
+            start = time.perf_counter()
+            displacements[load], converged[load] = simulation.settle(forces[load], args.tolerance, args.longest)
+            seconds[load] = time.perf_counter() - start
     try:
         with open(args.out, "wb") as stream:  # numpy would add .npz to a bare name
             np.savez_compressed(stream, displacements=displacements, seconds=seconds, converged=converged)

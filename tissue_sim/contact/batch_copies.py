@@ -11,6 +11,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.compiled_steps import NO_COPY, Course, advance_copies, room_for, tables_of, take_poses
 from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import ToolSet
 from tissue_sim.handles import handle, row
 
 
@@ -149,6 +150,6 @@ class JoinedCopies:
             scene.pairs_finder.forget()
 
 
-def _body_poses(tools: Any, poses: Floats, angles: Floats) -> Floats:
+def _body_poses(tools: ToolSet, poses: Floats, angles: Floats) -> Floats:
     """Return the poses of all bodies (B, 7) of tools at poses (T, 7) with angles (T,)."""
     return np.concatenate([tools.poses(tool, pose, float(angles[tool])) for tool, pose in enumerate(poses)])

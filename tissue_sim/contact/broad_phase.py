@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.shapes import signed_distance
@@ -229,16 +227,17 @@ def approach(first: Floats, first_before: Floats, second: Floats, second_before:
     float, m
         The bound.
     """
-    mean = np.zeros(3)
+    x = y = z = 0.0
     for node in range(len(first)):
-        for axis in range(3):
-            mean[axis] += (first[node, axis] - first_before[node, axis]) / len(first)
-    return _farthest(first, first_before, mean) + _farthest(second, second_before, mean)
+        x += (first[node, 0] - first_before[node, 0]) / len(first)
+        y += (first[node, 1] - first_before[node, 1]) / len(first)
+        z += (first[node, 2] - first_before[node, 2]) / len(first)
+    return _farthest(first, first_before, (x, y, z)) + _farthest(second, second_before, (x, y, z))
 
 
 @kernel
-def _farthest(now: Floats, before: Floats, shift: Floats) -> float:
-    """Return the largest distance of points (n, 3) m from where a shift (3,) m would have moved them."""
+def _farthest(now: Floats, before: Floats, shift: tuple[float, float, float]) -> float:
+    """Return the largest distance of points (n, 3) m from where a shift, m, would have moved them."""
     most = 0.0
     for node in range(len(now)):
         square = 0.0

@@ -11,13 +11,14 @@ import numpy as np
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.broad_phase import Near, body_box, boxes_apart, boxes_meet, surface_box, triangles_in_box
 from tissue_sim.contact.contact_points import Fineness, Found, Lattices, Search, points_near, set_compliance
+from tissue_sim.contact.crossings import crossings_above
 from tissue_sim.contact.finder import TISSUE_WAY, ContactFinder
 from tissue_sim.contact.reach_margins import MOST_MARGIN
 from tissue_sim.contact.tools import MARGIN
 from tissue_sim.handles import handle
 from tissue_sim.jit import kernel
+from tissue_sim.model.contact.poses import distance_along_path
 from tissue_sim.model.contact.shapes import rotation_matrix
-from tissue_sim.model.contact.tool_motion import distance_along_path
 from tissue_sim.model.data.contact_set import MOST_POINTS, POINT_NODES, ContactSet, Engaged, contact_set
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
@@ -290,10 +291,7 @@ def _fill(found: ContactSet, points: Found, count: int, tables: Tables) -> None:
 
 @kernel
 def _is_swallowed(position: Floats, pose: Floats, body: int, tables: Tables, room: Room) -> bool:
-    """Return whether one of a body's centre points lies inside the surface; the body's matrix is in room.
-
-    The triangles that the ray along z from the point crosses are counted, downwards against upwards.
-    """
+    """Return whether one of a body's centre points lies inside the surface; the body's matrix is in room."""
     m = room.matrix
     for index in range(tables.middle_start[body], tables.middle_start[body + 1]):
         x, y, z = tables.middle[index, 0], tables.middle[index, 1], tables.middle[index, 2]
@@ -304,48 +302,9 @@ def _is_swallowed(position: Floats, pose: Floats, body: int, tables: Tables, roo
             continue
         if px > room.high[0] or py > room.high[1] or pz > room.high[2]:
             continue
-        if _crossings(position, tables.triangles, px, py, pz) > 0:
+        if crossings_above(position, tables.triangles, px, py, pz) > 0:
             return True
     return False
-
-
-@kernel
-def _crossings(position: Floats, triangles: Longs, x: float, y: float, z: float) -> int:
-    """Return how many triangles a ray along z leaves through, less those that it enters through: 1 from inside.
-
-    Where the ray meets an edge, it counts for one of its two triangles: `_side` is the same number for both, with the
-    other sign.
-    """
-    total = 0
-    for t in range(len(triangles)):
-        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        a, b, c = position[i], position[j], position[k]
-        if max(a[2], b[2], c[2]) < z or max(a[0], b[0], c[0]) < x or min(a[0], b[0], c[0]) > x:
-            continue
-        if max(a[1], b[1], c[1]) < y or min(a[1], b[1], c[1]) > y:
-            continue
-        first, second, third = _side(position, i, j, x, y), _side(position, j, k, x, y), _side(position, k, i, x, y)
-        is_up = first >= 0.0 and second >= 0.0 and third >= 0.0
-        if not is_up and not (first < 0.0 and second < 0.0 and third < 0.0):
-            continue
-        area = first + second + third
-        if area == 0.0:
-            continue
-        height = (second * a[2] + third * b[2] + first * c[2]) / area
-        if height > z:
-            total += 1 if is_up else -1
-    return total
-
-
-@kernel
-def _side(position: Floats, i: int, j: int, x: float, y: float) -> float:
-    """Return on which side of the edge from node i to node j a point lies, seen along z; not 0 in one direction."""
-    low, high = min(i, j), max(i, j)
-    a, b = position[low], position[high]
-    side = (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
-    if side == 0.0:
-        side = 1e-300
-    return side if low == i else -side
 
 
 @kernel

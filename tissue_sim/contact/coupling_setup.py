@@ -8,7 +8,7 @@ from tissue_sim.contact.attachments import Attachment, Breathing, links_of
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath
-from tissue_sim.model.stepping.organ_contact import make_organ_contacts
+from tissue_sim.model.stepping.contact_pairs import make_organ_contacts
 
 
 def join(

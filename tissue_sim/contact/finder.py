@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import fcl
 import numpy as np
@@ -30,6 +30,7 @@ from tissue_sim.contact.contact_lattice import (
     lattices,
 )
 from tissue_sim.contact.contact_points import Fineness, Found, Search, points_near, set_compliance
+from tissue_sim.contact.crossings import crossings_above
 from tissue_sim.contact.local_compliance import OF_BALLS, OF_OTHERS, extra_compliance_between_nodes, most_give
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.touched_surface import TouchedSurface
@@ -69,7 +70,7 @@ class FinderCounters:
     narrow_phases: int = 0  # number of queries to FCL
 
 
-def _fcl_model(position: Floats, near: Ints | Longs) -> Any:
+def _fcl_model(position: Floats, near: Ints | Longs) -> fcl.BVHModel:
     local, inverse = np.unique(near, return_inverse=True)
     model = fcl.BVHModel()
     model.beginModel(len(near), len(local))
@@ -304,8 +305,11 @@ class ContactFinder:
         """
         points = self.tools.middle[body] @ self._matrix.reshape(3, 3).T + origin
         near = points[~np.any((points < self._low) | (points > self._high), axis=1)]
-        within = near[inside(near, position, self.triangles)] if len(near) else near
-        return within[0] if len(within) else None
+        if self.surface.is_cut:
+            near = near[inside(near, position, self.triangles)] if len(near) else near
+            return near[0] if len(near) else None
+        triangles = self.triangles
+        return next((point for point in near if crossings_above(position, triangles, *point.tolist()) > 0), None)
 
     def _place(self, body: int, pose: Floats, margin: float) -> None:
         """Write the rotation matrix of a body, and its box grown by a margin."""
@@ -318,7 +322,7 @@ class ContactFinder:
         self.counters.narrow_phases += 1
         return bool(fcl.collide(self._model, self._placed(body, origin), _ANY, fcl.CollisionResult()))
 
-    def _placed(self, body: int, origin: Floats) -> Any:
+    def _placed(self, body: int, origin: Floats) -> fcl.CollisionObject:
         rotation, placed = self._matrix.reshape(3, 3), self._grown[body]
         placed.setTransform(fcl.Transform(rotation, origin + rotation @ self.tools.grown_centre[body]))
         return placed

@@ -8,17 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.contact.broad_phase import Near, approach, surface_box, triangles_in_box
 from tissue_sim.contact.self_contact_finder import SelfFinder
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.contact.triangles import nearest_among
-from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, OrganContactSet, organ_contact_set
+from tissue_sim.model.stepping.contact_pairs import MOST_PAIRS, MOST_POINTS, OrganContactSet, organ_contact_set
 from tissue_sim.organ.organ import Organ
 
 MARGIN = 0.003  # m from a surface within which a node is examined
 DEEPEST = 0.01  # m that a node may lie inside
 STALE = 0.002  # m of approach after which all nodes are examined again
+OPEN = 5e-4  # m between the walls of a cut at a triangle's corner, from which it is touched
 
 
 @dataclass
@@ -39,22 +40,39 @@ class _Apart(NamedTuple):
     second: Floats
 
 
+class _Touched(NamedTuple):
+    """Triangles of a surface that are touched."""
+
+    triangles: Longs  # (t, 3)
+    loose: Mask  # (t,) see TouchedSurface.is_loose
+
+
 class OrganContactFinder:
-    """Finder of contacts between k organs, given where they lie at rest; triangles that a cut has split touch none."""
+    """Finder of contacts between k organs, given where they lie at rest.
+
+    Lips of a cut are touched like the rest of the surface, and walls where the cut is open: where it is shut, they lie
+    on each other inside the organ.
+    """
 
     def __init__(self, organs: Sequence[Organ | TouchedSurface]) -> None:
         self.counters = PairCounters()
-        surfaces = [TouchedSurface.of(one) for one in organs]
-        self._triangles = [surface.old_triangles for surface in surfaces]
-        self._sizes = [surface.n_surface for surface in surfaces]
-        self._own = [SelfFinder(surface) for surface in surfaces]
+        self._surfaces = [TouchedSurface.of(one) for one in organs]
+        self._versions = [0] * len(organs)
+        self._triangles = [surface.triangles.astype(np.int64) for surface in self._surfaces]
+        self._own = [SelfFinder(surface) for surface in self._surfaces]
         self._low, self._high = np.zeros((2, len(organs), 3))
         self._near = [np.zeros_like(triangles) for triangles in self._triangles]  # room
         self._numbers = [np.zeros(len(triangles), dtype=np.int64) for triangles in self._triangles]  # room
+        self._now: list[_Touched] = []
         self._apart: dict[tuple[int, int], _Apart] = {}
         self._found = organ_contact_set()
 
-    def exchange(self, organ: int, touched: Organ | TouchedSurface) -> None:
+    @property
+    def versions(self) -> list[int]:
+        """Number of the cut that made the surface of each organ; 0 before the first one."""
+        return self._versions
+
+    def exchange(self, organ: int, touched: Organ | TouchedSurface, version: int) -> None:
         """Take up the surface that an organ has now, after a cut.
 
         Parameters
@@ -63,10 +81,13 @@ class OrganContactFinder:
             Index of the organ.
         touched : Organ | TouchedSurface
             The surface.
+        version : int
+            Number of the cut.
         """
         surface = TouchedSurface.of(touched)
-        triangles = surface.old_triangles
-        self._triangles[organ], self._sizes[organ], self._own[organ] = triangles, surface.n_surface, SelfFinder(surface)
+        triangles = surface.triangles.astype(np.int64)
+        self._surfaces[organ], self._versions[organ] = surface, version
+        self._triangles[organ], self._own[organ] = triangles, SelfFinder(surface)
         self._near[organ], self._numbers[organ] = np.zeros_like(triangles), np.zeros(len(triangles), dtype=np.int64)
         self._apart = {pair: found for pair, found in self._apart.items() if organ not in pair}
 
@@ -81,7 +102,7 @@ class OrganContactFinder:
         Parameters
         ----------
         positions : Sequence[Floats], one array of shape (n, 3) for each, m
-            Surfaces in one frame.
+            Positions in one frame: of an organ with cuts of all nodes, else at least of those of its surface.
         own : Sequence[bool], shape (k,), optional
             Which organs may touch themselves; by default none.
 
@@ -91,8 +112,12 @@ class OrganContactFinder:
             The pairs.
         """
         found = self._found
-        found.found[0] = 0
-        points = [np.ascontiguousarray(p[:size]) for p, size in zip(positions, self._sizes, strict=True)]
+        found.found[0] = found.points[0] = 0
+        points = [
+            np.ascontiguousarray(one.at(now)[: one.n_points])
+            for one, now in zip(self._surfaces, positions, strict=True)
+        ]
+        self._now = [self._touched(organ, now) for organ, now in enumerate(points)]
         for organ, surface in enumerate(points):
             surface_box(surface, len(surface), self._low[organ], self._high[organ])
         low, high = self._low - MARGIN, self._high + MARGIN
@@ -104,14 +129,54 @@ class OrganContactFinder:
         np.fill_diagonal(meet, list(own) or False)
         for first, second in np.argwhere(meet).tolist():  # in the order of a set
             if first == second:
-                self._put(first, first, *self._own[first].find(points[first]))
+                self._put(first, first, *self._own[first].find(points[first][: self._surfaces[first].n_surface]))
             else:
                 self._add(first, second, points)
+        for organ, touched in enumerate(self._surfaces):
+            if touched.is_cut:
+                self._name_points(organ, touched)
         return found
 
+    def _touched(self, organ: int, points: Floats) -> _Touched:
+        """Return what is touched of a surface, given its points now: all but walls of a shut cut."""
+        surface, triangles = self._surfaces[organ], self._triangles[organ]
+        if not surface.is_cut:
+            return _Touched(triangles, surface.is_loose)
+        apart = np.linalg.norm(points - points[surface.partner], axis=1)
+        open_there = surface.is_outer | (apart[triangles].max(axis=1) >= OPEN)
+        return _Touched(np.ascontiguousarray(triangles[open_there]), surface.is_loose[open_there])
+
+    def _name_points(self, organ: int, surface: TouchedSurface) -> None:
+        """Give cut points of an organ, which pairs have by their numbers in its surface, a place in the set."""
+        found = self._found
+        count, start = int(found.found[0]), int(found.points[0])
+        node = found.node[:count]
+        made = np.zeros(node.shape, dtype=bool)
+        made[:, :1] = found.organ[:count, :1] == organ
+        made[:, 1:] = found.organ[:count, 1:] == organ
+        made &= node >= surface.n_surface
+        numbers = np.unique(node[made])[: MOST_POINTS - start]
+        rows = slice(start, start + len(numbers))
+        found.point_organ[rows], found.point_version[rows] = organ, self._versions[organ]
+        found.point_number[rows] = numbers
+        found.point_node[rows], found.point_weight[rows] = surface.nodes_of(numbers)
+        found.points[0] = rows.stop
+        named = ~made | np.isin(node, numbers)
+        node[made] = -1 - start - np.searchsorted(numbers, node[made])
+        if not named.all():
+            kept = np.flatnonzero(named.all(axis=1))
+            self.counters.dropped += count - len(kept)
+            for rows_of_pairs in (found.organ, found.node, found.weight):
+                rows_of_pairs[: len(kept)] = rows_of_pairs[kept]
+            found.found[0] = len(kept)
+
     def _add(self, first: int, second: int, points: Sequence[Floats]) -> None:
-        """Add pairs of a node of one surface and a triangle of the other."""
+        """Add pairs of a node of one surface and a triangle of the other; of a cut one, point numbers stand for nodes.
+
+        Which walls are touched changes while cuts open. So nothing is left out where a surface is a cut one.
+        """
         nodes, surface = points[first], points[second]
+        changes = self._surfaces[first].is_cut or self._surfaces[second].is_cut
         last = self._apart.get((first, second))
         nearer = np.inf if last is None else approach(nodes, last.first, surface, last.second)
         if last is not None and nearer <= STALE:
@@ -127,7 +192,7 @@ class OrganContactFinder:
         way = nodes[near] - np.einsum("kc,kcx->kx", weights, corners)
         outside = np.einsum("kx,kx->k", way, _normals(corners)) >= 0.0
         room = distance - np.where(outside, MARGIN, DEEPEST)
-        if nearer > STALE:
+        if nearer > STALE and not changes:
             every = np.full(len(nodes), DEEPEST - MARGIN)
             every[near] = room
             self._apart[first, second] = _Apart(every, nodes.copy(), surface.copy())
@@ -146,10 +211,13 @@ class OrganContactFinder:
         if len(nodes):
             low, high = nodes.min(axis=0) - DEEPEST, nodes.max(axis=0) + DEEPEST
             room = Near(triangles, self._numbers[second])
-            count, _ = triangles_in_box(surface, surface, self._triangles[second], low, high, room)
+            count, _ = triangles_in_box(surface, surface, self._now[second].triangles, low, high, room)
         if count == 0:
             return np.zeros((len(nodes), 3), dtype=np.int64), np.zeros((len(nodes), 3)), np.full(len(nodes), DEEPEST)
         chosen, weights, distance = nearest_among(surface[triangles[:count]], nodes)
+        if self._surfaces[second].is_cut:  # what lies under a loose triangle is too much to bear between
+            loose = np.flatnonzero(self._now[second].loose[self._numbers[second][chosen]])
+            weights[loose] = np.eye(3)[np.argmax(weights[loose], axis=1)]
         return triangles[chosen], weights, distance
 
     def _put(self, first: int, second: int, nodes: Longs, weights: Floats) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.gap import gap_and_normal
-from tissue_sim.model.contact.tool_motion import set_frame
+from tissue_sim.model.contact.poses import set_frame
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
 
@@ -38,7 +38,7 @@ def pressed_points(state: State, shapes: Shapes) -> PressedPoints:
     bodies = contacts.body[pressed]
     places = np.einsum("kc,kcx->kx", contacts.weight[pressed], state.position[contacts.node[pressed]])
     normals = np.zeros_like(places)
-    write_normals(shapes, bodies, state.body_pose, places, normals)
+    write_normals(shapes, bodies, state.body_pose, places, np.zeros(12), normals)
     return PressedPoints(pressed, bodies, places, normals)
 
 
@@ -50,11 +50,13 @@ def warm_up(shapes: Shapes) -> None:
     shapes : Shapes
         Shapes of the tools.
     """
-    write_normals(shapes, np.zeros(0, dtype=np.int64), np.zeros((1, 7)), np.zeros((0, 3)), np.zeros((0, 3)))
+    write_normals(
+        shapes, np.zeros(0, dtype=np.int64), np.zeros((1, 7)), np.zeros((0, 3)), np.zeros(12), np.zeros((0, 3))
+    )
 
 
 @kernel
-def write_normals(shapes: Shapes, bodies: Longs, poses: Floats, places: Floats, normals: Floats) -> None:
+def write_normals(shapes: Shapes, bodies: Longs, poses: Floats, places: Floats, frame: Floats, normals: Floats) -> None:
     """Write the outward normals of bodies at places near their surfaces.
 
     Parameters
@@ -67,10 +69,12 @@ def write_normals(shapes: Shapes, bodies: Longs, poses: Floats, places: Floats, 
         Poses of all bodies.
     places : Floats, shape (k, 3), m
         The places.
+    frame : Floats, shape (12,)
+        Buffer.
     normals : Floats, shape (k, 3)
         Receives the normals.
     """
-    origin, r = np.zeros(3), np.zeros(9)
+    origin, r = frame[:3], frame[3:]
     for index in range(len(bodies)):
         body, place, normal = bodies[index], places[index], normals[index]
         set_frame(poses[body], origin, r)

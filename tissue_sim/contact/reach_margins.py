@@ -6,7 +6,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import MARGIN
-from tissue_sim.model.contact.tool_motion import distance_along_path
+from tissue_sim.model.contact.poses import distance_along_path
 
 MOST_MARGIN = 0.01  # m: a tool that is farther from its goal moves there in steps, with a contact set for each
 

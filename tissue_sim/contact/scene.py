@@ -204,7 +204,7 @@ class Scene(Pictured):
         self.joined.exchange(number, one.simulation, plan)
         self.joined.set_substeps()
         if self.pairs_finder is not None:
-            self.pairs_finder.exchange(number, one.finder.surface)
+            self.pairs_finder.exchange(number, one.finder.surface, plan.version)
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """Set the gravity of all organs, under which they have their shapes.

@@ -114,5 +114,5 @@ def memory_of(scene: Scene) -> list[Longs]:
     joined = scene.joined
     parts = [*joined.carried[2:], *joined.links, *joined.threshold, *joined.coarse]
     pairs = joined.pairs
-    parts += [pairs.found, pairs.organ, pairs.node, pairs.weight, pairs.pressed, pairs.held, pairs.loaded]
+    parts += [part for part in pairs[: pairs._fields.index("friction")] if isinstance(part, np.ndarray)]
     return [*words, words_of(joined.carried.breath), *(part.reshape(-1).view(np.int64) for part in parts)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,11 @@ from tissue_sim.contact.coupling_setup import join
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError, shown
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.elasticity.gravity import MOST_GRAVITY
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.stepping.organ_contact import MOST_ORGANS
+from tissue_sim.model.stepping.contact_pairs import MOST_ORGANS
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.placement import placed
 
@@ -91,13 +92,15 @@ class SceneFile:
         except (YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
             said = shown(" ".join(str(error).split()), 200)
             raise UserError(f"scene {path} is not valid YAML: {said}") from None
+        if content is None:
+            raise UserError(f"scene {path} is empty; 'tissue_sim abdomen' makes one")
         try:
             return cls._parsed(path, _object(content, "the scene", OF_SCENE))
         except _Wrong as error:
             raise UserError(f"scene {path}: {error}") from None
 
     @classmethod
-    def _parsed(cls, path: Path, said: Mapping[str, Any]) -> SceneFile:
+    def _parsed(cls, path: Path, said: JsonObject) -> SceneFile:
         if said.get("format") != FORMAT:
             raise _Wrong(f"format is {shown(repr(said.get('format')))}, this package reads {FORMAT}")
         entries = _list(said.get("organs"), "organs")
@@ -252,7 +255,7 @@ def _breathing(entry: object) -> Breathing:
 # kinds of values ---------------------------------------------------------------------------------
 
 
-def _object(value: object, where: str, keys: Sequence[str]) -> Mapping[str, Any]:
+def _object(value: object, where: str, keys: Sequence[str]) -> JsonObject:
     if not isinstance(value, dict):
         raise _Wrong(f"{where} is {shown(repr(value))}; expected: {', '.join(keys)}")
     for key in value:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.contact.drawn_scene import SeenSurface, body_shapes
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.ports import free_port
@@ -45,7 +44,7 @@ class ScenePage:
         self._look = look
         self._server = started(LOOPBACK, self.port, None, NOTEBOOKS)
         self._views: dict[
-            str, tuple[Any, OrganView]
+            str, tuple[Ints, OrganView]
         ] = {}  # by the organ's name, with the triangles that it was made of
         scene = self._server.scene
         scene.set_up_direction("+z")

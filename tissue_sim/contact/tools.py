@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import fcl
 import numpy as np
-from numpy.typing import NDArray
 
 from tissue_sim.arguments import number_of
 from tissue_sim.array_types import Floats
@@ -391,7 +390,7 @@ def _planes(tool: Tool, file: str, hull: trimesh.Trimesh) -> Floats:
     return planes
 
 
-def _grown(body: _Body) -> Any:
+def _grown(body: _Body) -> fcl.CollisionGeometry:
     grow = MARGIN + SLACK
     if body.kind == SPHERE:
         return fcl.Sphere(body.size[0] + grow)
@@ -410,5 +409,5 @@ def _grown(body: _Body) -> Any:
         halfspaces = np.column_stack([body.planes[:, :3], -(body.planes[:, 3] + grow)])
         corners = HalfspaceIntersection(halfspaces, body.mesh.vertices.mean(axis=0)).intersections
         grown = trimesh.convex.convex_hull(corners)
-    faces: NDArray[Any] = np.column_stack([np.full(len(grown.faces), 3), grown.faces]).ravel()
+    faces = np.column_stack([np.full(len(grown.faces), 3), grown.faces]).ravel()
     return fcl.Convex(np.asarray(grown.vertices), len(grown.faces), faces)

@@ -44,6 +44,7 @@ class TouchedSurface:
         # (t,) whether a triangle is one of the uncut surface; what a cut has made has edges and an area of its own.
         self.is_old: Mask = self.is_outer & (self.triangles < organ.n_surface).all(axis=1)
         self._nodes, self._weights = cut.nodes, cut.weights
+        self.partner: Longs = cut.partner  # (p,) the point on the other side of a cut, or itself
         self._cell, self._fraction = np.zeros((0, POINT_NODES), dtype=np.int64), np.zeros((0, 3, POINT_NODES))
         # (t,) triangles with more than one cell under them, where flat cells were left out: only corners are touched.
         self.is_loose: Mask = np.zeros(len(self.triangles), dtype=bool)
@@ -89,6 +90,16 @@ class TouchedSurface:
             return position
         _place(position, self._nodes, self._weights, self.n_surface, self._points)
         return self._points
+
+    def nodes_of(self, points: Longs) -> tuple[Longs, Floats]:
+        """Return the nodes that points of a cut surface lie between, and their weights, shape (k, POINT_NODES) each.
+
+        Parameters
+        ----------
+        points : Longs, shape (k,)
+            Indices of the points.
+        """
+        return self._nodes[points], self._weights[points]
 
     def between(self, triangle: Longs, corners: Longs, weight: Floats) -> tuple[Longs, Floats]:
         """Return the nodes that places in triangles lie between.

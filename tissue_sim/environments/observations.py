@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import gymnasium
 import numpy as np
 
@@ -58,7 +56,7 @@ class Observer:
             return gymnasium.spaces.Box(-most, most, shape, np.float32)
 
         seen = self._copies.observe()
-        spaces: dict[str, gymnasium.spaces.Space[Any]] = {name: box(*one.shape[1:]) for name, one in seen.items()}
+        spaces: dict[str, gymnasium.Space] = {name: box(*one.shape[1:]) for name, one in seen.items()}
         if self._kind == "surface":
             spaces["surface"] = box(self._copies.organ.n_surface, 3)
         if self._camera is not None:

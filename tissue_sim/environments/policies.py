@@ -9,15 +9,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from tissue_sim.array_types import Floats, Longs, Mask
+from tissue_sim.array_types import Array, Floats, Longs, Mask
 from tissue_sim.environments.belief import TOUCH, Belief, shape_of
 from tissue_sim.environments.steering import TURN
 from tissue_sim.environments.tasks import HINGE, RADIUS, Palpate
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_file
 
@@ -26,7 +26,7 @@ CM = 0.01  # m
 SEARCHED = 180  # steps of a search
 TOUCH_TO_DECLARE = 0.06  # N, a little more than what counts as touching
 LEAK = 0.98  # of a sum over steps, from one to the next
-Seen = Mapping[str, Any]  # observations of n agents, by name
+Seen = Mapping[str, Array]  # observations of n agents, by name
 
 
 class Policy:
@@ -226,11 +226,11 @@ class Learned:
         Its task.
     weights : Floats, shape (w,)
         Its weights.
-    about : dict[str, Any], optional
+    about : JsonObject, optional
         How it was learned, for its file.
     """
 
-    def __init__(self, task: str, weights: Floats, about: dict[str, Any] | None = None) -> None:
+    def __init__(self, task: str, weights: Floats, about: JsonObject | None = None) -> None:
         self.task, self.weights, self.about = task, np.asarray(weights, dtype=np.float64), about or {}
         self._policy = policy_class(task)(1)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import gymnasium
 import numpy as np
 
@@ -29,7 +27,7 @@ class TissueEnv(gymnasium.Env):
         rgb_array to have pictures of `render`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1.0 / STEP)}  # noqa: RUF012
+    metadata: dict[str, object] = {"render_modes": ["rgb_array"], "render_fps": round(1.0 / STEP)}  # noqa: RUF012
 
     def __init__(
         self,
@@ -44,17 +42,17 @@ class TissueEnv(gymnasium.Env):
         self.observation_space, self.action_space = self._observer.spaces()
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Singles | Pixels], dict[str, Any]]:
+        self, *, seed: int | None = None, options: dict[str, object] | None = None
+    ) -> tuple[dict[str, Singles | Pixels], dict[str, object]]:
         """Begin an episode."""
         super().reset(seed=seed)
         self.copies.begin(np.zeros(1, dtype=np.int64), [self.np_random])
         return self._observe(), {}
 
-    def step(self, action: Floats) -> tuple[dict[str, Singles | Pixels], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Floats) -> tuple[dict[str, Singles | Pixels], float, bool, bool, dict[str, object]]:
         """Do a step of 20 ms."""
         stepped = self.copies.step(np.asarray(action)[None])
-        info = {"success": bool(stepped.succeeded[0])}
+        info: dict[str, object] = {"success": bool(stepped.succeeded[0])}
         return self._observe(), float(stepped.reward[0]), bool(stepped.terminated[0]), False, info
 
     def render(self) -> Pixels | None:  # type: ignore[override]

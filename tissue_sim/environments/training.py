@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import gymnasium
 import numpy as np
@@ -14,6 +14,7 @@ from tissue_sim.environments.policies import Learned, Policy, policy_class
 from tissue_sim.environments.registration import NAMES, PREFIX
 from tissue_sim.environments.tasks import task_of
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 
 HELD_OUT = 1_000_000  # seed of the first new episode, beyond those that are learned from
@@ -135,7 +136,7 @@ def learn(task: str, plan: Plan, seed: int = 1, organ: Organ | None = None, thre
         curve.append(Generation(float(score.mean()), float(score.max()), steps, time.process_time() - began))
     best = np.array(strategy.result.xfavorite)  # the middle of the last candidates
     env.close()
-    about: dict[str, Any] = {"seed": seed, "plan": plan._asdict(), "curve": [one._asdict() for one in curve]}
+    about: JsonObject = {"seed": seed, "plan": plan._asdict(), "curve": [one._asdict() for one in curve]}
     about["held_out"] = {
         "learned": held_out(task, best, plan, organ, threads),
         "untrained": held_out(task, np.array(made.start), plan, organ, threads),

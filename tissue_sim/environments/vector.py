@@ -58,7 +58,7 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv):
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Singles | Pixels], dict[str, Any]]:
+    ) -> tuple[dict[str, Singles | Pixels], dict[str, object]]:
         """Begin all episodes, or those of the mask `reset_mask` in options; copy i takes the seed plus i."""
         seeds = [seed + copy for copy in range(self.num_envs)] if isinstance(seed, int) else seed
         for copy, one in enumerate(seeds or []):
@@ -68,7 +68,7 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv):
         self._begin(np.arange(self.num_envs) if mask is None else np.flatnonzero(mask))
         return self._observer.observe(), {}
 
-    def step(self, actions: Floats) -> tuple[dict[str, Singles | Pixels], Floats, Mask, Mask, dict[str, Any]]:
+    def step(self, actions: Floats) -> tuple[dict[str, Singles | Pixels], Floats, Mask, Mask, dict[str, object]]:
         """Do a step of 20 ms; a copy whose episode ended in the last one begins again instead, without reward."""
         begins = self._is_over.copy()
         stepped = self.copies.step(actions)

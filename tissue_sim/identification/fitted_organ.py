@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from tissue_sim.organ.organ import Organ
 KEY = "identified"  # in the provenance
 
 
-def with_stiffness(organ: Organ, factor: float, record: Mapping[str, Any], of_cells: Floats | None = None) -> Organ:
+def with_stiffness(organ: Organ, factor: float, record: Mapping[str, object], of_cells: Floats | None = None) -> Organ:
     """Return an organ whose tissue is stiffer by a factor, and keeps its damping ratio.
 
     Parameters
@@ -24,7 +23,7 @@ def with_stiffness(organ: Organ, factor: float, record: Mapping[str, Any], of_ce
         The organ.
     factor : float
         Factor on all moduli and springs.
-    record : Mapping[str, Any]
+    record : Mapping[str, object]
         What it was identified from, for the provenance.
     of_cells : Floats | None, optional
         Further factors on the cells' moduli, (c,).

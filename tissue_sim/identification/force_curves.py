@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -11,6 +11,23 @@ from tissue_sim.array_types import Floats, Longs, Mask
 
 POINTS = 600  # of a table
 HERTZ = 1.5  # exponent of the force of a ball on a half-space: to 1 over it, forces are nearly straight lines
+
+
+class Curves(Protocol):
+    """Force curves that a fit takes; some have numbers of the tissue's law, from 0 to 1, that are fitted too."""
+
+    @property
+    def laws(self) -> int:
+        """Number of the law's unknowns."""
+
+    def under(self, law: Floats) -> ForceCurves:
+        """Return the curves for a law, (k,)."""
+
+    def changes(self, law: Floats) -> list[ForceCurves]:
+        """Return the derivatives of the curves with respect to each number of the law."""
+
+    def some(self, chosen: Longs | Mask) -> Self:
+        """Return the curves of some presses, by index or by a mask."""
 
 
 class ForceCurves(NamedTuple):
@@ -50,6 +67,19 @@ class ForceCurves(NamedTuple):
     def some(self, chosen: Longs | Mask) -> ForceCurves:
         """Return the curves of some presses, by index or by a mask."""
         return self._replace(which=self.which[chosen])
+
+    @property
+    def laws(self) -> int:
+        """Number of the law's unknowns, 0."""
+        return 0
+
+    def under(self, law: Floats) -> ForceCurves:
+        """Return these curves, whose law is given."""
+        return self
+
+    def changes(self, law: Floats) -> list[ForceCurves]:
+        """Return no derivative."""
+        return []
 
 
 def tabulated(depths: list[Floats], forces: list[Floats], which: Longs) -> ForceCurves:

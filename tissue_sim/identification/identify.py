@@ -9,9 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
 from tissue_sim.identification.diagnosis import Diagnosis, diagnosed
 from tissue_sim.identification.fitted_organ import with_stiffness
 from tissue_sim.identification.force_curves import ForceCurves
+from tissue_sim.identification.law_curves import law_curves_of
 from tissue_sim.identification.measured import Measurement, Samples, samples_of
 from tissue_sim.identification.mixed_effects import Fit, Priors, fitted
 from tissue_sim.identification.press_curves import FAST, Arrays, Remember, check_tool, curves_of, forget
@@ -19,6 +21,8 @@ from tissue_sim.identification.rate_effects import RateEffects, rate_effects_of
 from tissue_sim.identification.relaxing_organ import Presses, relaxing
 from tissue_sim.identification.stiff_places import StiffPlaces, stiff_places
 from tissue_sim.identification.stiff_places import line_of as line_of_stiff_places
+from tissue_sim.identification.stiffening import LawFit, Stiffening, law_fit
+from tissue_sim.identification.stiffening import line_of as line_of_stiffening
 from tissue_sim.identification.stiffness_map import decaying
 from tissue_sim.identification.uncertainty import (
     Interval,
@@ -35,12 +39,19 @@ from tissue_sim.organ.organ import Organ
 CORRECTIONS = 2  # of a map, since a press feels more than the tissue right under it
 
 
+NEO_HOOKEAN, EXPONENTIAL = LAWS = "neo-hookean", "exponential"
+
+
 class Settings(NamedTuple):
-    """Settings of an identification: priors of contact and bias, friction of the tool, whether to try a map."""
+    """Settings of an identification: priors of contact and bias, friction of the tool, whether to try a map.
+
+    law: one of LAWS, of which the exponential one's b is fitted and used where it pays; None for the organ's own.
+    """
 
     priors: Priors = Priors()
     friction: float = 0.6
     with_map: bool = True
+    law: str | None = None
 
 
 class Identified(NamedTuple):
@@ -59,6 +70,7 @@ class Identified(NamedTuple):
     of_cells: Floats | None
     rate_effects: RateEffects
     stiff_places: StiffPlaces
+    stiffening: Stiffening | None
     remarks: list[str]
 
     @property
@@ -96,22 +108,31 @@ def identify(
     Raises
     ------
     UserError
-        Without presses, for a tool too small for the organ, and for presses that miss it.
+        Without presses, for a tool too small for the organ, for presses that miss it, and where a law is asked for of
+        an organ without cells.
     """
     settings = settings or Settings()
-    source, organ = organ, replace(organ, relaxation_fraction=0.0, relaxation_time=0.0)
+    source, organ = organ, _elastic(organ, settings.law)
     check_tool(organ, measurement.radius)
-    samples = samples_of(measurement.presses)
-    curves = curves_of(organ, measurement, settings.friction, 1.0, remember)
+    samples, factor = samples_of(measurement.presses), 1.0
+    curves = curves_of(organ, measurement, settings.friction, factor, remember)
     fit = fitted(curves, samples, settings.priors)
     if measurement.is_registered and any(press.speed > FAST for press in measurement.presses):
-        curves = curves_of(organ, measurement, settings.friction, float(f"{fit.factor:.2g}"), remember)
+        factor = float(f"{fit.factor:.2g}")
+        curves = curves_of(organ, measurement, settings.friction, factor, remember)
         fit = fitted(curves, samples, settings.priors)
     points = measurement.points
     place = places_of(points, measurement.radius)
-    drawn = drawn_factors(curves, samples, settings.priors, fit, place)
-    interval = interval_of(fit, drawn, int(place.max()) + 1, model_error(organ, measurement.radius))
     validated = held_out(curves, samples, points, measurement.radius, settings.priors)
+    law = None
+    if settings.law == EXPONENTIAL:
+        law = _law_of(organ, measurement, (curves, samples, validated), (settings, factor), remember)
+    if law is not None and law.stiffening.pays:
+        organ, fit, validated = replace(organ, stiffening=law.stiffening.b), law.fit, law.held_out
+        curves, drawn = law.curves.under(fit.law), np.exp(law.drawn[:, 0])
+    else:
+        drawn = drawn_factors(curves, samples, settings.priors, fit, place)
+    interval = interval_of(fit, drawn, int(place.max()) + 1, model_error(organ, measurement.radius))
     following = next_press(
         organ,
         curves,
@@ -136,7 +157,8 @@ def identify(
         following,
         of_cells,
         rate_effects_of(organ, measurement, (curves, fit), settings.friction, remember),
-        stiff_places(fit),
+        stiff_places(fit, place),
+        None if law is None else law.stiffening,
         _remarks(wanted, of_cells is not None),
     )
     stiff = with_stiffness(organ, fit.factor, provenance_of(found), of_cells)
@@ -144,6 +166,36 @@ def identify(
     presses = Presses(measurement, curves, offsets, fit.factor, settings.friction)
     fitting, remark = relaxing(stiff, found.rate_effects.relaxation, presses, remember)
     return found._replace(organ=fitting, remarks=[*found.remarks, *([remark] if remark else [])])
+
+
+def _elastic(organ: Organ, law: str | None) -> Organ:
+    """Return an organ that doesn't relax, nor stiffen where a law is given. Raises UserError as `identify` does."""
+    organ = replace(organ, relaxation_fraction=0.0, relaxation_time=0.0)
+    if law is None:
+        return organ
+    if law == EXPONENTIAL and not len(organ.cell_nodes):
+        raise UserError(f"organ '{organ.name}' has no cells, which alone have the exponential law; calibrate it first")
+    return replace(organ, stiffening=0.0)
+
+
+def _law_of(
+    organ: Organ,
+    measurement: Measurement,
+    found: tuple[ForceCurves, Samples, HeldOut | None],
+    how: tuple[Settings, float],
+    remember: Remember,
+) -> LawFit:
+    """Return the fit of b, for what was found without it, settings, and the factor on moduli in fast presses."""
+    (curves, samples, validated), (settings, factor) = found, how
+
+    def pressed(tissue: Organ) -> ForceCurves:
+        def kept(name: str, make: Callable[[], Arrays]) -> Arrays:
+            return remember(f"b {tissue.stiffening:g} {name}", make)
+
+        return curves_of(tissue, measurement, settings.friction, factor, kept)
+
+    every = law_curves_of(organ, curves, pressed)
+    return law_fit(every, samples, settings.priors, (measurement.points, measurement.radius), validated)
 
 
 def _map_of_cells(
@@ -198,6 +250,8 @@ def provenance_of(found: Identified) -> JsonObject:
         "digest_before": found.source.digest(),
         **found.rate_effects.as_json(),
     }
+    if found.stiffening is not None:
+        record |= found.stiffening.as_json()
     if len(found.stiff_places.presses):
         record["stiff_places"] = [found.measurement.presses[row].name for row in found.stiff_places.presses]
     if found.held_out is not None:
@@ -227,11 +281,13 @@ def lines_of(found: Identified) -> list[str]:
             + (f", {100 * mapped:.1f} % with a map" if np.isfinite(mapped) else "")
             + f" ({found.held_out.places} places)"
         )
+    if found.stiffening is not None:
+        lines.append(line_of_stiffening(found.stiffening))
     lines.append(f"force goes as depth to the power {seen.exponent:.2f}, the model's {seen.model_exponent:.2f}")
     if seen.stiffens:
         lines.append(
             "warning: the tissue stiffens more with depth than the model can: its support or its law are wrong (a thin"
-            f" layer on something hard, or tissue that isn't neo-Hookean); {_holding(seen)}"
+            f" layer on something hard, or tissue of another law); {_holding(seen)}"
         )
     elif seen.holds_to < seen.depths[-1]:
         lines.append(f"warning: {_holding(seen)}")

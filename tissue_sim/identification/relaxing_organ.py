@@ -1,8 +1,8 @@
 """Organ that relaxes under a tool as the measured one did.
 
-What a hand feels relaxes less than the tissue: where a tool meets the surface, the local compliance doesn't relax. So
-the model is held as the recording was, and the organ's numbers are corrected until its force relaxes alike. Then it is
-pressed at the recorded speeds, which gives the modulus of tissue that has relaxed.
+A tool's force relaxes as the tissue does, but for friction and for what relaxes while it goes in. So the model is held
+as the recording was, and the organ's numbers are corrected until its force relaxes alike. Then it is pressed at the
+recorded speeds, which gives the modulus of tissue that has relaxed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tissue_sim.identification.relaxation import LONG_ENOUGH, Relaxation, term_o
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.organ_file import LAW
 
-CORRECTIONS = 3  # of fraction and time constant
+CORRECTIONS = 1  # of fraction and time constant
 DECAYS = 5.0  # time constants for which the model is held at most
 MOST_PRESSES = 4  # that the modulus is corrected by
 EVERY = 10  # ticks between two readings of the force
@@ -81,7 +81,7 @@ def relaxing(organ: Organ, relaxation: Relaxation | None, presses: Presses, reme
     found = replace(soft, relaxation_fraction=fraction, relaxation_time=time)
     return found, (
         f"relaxation is in the organ file: {100.0 * fraction:.1f} % of the tissue's first force with a time constant of"
-        f" {time:.2f} s, as contact itself doesn't relax; its Young's modulus, {found.youngs_modulus:.0f} Pa, is that"
+        f" {time:.2f} s; its Young's modulus, {found.youngs_modulus:.0f} Pa, is that"
         f" of tissue that has relaxed, {100.0 * part:.0f} % of what the presses felt"
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from tissue_sim.organ.reporting.render import Solid, draw, view_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
 
 
 SHOWN = 12  # presses whose curves are drawn, from the softest to the stiffest
@@ -189,7 +190,7 @@ def _on_organ(found: Identified, points: Floats, modulus: Floats) -> bytes:
     return png(figure, 110)
 
 
-def _colour(band: int, colours: Any) -> tuple[float, float, float]:
+def _colour(band: int, colours: Colormap) -> tuple[float, float, float]:
     if band < 0:
         return 0.8, 0.8, 0.8
     red, green, blue, _ = colours((band + 0.5) / BANDS)

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import norm, t
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.identification.force_curves import ForceCurves
+from tissue_sim.identification.force_curves import Curves, ForceCurves
 from tissue_sim.identification.measured import Samples
 from tissue_sim.identification.mixed_effects import FRACTION, NOISE, Fit, Priors, fitted
 from tissue_sim.identification.places import clear_of_clamp
@@ -54,17 +54,30 @@ def model_error(organ: Organ, radius: float) -> float:
     return next(error for least, error in OWN_ERROR if edges >= least)
 
 
-def drawn_factors(
-    curves: ForceCurves, samples: Samples, priors: Priors, fit: Fit, place: Longs, seed: int = 0
-) -> Floats:
+def drawn_factors(curves: Curves, samples: Samples, priors: Priors, fit: Fit, place: Longs, seed: int = 0) -> Floats:
     """Return the factors, (k,), of fits to presses drawn with replacement, place by place (n,)."""
+    return np.asarray(np.exp(drawn_unknowns(curves, samples, priors, fit, place, seed)[:, 0]))
+
+
+def drawn_unknowns(curves: Curves, samples: Samples, priors: Priors, fit: Fit, place: Longs, seed: int = 0) -> Floats:
+    """Return the common unknowns, (k, 3 + l), of fits to presses drawn with replacement, place by place (n,)."""
     random = np.random.default_rng(seed)
     count = int(place.max()) + 1
-    found = np.empty(DRAWS)
+    found = np.empty((DRAWS, len(fit.common)))
     for number in range(DRAWS):
         times = np.bincount(random.integers(0, count, count), minlength=count)[place].astype(np.float64)
-        found[number] = fitted(curves, samples, priors, fit, times).factor
+        found[number] = fitted(curves, samples, priors, fit, times).common
     return found
+
+
+def spread_by_places(drawn: Floats, places: int) -> float:
+    """Return the standard deviation of an unknown, from its values (k,) in a bootstrap over so many places."""
+    return float(np.std(drawn) * np.sqrt(places / max(places - 1, 1)))
+
+
+def quantile_by_places(places: int) -> float:
+    """Return how many standard deviations an interval reaches to each side, with as many places behind them."""
+    return float(t.ppf(0.5 + 0.5 * LEVEL, max(places - 1, 1)))
 
 
 def interval_of(fit: Fit, drawn: Floats, places: int, own_error: float) -> Interval:
@@ -87,12 +100,11 @@ def interval_of(fit: Fit, drawn: Floats, places: int, own_error: float) -> Inter
         The bootstrap's spread, for fewer than four places the fit's own where that is larger, widened by Student's t,
         with the model's error added in squares.
     """
-    by_presses = float(np.std(np.log(drawn))) * np.sqrt(places / max(places - 1, 1))
+    by_presses = spread_by_places(np.log(drawn), places)
     if places < FEW:
         by_presses = max(by_presses, float(np.sqrt(fit.covariance[0, 0])))
-    fraction = 0.5 + 0.5 * LEVEL
-    few = float(t.ppf(fraction, max(places - 1, 1)) / norm.ppf(fraction))
-    half = float(norm.ppf(fraction)) * np.hypot(few * by_presses, own_error)
+    many = float(norm.ppf(0.5 + 0.5 * LEVEL))
+    half = many * np.hypot(quantile_by_places(places) / many * by_presses, own_error)
     return Interval(fit.factor * np.exp(-half), fit.factor * np.exp(half), by_presses, own_error)
 
 

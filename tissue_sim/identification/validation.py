@@ -8,7 +8,7 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.identification.force_curves import ForceCurves
+from tissue_sim.identification.force_curves import Curves
 from tissue_sim.identification.measured import Samples, relative_errors
 from tissue_sim.identification.mixed_effects import Priors, fitted
 from tissue_sim.identification.stiffness_map import interpolated
@@ -51,14 +51,14 @@ def places_of(points: Floats, radius: float) -> Longs:
     return np.asarray(rank[cluster], dtype=np.int64)
 
 
-def held_out(curves: ForceCurves, samples: Samples, points: Floats, radius: float, priors: Priors) -> HeldOut | None:
+def held_out(curves: Curves, samples: Samples, points: Floats, radius: float, priors: Priors) -> HeldOut | None:
     """Return the errors at held-out places, each fifth of which is left out in turn; None for a single place.
 
     The contact offset of a held-out press is unknown: it gets the offset that the fitted presses share.
 
     Parameters
     ----------
-    curves : ForceCurves
+    curves : Curves
         The model's curves.
     samples : Samples
         The measured forces.

@@ -18,15 +18,16 @@ from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath, moves_with_frame
 from tissue_sim.model.stepping.coarse_steps import coarse_masses, no_coarse
-from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled, uncouple
-from tissue_sim.model.stepping.ligament_links import least_substeps, weight_link_ends
-from tissue_sim.model.stepping.organ_contact import (
+from tissue_sim.model.stepping.contact_pairs import (
     MOST_ORGANS,
     OrganContacts,
     OrganContactSet,
     make_organ_contacts,
+    renew_surface,
     take_pairs,
 )
+from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled, uncouple
+from tissue_sim.model.stepping.ligament_links import least_substeps, weight_link_ends
 from tissue_sim.model.stepping.wake_threshold import WAKE_DISPLACEMENT, wake_threshold_of
 
 
@@ -36,6 +37,7 @@ class ExchangePlan(NamedTuple):
     coarse_square: float  # (rad/s)^2, squared largest frequency of its coarse steps; 0: it takes none
     lightness: Floats  # (l,) see Links
     added: float  # see Links
+    version: int  # of the organ's surface, see OrganContacts
 
 
 class Joined:
@@ -92,7 +94,8 @@ class Joined:
     def plan_exchange(self, organ: int, made: Simulation) -> ExchangePlan:
         """Return what changes for all organs when one goes on with another simulation, after a cut.
 
-        Nodes keep their numbers, so that links stay where they are, and so does contact with other organs.
+        Nodes keep their numbers, so that links stay where they are, and so does contact with other organs, except at
+        the walls and lips of cuts.
 
         Parameters
         ----------
@@ -109,7 +112,7 @@ class Joined:
             factor, frequency = coarse_masses(made.model, made.settings, float(links.added[0]))
             made.scratch.coarse[:] = factor
             square = frequency**2
-        return ExchangePlan(square, links.lightness, float(links.added[0]))
+        return ExchangePlan(square, links.lightness, float(links.added[0]), int(self.pairs.version[organ]) + 1)
 
     def exchange(self, organ: int, made: Simulation, plan: ExchangePlan) -> None:
         """Go on with another simulation of an organ, after a cut; the substeps stay as they are.
@@ -125,6 +128,7 @@ class Joined:
         """
         self.coarse.square[organ] = plan.coarse_square
         self.links.lightness[:], self.links.added[0] = plan.lightness, plan.added
+        renew_surface(self.pairs, organ, plan.version)
         self.simulations[organ] = made
         self.worlds = row([one.world for one in self.simulations])
 

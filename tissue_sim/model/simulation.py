@@ -380,7 +380,7 @@ class Simulation:
         """
         self.origin = origin
         own = min(self.organ.n_uncut, before.organ.n_uncut)
-        self.carry_plan = carry_plan(before.state, self.state, origin, own)
+        self.carry_plan = carry_plan(before.state, self.state, origin, own, self.organ.mass)
 
     def continue_from(self, before: Simulation) -> None:
         """Take over the state of the simulation that this one was cut from; loads on its virtual nodes are left out.

@@ -22,6 +22,7 @@ from tissue_sim.organ.inclusions import Inclusion, check_stiffness
 from tissue_sim.organ.pipeline import organ_from_image, organ_from_mask, organ_from_mesh
 from tissue_sim.organ.refinement import Refinement
 from tissue_sim.organ.request import Request
+from tissue_sim.organ.segmenting.anatomy import ANY_NAME
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from tissue_sim.organ.organ import Organ
 
 EXTRA = "install the extra: pip install 'tissue_sim[image]'"
+_NUMBERED = re.compile(r"([^:]*:)?[\d.]+")  # 2 or 2.0, also in a layer: not a name
 _PACKAGE = str(Path(__file__).resolve().parents[1])
 
 
@@ -140,7 +142,8 @@ def _built(source: Any, given: dict[str, Any]) -> Organ:
     progress = of_organ.pop("progress", None) or Progress(_warn)
     path = Path(source) if isinstance(source, str | os.PathLike) else None
     provenance = {"source": "arrays"} if path is None else {"source": path.name, "source_sha256": digest_of(path)}
-    of_organ.setdefault("name", stem_of(path) if path is not None else "organ")
+    named = (of_organ.get("organ"), given.get("label"), given.get("part"))
+    of_organ.setdefault("name", name_of(*named, stem_of(path) if path is not None else "organ"))
     request = Request(interior_atoms=of_organ.pop("interior", 0), provenance=provenance, **of_organ)
     return make(kind, source, request, own, progress)
 
@@ -285,6 +288,27 @@ def _surrounded(parts: Sequence[Volume], wanted: Mapping[str, float], progress: 
 
 
 # what is said of a source -----------------------------------------------------------------------------
+
+
+def name_of(organ: str | None, label: int | str | None, part: int | str | None, otherwise: str) -> str:
+    """Return an organ's name where none is given: what it is said to be, or the name of its label or part.
+
+    Parameters
+    ----------
+    organ
+        Kind of organ; None or `any`: unknown.
+    label
+        Number or name of a mask's label.
+    part
+        Number or name of a part.
+    otherwise
+        The name where none of these is one.
+    """
+    for word in (organ if organ != ANY_NAME else None, label, part):
+        text = str(word or "").strip()
+        if text and not _NUMBERED.fullmatch(text):
+            return text
+    return otherwise
 
 
 def stem_of(path: Path) -> str:

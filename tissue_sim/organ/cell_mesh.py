@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.array_types import Floats, Ints, Longs, Mask
 from tissue_sim.errors import UserError
+from tissue_sim.organ.edges import CELL_EDGES, cell_edges, directed_edges
 from tissue_sim.organ.inclusions import cell_factors, inclusions_of
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surface_checks import signed_volume
@@ -22,6 +25,7 @@ LEAST_FRACTION = 0.9  # of the volume
 # out. Narrower angles are the edges of a body, as of a cube, which would hang by a thread without their cells.
 WIDEST = 120.0
 LEAST_CELLS = 4  # of a node, before one of its cells is left out for its angle
+DETOUR = 2.0  # the way along the surface over an edge outside it, above which that edge joins two walls across a gap
 _FACES = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
 
 
@@ -52,8 +56,9 @@ def tetrahedra(points: Floats, surface: Floats, triangles: Ints) -> Longs:
 def tissue_cells(points: Floats, surface: Floats, triangles: Ints, name: str) -> Ints:
     """Return tetrahedra of positive volume that fill a closed surface.
 
-    Slivers are left out, and so are cells with two faces on the surface at a wide angle. Such a cell is kept where
-    leaving it out would leave a node with too few cells, as in a fin, or with none.
+    Cells that would join two walls across a gap, as loops of a bowel that touch, are left out, and so are slivers and
+    cells with two faces on the surface at a wide angle. A cell is kept where leaving it out would leave a node with too
+    few cells, as in a fin, or with none.
 
     Parameters
     ----------
@@ -79,13 +84,15 @@ def tissue_cells(points: Floats, surface: Floats, triangles: Ints, name: str) ->
     cells = tetrahedra(points, surface, triangles)
     volume, quality = quality_of(points, cells)
     cells[volume < 0.0] = cells[volume < 0.0][:, [1, 0, 2, 3]]
-    order = np.argsort(-np.abs(quality), kind="stable")
+    across = bridging(points, cells, surface, triangles)
+    order = np.lexsort((-np.abs(quality), across))
     fat = np.abs(quality) > LEAST_QUALITY
     sound = fat.copy()
     sound[fat] = _widest_angle(points, cells[fat], triangles) <= WIDEST
+    sound &= ~across
     count = np.bincount(cells[sound].ravel(), minlength=len(points))
     for cell in order[~sound[order]]:  # the best ones first
-        least = LEAST_CELLS if fat[cell] else 1
+        least = LEAST_CELLS if fat[cell] and not across[cell] else 1
         if abs(quality[cell]) > 1e-3 and (count[cells[cell]] < least).any():
             sound[cell] = True
             count[cells[cell]] += 1
@@ -127,6 +134,46 @@ def with_cells(organ: Organ, fractions: tuple[float, float] = (1.0, 1.0)) -> Org
     return replace(organ, cell_nodes=cells, cell_mu=mu, cell_lambda=lam)
 
 
+def bridging(points: Floats, cells: Longs, surface: Floats, triangles: Ints) -> Mask:
+    """Return which cells join two walls across a gap: an edge is outside, and much shorter than the way around.
+
+    The centroid of such a cell may well be inside, and its stiffness would hold two loops together that merely touch.
+
+    Parameters
+    ----------
+    points : Floats, shape (n, 3), m
+        Nodes, beginning with those of the surface.
+    cells : Longs, shape (c, 4)
+        Corner indices into `points`.
+    surface : Floats, shape (k, 3), m
+        Nodes of the closed surface.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+
+    Returns
+    -------
+    Mask, shape (c,)
+        True for those.
+    """
+    n = len(points)
+    ends = np.sort(cell_edges(cells), axis=1)
+    keys, where = np.unique(ends @ [n, 1], return_inverse=True)
+    along = directed_edges(triangles.astype(np.int64))
+    some = np.flatnonzero(~np.isin(keys, np.sort(along, axis=1) @ [n, 1]))
+    pairs = np.stack(np.divmod(keys[some], n), axis=1)
+    out = ~inside(points[pairs].mean(axis=1), surface, triangles)
+    some, pairs = some[out], pairs[out]
+    steps = np.linalg.norm(surface[along[:, 0]] - surface[along[:, 1]], axis=1)
+    graph = coo_array((steps, (along[:, 0], along[:, 1])), shape=(len(surface), len(surface))).tocsr()
+    length = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    below = cKDTree(surface).query(points[pairs])[1]  # interior atoms by the surface node that is nearest
+    bad = np.zeros(len(keys), dtype=bool)
+    for edge, (here, there), straight in zip(some, below, length, strict=True):
+        bad[edge] = dijkstra(graph, indices=here, limit=DETOUR * straight)[there] == np.inf
+    found: Mask = bad[where.reshape(6, -1)].any(axis=0)
+    return found
+
+
 def quality_of(points: Floats, cells: Longs | Ints) -> tuple[Floats, Floats]:
     """Return the signed volume and the quality of cells.
 
@@ -144,8 +191,7 @@ def quality_of(points: Floats, cells: Longs | Ints) -> tuple[Floats, Floats]:
     """
     corner = points[cells]
     volume = np.linalg.det(corner[:, 1:] - corner[:, :1]) / 6.0
-    pairs = [(a, b) for a in range(4) for b in range(a + 1, 4)]
-    square = sum(np.sum((corner[:, a] - corner[:, b]) ** 2, axis=1) for a, b in pairs) / len(pairs)
+    square = sum(np.sum((corner[:, a] - corner[:, b]) ** 2, axis=1) for a, b in CELL_EDGES) / len(CELL_EDGES)
     return volume, 6.0 * np.sqrt(2.0) * volume / square**1.5
 
 
@@ -164,8 +210,7 @@ def _widest_angle(points: Floats, cells: Longs, triangles: Ints) -> Floats:
     inward = np.concatenate([-slopes.sum(axis=2)[:, None], slopes.transpose(0, 2, 1)], axis=1)
     inward /= np.linalg.norm(inward, axis=2, keepdims=True)
     widest = np.zeros(len(cells))
-    for a in range(4):
-        for b in range(a + 1, 4):
-            between = np.degrees(np.arccos(np.clip(-np.einsum("ci,ci->c", inward[:, a], inward[:, b]), -1.0, 1.0)))
-            widest = np.maximum(widest, np.where(on[:, a] & on[:, b], between, 0.0))
+    for a, b in CELL_EDGES:
+        between = np.degrees(np.arccos(np.clip(-np.einsum("ci,ci->c", inward[:, a], inward[:, b]), -1.0, 1.0)))
+        widest = np.maximum(widest, np.where(on[:, a] & on[:, b], between, 0.0))
     return widest

@@ -1,4 +1,4 @@
-"""What an organ file holds, and the reading of one: header, arrays, checksum, and the versions of its schema."""
+"""Contents of an organ file, and reading of one: header, arrays, checksum, and the versions of its schema."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from tissue_sim.array_types import Array
 from tissue_sim.errors import UserError, shown
+from tissue_sim.file_kinds import ORGAN, wrong_kind
 from tissue_sim.json_types import JsonObject
 from tissue_sim.npz import read_npz
 
@@ -55,6 +56,8 @@ def read_fields(path: str | os.PathLike[str], arrays: Collection[str]) -> dict[s
     except OSError as error:
         raise UserError(f"organ file {path} can't be read: {error.strerror}") from None
     except ValueError as error:
+        if other := wrong_kind(Path(path), ORGAN):
+            raise UserError(f"{path} {other}, and no organ file; make one with 'tissue_sim build'") from None
         raise UserError(
             f"organ file {path} is damaged or not an organ file ({shown(str(error), 200)}); build it again"
         ) from None

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.organ.cell_mesh import tetrahedra
-from tissue_sim.organ.edges import directed_edges
+from tissue_sim.organ.edges import cell_edges, directed_edges
 from tissue_sim.organ.inclusions import Inclusion, inclusions_of, spring_factors, with_inclusions
 from tissue_sim.organ.interior import distribute_interior_atoms
 from tissue_sim.organ.medial import nearest_atoms
@@ -317,8 +317,7 @@ def tetrahedral_edges(points: Floats, surface: Floats, triangles: Ints) -> Tetra
     cells = tetrahedra(points, surface, triangles)
     corner = points[cells]
     volume = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1])) / 6.0
-    pairs = np.concatenate([cells[:, [a, b]] for a in range(4) for b in range(a + 1, 4)])
-    return TetrahedralEdges(pairs, np.tile(volume, 6), float(volume.sum()))
+    return TetrahedralEdges(cell_edges(cells), np.tile(volume, 6), float(volume.sum()))
 
 
 def _normalised(values: Floats) -> Floats:

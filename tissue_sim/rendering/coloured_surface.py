@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 import struct
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.json_types import JsonObject
 
 FLOAT, UNSIGNED, ARRAY, INDICES = 5126, 5125, 34962, 34963  # glTF's codes for types of numbers and of buffers
 ROUGHNESS = 0.5  # of a moist surface
@@ -75,19 +76,19 @@ class ColouredSurface:
         return bytes(self._bytes)
 
 
-def light_of(colours: Any) -> Floats:
+def light_of(colours: ArrayLike) -> Floats:
     """Return colours of screens (sRGB, IEC 61966-2-1), 0 to 255, as light of 0 to 1.
 
     Parameters
     ----------
-    colours : Any, shape (..., 3)
+    colours : ArrayLike, shape (..., 3)
         The colours.
     """
     fraction = np.asarray(colours, dtype=np.float64) / 255.0
     return np.asarray(np.where(fraction <= 0.04045, fraction / 12.92, ((fraction + 0.055) / 1.055) ** 2.4))
 
 
-def _described(rest: Floats, n_faces: int, parts: list[int], opacity: float) -> dict[str, Any]:
+def _described(rest: Floats, n_faces: int, parts: list[int], opacity: float) -> JsonObject:
     """Return the description of the numbers in glTF."""
     n = len(rest)
     starts = np.cumsum([0, *parts]).tolist()

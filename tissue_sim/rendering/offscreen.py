@@ -388,7 +388,7 @@ def _samples(wanted: int) -> int:
     return 0 if wanted == 1 else wanted
 
 
-def _set(program: moderngl.Program, name: str, value: Any) -> None:
+def _set(program: moderngl.Program, name: str, value: object) -> None:
     """Set a uniform, a matrix by its bytes, if the compiler has left it in the program."""
     uniform = program.get(name, None)
     if not isinstance(uniform, moderngl.Uniform):

@@ -10,7 +10,7 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Collection, Iterator, Mapping, MutableMapping
 from datetime import datetime
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from tissue_sim.ros.shared.domains import claim_domain
 from tissue_sim.ros.shared.priority import is_allowed
 from tissue_sim.ros.viewer.tokens import TOKEN_VARIABLE
 from tissue_sim.ros.viewer.view import add_page_arguments, address, check_port, page_token
-from tissue_sim.unexpected_errors import write_error
+from tissue_sim.unexpected_errors import INTERRUPTED, write_error
 
 NODE = "tissue_sim"
 PRIORITY = 20  # of the node, where the system allows it
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the demonstration; return 0, or 1 when something ended before its time."""
+    """Run the demonstration; return 0, 1 when something ended before its time, 130 when it was stopped too early."""
     if args.organ is not None and not Path(args.organ).is_file():
         raise UserError(f"organ file {args.organ} does not exist; make one with 'tissue_sim build'")
     token = None
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
             f"cannot make the folder {folder}: {error.strerror}; choose another with --bag-folder"
         ) from None
 
-    watch = Watch(args.seconds)
+    watch, there = Watch(args.seconds), set(folder.iterdir())
     with chosen_graph(os.environ), client.Stop() as stop:
         # The node first: the others wait for it. Stopped the other way round.
         # A browser that draws without a GPU takes every core there is: the node goes first where it may.
@@ -84,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
             last_words = dead.last_words() if dead else ""
         finally:
             killed = stop_all(children[::-1])
+            watch.bag = watch.bag or newest_bag(folder, there)
             with contextlib.suppress(OSError):  # only an empty folder goes
                 folder.rmdir()
     if dead is None and watch.node_up and children[-1].output:
@@ -91,14 +92,17 @@ def run(args: argparse.Namespace) -> int:
     return _conclude(watch, dead, last_words, killed)
 
 
+def newest_bag(folder: Path, there: Collection[Path]) -> str:
+    """Return the newest bag in a folder that was not there before; empty where there is none."""
+    made = sorted((path for path in folder.iterdir() if path.is_dir() and path not in there), key=os.path.getmtime)
+    return str(made[-1]) if made else ""
+
+
 @contextlib.contextmanager
 def chosen_graph(environment: MutableMapping[str, str]) -> Iterator[None]:
     """Keep to this machine, and to a ROS domain that is unused there, unless the user chose otherwise.
 
-    Parameters
-    ----------
-    environment : MutableMapping[str, str]
-        The environment variables; updated.
+    environment: the environment variables (updated).
     """
     dds.limit_to_this_machine(environment)
     if "ROS_DOMAIN_ID" in environment:
@@ -179,8 +183,8 @@ class Watch:
                         print(status_line(values), flush=True)
                     elif (waited := round(now - started)) == 2 or (waited > 0 and waited % 10 == 0):
                         print(
-                            f"waiting for the node, {waited} s (on its first run it compiles kernels, for half a"
-                            " minute)",
+                            f"waiting for the node, {waited} s (on its first run it compiles kernels, for a"
+                            " minute or two)",
                             flush=True,
                         )
                 wait_a_little(min(next_line, end))
@@ -190,12 +194,13 @@ class Watch:
 def _conclude(watch: Watch, dead: Child | None, last_words: str, killed: list[str]) -> int:
     if dead is not None:
         write_error(f"tissue_sim demo: the {dead.name} ended by itself, {last_words}\n")
-    if dead is None and not watch.node_up:
-        write_error("tissue_sim demo: stopped before the node was up\n")
-        return 1
     for name in killed:
         write_error(f"tissue_sim demo: the {name} did not end and was killed\n")
-    if watch.bag and Path(watch.bag).is_dir():
+    has_bag = bool(watch.bag) and Path(watch.bag).is_dir()
+    if dead is None and not watch.node_up and not has_bag:
+        write_error("tissue_sim demo: stopped before the node was up; no bag was recorded\n")
+        return INTERRUPTED
+    if has_bag:
         print(f"bag: {watch.bag}\nreplay it with: {_program()} replay {shlex.quote(watch.bag)}", flush=True)
     elif dead is None:
         write_error("tissue_sim demo: the node recorded no bag\n")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.organ_topics import path_of
 
@@ -60,13 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the policy that fits a node as it answers now; return 0.
-
-    Raises
-    ------
-    UserError
-        When it doesn't answer.
-    """
+    """Print the policy that fits a node as it answers now; return 0. Raises UserError when it doesn't answer."""
     from tissue_sim.ros.shared.node_parameters import parameters_of
 
     values = parameters_of(args.node, "policy", WAIT)
@@ -76,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def fitted(node: str, values: Mapping[str, Any]) -> str:
+def fitted(node: str, values: JsonObject) -> str:
     """Return the policy, XML, for a node of this name (with its namespace) and these parameters."""
     root = ElementTree.Element("policy", version=VERSION)
     root.append(ElementTree.Comment(ABOUT))
@@ -88,7 +83,7 @@ def fitted(node: str, values: Mapping[str, Any]) -> str:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
-def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
+def enclaves_of(node: str, values: JsonObject) -> dict[str, Allowed]:
     """Return what each process may do, by its enclave."""
     from tissue_sim.ros.camera.topic_names import CAMERA, EYES, NODES, POSE, TOPICS
     from tissue_sim.ros.node.services.simulation_services import SERVICES
@@ -175,7 +170,7 @@ def _topics(namespace: str, link: ToolLink, *topics: str) -> list[str]:
     return [name if name.startswith("/") else f"{namespace}/{name}" for name in names if name]
 
 
-def _of_organs(own: str, values: Mapping[str, Any], *names: str) -> list[str]:
+def _of_organs(own: str, values: JsonObject, *names: str) -> list[str]:
     """Return topics of every organ: below its name in a scene."""
     return [topic for organ in [*values["organs"]] or [""] for topic in _below(path_of(own, organ), *names)]
 

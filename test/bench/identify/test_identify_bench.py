@@ -101,6 +101,17 @@ def test_an_inclusion_that_is_hardly_stiffer_is_missed_and_the_bound_says_so():
     assert not bound.as_json()["met"]
 
 
+def test_pressing_each_place_again_finds_a_weak_inclusion():
+    """What limits the warning is noise, which the mean of a place has less of."""
+    once, often = (found_around(UNKNOWN, around(0.16), np.random.default_rng(3), 8, times) for times in (1, 5))
+    assert (once.presses, often.presses) == (10, 50)
+    assert "each place 5 times" in often.recovered.name
+    assert often.reported > once.reported
+    assert often.elsewhere == 0
+    rows = inclusion_rows([once, often])
+    assert sum(bound.name.endswith("reported over it") for bound in _inclusion_bounds(rows)) == 2
+
+
 def test_places_over_the_inclusion_come_first_and_are_clear_of_the_clamp():
     organ = Organ.load(shipped_organ("kidney_tumour"))
     spots = places_with(organ)

@@ -9,7 +9,8 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.handles import handle
 from tissue_sim.model.contact.culling import FAST, cull_contacts
-from tissue_sim.model.contact.tool_motion import FASTEST, set_frame
+from tissue_sim.model.contact.poses import set_frame
+from tissue_sim.model.contact.tool_motion import FASTEST
 
 RADIUS, HALF = 0.004, 0.01  # m, of a capsule
 ORGAN = ball(3)

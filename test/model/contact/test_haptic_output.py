@@ -19,9 +19,9 @@ def settings_of(clamp=10.0, slew=1e3):
     return settings
 
 
-def twin(unfaded, impulse, owners, ages, settings):
-    """What compute_haptic_output does, tool by tool."""
-    unfaded, wrench = unfaded.copy(), np.zeros_like(unfaded)
+def twin(unfaded, felt, impulse, owners, ages, settings):
+    """What compute_haptic_output does, tool by tool; felt: the wrench (b, 6) of the tick before."""
+    unfaded, wrench = np.where(ages[:, None] * TICK <= settings.stale_time, felt, unfaded), np.zeros_like(unfaded)
     for tool in np.unique(owners):
         own = owners == tool
         wanted = -impulse[own] / TICK
@@ -44,12 +44,13 @@ def test_kernel_is_the_twin(seed):
     random = np.random.default_rng(seed)
     owners = np.array([0, 0, 1, 2, 2])
     unfaded, impulse = random.normal(0.0, 2.0, (5, 6)), random.normal(0.0, 6e-3, (5, 6))
+    felt = 0.3 * unfaded
     ages = np.array([3, 3, 55, 80, 0])
     settings = settings_of(clamp=5.0, slew=2e3)
     count, bodies = Counts.new(), BodyStatus.rows(np.zeros(5 * BodyStatus.words(), dtype=np.int64))
     bodies.age = ages
-    expected = twin(unfaded, impulse, owners, ages, settings)
-    state = SimpleNamespace(unfaded_wrench=unfaded, wrench=np.zeros((5, 6)), bodies=bodies, count=count)
+    expected = twin(unfaded, felt, impulse, owners, ages, settings)
+    state = SimpleNamespace(unfaded_wrench=unfaded, wrench=felt, bodies=bodies, count=count)
     compute_haptic_output.py_func(state, SimpleNamespace(tool=owners), settings, SimpleNamespace(impulse=impulse))
     np.testing.assert_allclose(state.unfaded_wrench, expected[0], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(state.wrench, expected[1], rtol=1e-12, atol=1e-12)
@@ -72,3 +73,23 @@ def test_nip_of_two_jaws_is_not_cut_when_their_sum_is_small():
     impulse = np.zeros((2, 6))
     impulse[:, 0] = 20.0 * TICK, -19.0 * TICK
     assert clamp_fraction(impulse, owners, 0, 10.0 * TICK) == 1.0
+
+
+def test_a_force_that_faded_partly_rises_no_faster_than_the_slew_limit():
+    """Poses that pause for 50 to 70 ms are common; the whole force came back in one tick."""
+    settings, tick = settings_of(slew=500.0), 0
+    bodies = BodyStatus.rows(np.zeros(BodyStatus.words(), dtype=np.int64))
+    state = SimpleNamespace(unfaded_wrench=np.zeros((1, 6)), wrench=np.zeros((1, 6)), bodies=bodies, count=Counts.new())
+    impulse, forces = np.zeros((1, 6)), []
+    impulse[0, 2] = -5.0 * TICK
+    for tick in range(300):
+        since = tick % 100
+        bodies.age = max(0, since - 35)  # a pose a tick for 36 ticks, then none until it has faded by three quarters
+        compute_haptic_output.py_func(
+            state, SimpleNamespace(tool=np.zeros(1, dtype=np.int64)), settings, SimpleNamespace(impulse=impulse)
+        )
+        forces.append(state.wrench[0, 2])
+    rises = np.diff(forces)
+    assert max(forces) == pytest.approx(5.0)
+    assert min(forces[50:]) == pytest.approx(5.0 * (1.0 - 14.0 / 20.0))
+    assert rises.max() == pytest.approx(0.5)

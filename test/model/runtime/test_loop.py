@@ -433,3 +433,33 @@ def test_sleep_ends_after_the_deadline():
     rt.sleep_until(deadline, timespec)
     assert time.monotonic_ns() >= deadline
     rt.sleep_until(deadline - 1_000_000_000, timespec)  # in the past: no sleep
+
+
+@pytest.mark.parametrize("phase", [0.02, 0.3, 0.5, 0.9])
+def test_ticks_are_shifted_until_requests_come_midway_between_two(phase):
+    pace, period, due = mb.Pace.new(), 1_000_000, 0
+    for tick in range(300):
+        start = tick * period + int(phase * period)
+        due = rt.suited_due(due, start, period, pace)
+        assert abs(pace.shift) <= period // 2
+        assert due == tick * period + pace.shift, "as many ticks as periods of the clock"
+        due += period
+    assert abs(start - (due - period) - period // 2) < period // 50
+
+
+def test_requests_beyond_half_a_period_shift_nothing():
+    pace = mb.Pace.new()
+    pace.shift = 499_999
+    assert rt.suited_due(0, 999_999, 1_000_000, pace) == 0
+    assert pace.shift == 499_999
+
+
+def test_after_a_few_requests_in_a_row_that_had_to_wait_one_waits_for_the_next():
+    words, period = mb.make_loop_words(), 20_000_000
+    loop = handle(words)
+    for waits in (*range(1, rt.MOST_WAITS + 1), 0):
+        due = time.monotonic_ns() + period
+        words.control.asked += 1  # before it is due
+        returned = rt.wait_for_tick(due, period, int(words.control.asked) - 1, loop)
+        assert returned >= due + (period if waits == 0 else 0)
+        assert words.pace.waits == waits

@@ -10,8 +10,8 @@ from tissue_sim.model.data.links import make_links
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath, inhaled_fraction
+from tissue_sim.model.stepping.contact_pairs import make_organ_contacts
 from tissue_sim.model.stepping.ligament_links import weight_link_ends
-from tissue_sim.model.stepping.organ_contact import make_organ_contacts
 
 TOP, TOP_OF_FINE = (int(np.argmax(one.surface_positions[:, 2])) for one in (ball(), ball(2)))
 

@@ -10,7 +10,7 @@ from tissue_sim.contact.attachments import Attachment, Breathing
 from tissue_sim.contact.coupling_setup import join
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.elasticity.gravity import add_weight
+from tissue_sim.model.elasticity.gravity import add_weight, write_masses
 from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.wake_threshold import (
@@ -71,7 +71,9 @@ def test_bounds_are_what_linear_statics_say(organ):
 
     weight = np.zeros((organ.n_nodes, 3))
     simulation.set_gravity(way / np.linalg.norm(way))
-    add_weight(simulation.model, simulation.settings, weight)
+    masses = np.zeros(organ.n_nodes)
+    write_masses(simulation.model, masses)
+    add_weight(simulation.model, simulation.settings, masses, weight)
     bent = np.linalg.norm((compliance @ weight.ravel()).reshape(-1, 3), axis=1).max()
     assert bent <= bend <= 1.1 * bent
 

@@ -127,8 +127,30 @@ def test_nifti_of_more_voxels_than_it_holds_is_refused(tmp_path):
         data = bytearray(head.read_bytes())
         data[40:48] = np.array([3, 800, 800, 800], dtype="<i2").tobytes()
         head.write_bytes(data)
-        with pytest.raises(UserError, match="can't contain"):
+        with pytest.raises(UserError, match="is cut off: it has"):
             read_image(path)
+
+
+PLAIN, PACKED = ["ct.nii", "ct.nrrd", "ct.mha"], ["ct.nii.gz", "packed.nrrd", "packed.mha"]
+
+
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    [*((name, damage) for name in PLAIN + PACKED for damage in ("none", "cut off")), *((n, "changed") for n in PACKED)],
+)
+def test_an_image_that_was_cut_off_or_changed_is_not_read_in_part(tmp_path, name, damage):
+    """ITK reads what is there, and leaves the rest of the voxels as it finds them."""
+    voxels = np.random.default_rng(1).integers(-900, 900, (12, 14, 16), dtype=np.int16)
+    path = tmp_path / name
+    sitk.WriteImage(sitk.GetImageFromArray(voxels), str(path), useCompression=name in PACKED)
+    data = path.read_bytes()
+    if damage == "none":
+        np.testing.assert_array_equal(read_image(path).array, voxels)
+        return
+    half = len(data) // 2
+    path.write_bytes(data[: len(data) - 40] if damage == "cut off" else data[:half] + bytes(40) + data[half + 40 :])
+    with pytest.raises(UserError, match=r"is cut off|is damaged|has a damaged header"):
+        read_image(path)
 
 
 def test_a_mask_that_packs_well_has_room(tmp_path):

@@ -12,12 +12,13 @@ from tissue_sim.contact.coupling_setup import join
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.stepping.contact_pairs import organ_contact_set, used_words
 from tissue_sim.organ.placement import placed
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
-from tissue_sim.ros.bags.joined_recording import JoinedRecording, _check_fields
+from tissue_sim.ros.bags.joined_recording import JoinedRecording, Sizes, _check_fields, _pairs_of
 from tissue_sim.ros.shared.loop import Loop
 
-SIZES = [ball(2).n_nodes] * 2
+SIZES = [Sizes(ball(2).n_nodes, {1: ball(2).n_nodes + 5})] * 2
 
 
 def simulations():
@@ -90,6 +91,7 @@ def test_of_an_organ_alone_there_is_nothing_but_the_journal():
         ("pairs", lambda a: np.where(np.arange(len(a)) == 1, 9, a), "an organ that doesn't exist"),
         ("pairs", lambda a: np.where(np.arange(len(a)) == 3, -7, a), "a node that doesn't exist"),
         ("held", lambda a: a[:, :2], "has shape"),
+        ("versions", lambda a: a[:1], "has shape"),
     ],
 )
 def test_what_can_not_be_is_refused(written, name, change, expected):
@@ -103,3 +105,30 @@ def test_what_is_missing_is_refused(written):
     for name in fields:
         with pytest.raises(LookupError):
             _check_fields({key: value for key, value in fields.items() if key != name}, SIZES)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({}, None),
+        ({"version": 7, "node": 9_999}, None),  # of a surface from before the bag
+        ({"version": 1, "node": 9_999}, "a node that doesn't exist"),
+        ({"node": -1}, "a node that doesn't exist"),
+        ({"named": -2}, "a point of a cut that doesn't exist"),
+        ({"organ": 1}, "a point of a cut of another organ"),
+        ({"organ": 5}, "a point of a cut that doesn't exist"),
+        ({"weight": np.nan}, "invalid weights"),
+    ],
+)
+def test_points_of_cuts_that_can_not_be_are_refused(change, expected):
+    one = {"organ": 0, "version": 1, "node": ball(2).n_nodes + 4, "named": -1, "weight": 0.5} | change
+    found = organ_contact_set()
+    found.found[0] = found.points[0] = 1
+    found.organ[0], found.node[0], found.weight[0] = (1, 0), (3, 4, 5, one["named"]), (0.5, 0.25, 0.25)
+    found.point_organ[0], found.point_version[0], found.point_number[0] = one["organ"], one["version"], 500
+    found.point_node[0], found.point_weight[0] = one["node"], one["weight"]
+    if expected is None:
+        assert int(_pairs_of(used_words(found), SIZES).points[0]) == 1
+        return
+    with pytest.raises(ValueError, match=expected):
+        _pairs_of(used_words(found), SIZES)

@@ -113,7 +113,7 @@ def test_refusals(tmp_path, capsys):
     assert "does not exist" in capsys.readouterr().err
     (tmp_path / "empty").mkdir()
     assert main(["replay", str(tmp_path / "empty")]) == 2
-    assert "can't be read" in capsys.readouterr().err
+    assert "holds no bag" in capsys.readouterr().err
     broken = tmp_path / "broken"
     shutil.copytree(BAG, broken)
     (data,) = broken.glob("*.mcap")

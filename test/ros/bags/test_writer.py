@@ -171,7 +171,7 @@ def test_markers_are_left_out_before_surfaces_and_inputs_never(stalled):
     recorder, let_go = stalled
     large = b"\0" * 100_000
     for tick in range(50):
-        recorder.of_organ[0].surface(tick, large, large, large)
+        recorder.of_organ[0].surface(10**6 + tick, large, large, large)
         recorder.received(POSE, b"\0" * 64)
     assert recorder.active
     let_go.set()

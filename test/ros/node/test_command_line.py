@@ -218,17 +218,17 @@ sys.exit(main({!r}))
 
 
 @pytest.mark.parametrize(
-    ("words", "module", "code"),
+    ("words", "module", "code", "line"),
     [
-        (["bridge"], "numpy", 0),
-        (["bridge"], "shape_msgs", 0),
-        (["view"], "numpy", 0),
-        (["info", "k.npz"], "numpy", 130),
+        (["bridge"], "numpy", 0, "tissue_sim bridge: stopped; it had not begun\n"),
+        (["bridge"], "shape_msgs", 0, "tissue_sim bridge: stopped; it had not begun\n"),
+        (["view"], "numpy", 0, "tissue_sim view: stopped; it had not begun\n"),
+        (["info", "k.npz"], "numpy", 130, "tissue_sim info: stopped\n"),
     ],
 )
-def test_ctrl_c_while_a_command_loads_ends_it_as_later(words, module, code):
+def test_ctrl_c_while_a_command_loads_ends_it_as_later(words, module, code, line):
     program = WHILE_LOADING.format(module, words)
     # What is imported counts as imported by the program above, so that Python would print others' deprecations.
     started = [sys.executable, "-W", "ignore::DeprecationWarning", "-c", program]
     done = subprocess.run(started, capture_output=True, text=True, timeout=LIMIT, check=False)
-    assert (done.returncode, done.stderr) == (code, "")
+    assert (done.returncode, done.stderr) == (code, line)

@@ -11,6 +11,7 @@ from rcl_interfaces.srv import DescribeParameters
 from rosbags.rosbag2 import Reader
 from visualization_msgs.msg import Marker
 
+from helpers.diagnostics_page import is_explained
 from helpers.ros.clients import Client
 from helpers.ros.processes import (
     PUSHED,
@@ -130,6 +131,7 @@ BAD_POSES = {
     "unknown_frame": {"frame": "moon"},
     "nan_pose": {"position": (math.nan, 0.0, 0.0)},
     "zero_quaternion": {"quaternion": (0.0, 0.0, 0.0, 0.0)},
+    "large_quaternion": {"quaternion": (0.0, 1e200, 0.0, 1.0)},
     "no_stamp": {"stamp": 0.0},
     "far_pose": {"position": (150.0, 0.0, 0.0)},
 }
@@ -144,6 +146,8 @@ def test_bad_poses_are_refused_by_name(client, node):
         return all(reason in client.message for reason in BAD_POSES)
 
     assert client.spin_until(all_are_reported), client.message
+    unknown = [key for key in client.diagnostics if not is_explained(key, ("left", "right"))]
+    assert not unknown, "the page on diagnostics lacks these"
     for reason in BAD_POSES:
         assert int(client.diagnostics[f"left.refused.{reason}"]) > 0, client.diagnostics
     assert client.level != b"\x00"
@@ -170,6 +174,24 @@ def test_stamp_that_runs_backwards_is_refused(client):
         return int(client.diagnostics["left.poses"]) > poses
 
     assert client.spin_until(is_heard)
+
+
+def test_stamp_that_stands_or_leaps_is_refused(client):
+    """A driver repeats its last message when its device has gone; one wrong stamp must not refuse those that follow."""
+    stands = time.time()
+
+    def is_stale():
+        client.ask((1.0, 0.0, 0.0), stamp=stands)
+        return int(client.diagnostics.get("left.refused.same_stamp", 0)) > 0
+
+    assert client.spin_until(is_stale)
+
+    def has_leapt():
+        client.ask((1.0, 0.0, 0.0), stamp=time.time())
+        client.ask((1.0, 0.0, 0.0), stamp=time.time() + 3600.0)
+        return int(client.diagnostics.get("left.refused.forward_stamp", 0)) > 0
+
+    assert client.spin_until(has_leapt)
 
 
 def test_tool_that_appears_inside_is_held_off(client, node):
@@ -199,6 +221,26 @@ def test_tool_that_appears_inside_is_held_off(client, node):
     client.reset()  # the tool is inside still
     assert client.spin_until(lambda: client.ask(inside) or node.text().count("'left' is inactive") > said)
     assert client.spin_until(lambda: client.ask(inside) or int(client.diagnostics["left.held_off"]) > counted)
+
+
+def test_tool_that_is_pressed_too_deep_is_held_and_reported(client, node):
+    assert client.set_parameter("stale_time", 5.0).successful
+    organ = shipped()
+    top = int(np.argmax(organ.surface_positions[:, 0]))
+    place, inward = organ.surface_positions[top], -organ.surface_normals[top]
+    depths = iter(np.concatenate([np.linspace(-0.01, 0.06, 700), np.full(10**6, 0.06)]).tolist())
+
+    def warns():
+        client.ask(place + next(depths) * inward)
+        state = client.diagnostics.get("left.state")
+        return state == "slipped" and "slipped into the tissue" in client.message
+
+    assert client.spin_until(warns), client.message
+    assert "deeper than the surface can bear, and is pressed with at most" in node.text()
+    assert float(client.diagnostics["left.force_n"]) > 0.1, "and felt"
+    client.ask(place - 0.02 * inward)
+    outside = place - 0.02 * inward
+    assert client.spin_until(lambda: client.ask(outside) or client.diagnostics.get("left.state") == "fresh")
 
 
 def test_parameters_change_live_or_say_why_not(client):

@@ -160,6 +160,7 @@ def test_a_clock_that_stands_leaves_no_force_and_no_kick_when_it_goes_on(client,
         return client.hand_force() > 0.02
 
     assert client.spin_until(has_force_again), "a tool in touch is resisted again"
+    assert node.text().index("/clock stands still") < node.text().index("/clock goes on: ticks follow it again")
     assert client.kick(lambda: simulator.run(STEP, inside)) < 1.5
 
 

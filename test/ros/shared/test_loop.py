@@ -12,7 +12,7 @@ from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.data.records import copy_of
-from tissue_sim.model.stepping.organ_contact import organ_contact_set
+from tissue_sim.model.stepping.contact_pairs import organ_contact_set
 from tissue_sim.organ.placement import placed
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics

@@ -13,6 +13,7 @@ from std_msgs.msg import Float64MultiArray, String, UInt8MultiArray
 from helpers.ros.processes import shipped
 from tissue_sim.ros.shared.cdr import (
     UNSTAMPED,
+    BadQuaternion,
     check_force,
     check_position,
     parse_cloud,
@@ -114,8 +115,22 @@ def test_wrench_as_an_array(length):
 def test_unit_pose():
     pose = unit_pose(np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 2.0]))
     assert pose.tolist() == [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]
-    with pytest.raises(ValueError, match="quaternion is zero"):
-        unit_pose(np.zeros(7))
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "counted", "what"),
+    [
+        ((0.0, 0.0, 0.0, 0.0), "zero_quaternion", "zero"),
+        ((0.0, 1e-7, 0.0, 0.0), "zero_quaternion", "zero"),
+        ((1e200, 0.0, 0.0, 1.0), "large_quaternion", "too large"),
+        ((0.0, np.nan, 0.0, 1.0), "nan_pose", "not finite"),
+        ((0.0, 0.0, np.inf, 1.0), "nan_pose", "not finite"),
+    ],
+)
+def test_a_quaternion_that_is_no_rotation_has_a_name_for_its_reason(quaternion, counted, what):
+    with pytest.raises(BadQuaternion, match=f"its quaternion is {what}; send a unit quaternion") as refused:
+        unit_pose(np.array([0.0, 0.0, 0.0, *quaternion]))
+    assert refused.value.counted == counted
 
 
 def test_cloud_template():

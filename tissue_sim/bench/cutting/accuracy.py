@@ -52,28 +52,8 @@ class Compared(NamedTuple):
 def compared(organ: Organ, cut: Cut, reference: Reference, edge: float, finer: Organ | None = None) -> Compared:
     """Settle the real-time model under the loads of a reference.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    cut : Cut
-        The cut.
-    reference : Reference
-        Its finite elements.
-    edge : float, m
-        Mean edge of the organ's surface at the cut.
-    finer : Organ | None, optional
-        The organ with a finer surface, which takes its place; None for none.
-
-    Returns
-    -------
-    Compared
-        The errors.
-
-    Raises
-    ------
-    UserError
-        As Simulation.cut does.
+    edge: mean edge of the organ's surface at the cut, m; finer: the organ with a finer surface, which takes its place,
+    None for none. Returns the errors. Raises UserError as Simulation.cut does.
     """
     place = placed(organ, cut)
     onto = None if finer is None else onto_finer(organ, finer, place.sheet)
@@ -115,14 +95,8 @@ def measure(
 ) -> tuple[list[Compared], list[str]]:
     """Compare some cuts; return the comparisons, and why others were left out.
 
-    Parameters
-    ----------
-    makers : Mapping[str, Callable[[], Organ]]
-        What makes each organ, by name.
-    cuts : Sequence[Cut]
-        The cuts.
-    refine : bool, optional
-        Whether each organ's surface is made finer where the cut will be, and calibrated again.
+    makers: what makes each organ, by name; refine: whether each organ's surface is made finer where the cut will be,
+    and calibrated again.
     """
     stored, made = stored_table(), cache(lambda name: makers[name]())
     found: list[Compared] = []
@@ -146,20 +120,7 @@ def measure(
 
 
 def as_json(found: list[Compared], skipped: list[str]) -> JsonObject:
-    """Return all figures and bounds.
-
-    Parameters
-    ----------
-    found : list[Compared]
-        The comparisons.
-    skipped : list[str]
-        Why others were left out.
-
-    Returns
-    -------
-    JsonObject
-        The figures by name.
-    """
+    """Return all figures and bounds. skipped: why others were left out."""
     table = [_row(one.cut.name, [one]) | _own(one) for one in found]
     if found:
         table.append(_row("all", found))
@@ -229,18 +190,7 @@ def _own(one: Compared) -> JsonObject:
 
 
 def text(found: JsonObject) -> str:
-    """Return the figures as tables.
-
-    Parameters
-    ----------
-    found : JsonObject
-        The figures.
-
-    Returns
-    -------
-    str
-        The text.
-    """
+    """Return the figures as tables."""
     lines = [
         "errors in % against finite elements with the same cut, whose lips touch each other; mean / worst of the loads",
         "under which they stay apart, and of those under which they touch: of displacements of the surface (uncut: of",

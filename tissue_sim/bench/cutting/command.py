@@ -6,12 +6,12 @@ import argparse
 import importlib.util
 from pathlib import Path
 
-from tissue_sim.bench.arguments import add_priority, add_shared, check_priority, check_shared
+from tissue_sim.bench.arguments import add_priority, add_shared, check_priority
 from tissue_sim.bench.cutting import accuracy, node_times, times
 from tissue_sim.bench.cutting.cuts import CUTS
 from tissue_sim.bench.cutting.organs import kidney, makers
 from tissue_sim.bench.cutting.reference import STORED, remake
-from tissue_sim.bench.printing import bound_lines, emit, exit_code, noise_lines
+from tissue_sim.bench.printing import Result, bound_lines, noise_lines
 from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
@@ -49,9 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     if not args.accuracy:
         for name, given in (
             ("--data", args.data),
@@ -63,8 +62,7 @@ def run(args: argparse.Namespace) -> int:
                 raise UserError(f"{name} needs --accuracy")
         check_priority(args.realtime_priority)
         found = _times(args.realtime_priority)
-        emit(found, _text(found), args.json)
-        return exit_code(found, check=args.check)
+        return Result(found, _text(found))
     cuts = [cut for cut in CUTS if cut.organ in args.organs and (args.only or "") in cut.name]
     if not cuts:
         raise UserError(f"no cut has --only '{args.only}' in its name: {', '.join(cut.name for cut in CUTS)}")
@@ -75,8 +73,7 @@ def run(args: argparse.Namespace) -> int:
         remake(kidney(), shipped_organ().parents[2] / STORED, chosen)
     made = makers(Path(args.data) if args.data else None)
     found = accuracy.as_json(*accuracy.measure(made, cuts, refine=args.refine))
-    emit(found, accuracy.text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, accuracy.text(found))
 
 
 def _times(priority: int) -> JsonObject:

@@ -61,21 +61,8 @@ class CutBody:
 
     At the front of the cut, as at the clamp's edge, the middles of edges are moved to quarter points (Barsoum 1976).
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    sheet : Sheet
-        The cut.
-    sizes : Sizes
-        Sizes of the elements.
-    parted : bool, optional
-        Whether the cut is open; the same mesh without it is that of the uncut organ.
-
-    Raises
-    ------
-    UserError
-        As fill does.
+    sizes: sizes of the elements; parted: whether the cut is open (the same mesh without it is that of the uncut organ).
+    Raises UserError as fill does.
     """
 
     def __init__(self, organ: Organ, sheet: Sheet, sizes: Sizes = COARSE, *, parted: bool = True) -> None:

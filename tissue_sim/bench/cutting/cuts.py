@@ -89,17 +89,7 @@ class Place(NamedTuple):
 def placed(organ: Organ, cut: Cut) -> Place:
     """Return where a cut lies: its polyline follows the surface, as far from surface nodes as it can be there.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    cut : Cut
-        The cut.
-
-    Raises
-    ------
-    UserError
-        Where it leaves the organ.
+    Raises UserError where it leaves the organ.
     """
     surface = surface_of(organ)
     middle = organ.surface_positions.mean(axis=0)
@@ -177,12 +167,7 @@ OPENING, CLOSING = "both lips apart", "both lips together"
 def loads_of(organ: Organ, place: Place) -> Loads:
     """Return nine loads of 1 N on each patch: at the lips, beside the cut, and far from it.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    place : Place
-        Where the cut lies.
+    place: where the cut lies.
     """
     surface = surface_of(organ)
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)
@@ -211,14 +196,7 @@ def loads_of(organ: Organ, place: Place) -> Loads:
 def scaled(organ: Organ, loads: Loads, reach: Floats) -> Loads:
     """Return loads as large as they are applied.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    loads : Loads
-        Loads of 1 N on a patch.
-    reach : Floats, shape (c,), m
-        The largest displacement of the cut linear body under each.
+    loads: loads of 1 N on a patch; reach (c,) m: the largest displacement of the cut linear body under each.
     """
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)
     most = np.minimum(MOST_REACH / reach, MOST_TRACTION * organ.youngs_modulus / tractions(loads.force, organ))

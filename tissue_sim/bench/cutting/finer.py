@@ -49,14 +49,7 @@ def onto_finer(organ: Organ, finer: Organ, sheet: Sheet) -> Onto:
     As in the finite elements, the force at a node is a traction that falls to 0 across the triangles around it, and
     acts on its own side of the cut.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    finer : Organ
-        The finer one.
-    sheet : Sheet
-        The cut.
+    finer: the finer organ.
     """
     positions = finer.surface_positions
     corner, hat = places_on(organ, positions)
@@ -72,22 +65,7 @@ def onto_finer(organ: Organ, finer: Organ, sheet: Sheet) -> Onto:
 def finer_organ(organ: Organ, cut: Cut) -> Organ:
     """Return an organ with a finer surface where a cut will be, calibrated: some minutes, once.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    cut : Cut
-        The cut.
-
-    Returns
-    -------
-    Organ
-        The finer organ; it is kept in the user's cache.
-
-    Raises
-    ------
-    UserError
-        As a calibration does.
+    Returns the finer organ; it is kept in the user's cache. Raises UserError as a calibration does.
     """
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)
     line = placed(organ, cut).sheet.polyline

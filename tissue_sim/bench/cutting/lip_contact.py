@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import bsr_array, coo_array, csr_array, diags_array
-from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.calibration.cholesky import Cholesky, NotPositive
 from tissue_sim.calibration.solid import Solid
+from tissue_sim.contact.triangles import nearest_among
 from tissue_sim.model.cutting.cut_surface import FACES
 
 STIFF = 40.0  # a wall's stiffness, in Young's moduli over its mean edge
@@ -23,7 +23,6 @@ DEEP = 0.25  # mean edges of a wall by which the lips pass through each other, f
 MOST_ROUNDS = 8  # of determining where nodes touch
 STILL = 5e-3  # relative change of the displacements between two rounds, at the end
 TOLERANCE = 1e-5  # of the energy
-CANDIDATES = 12  # triangles of a wall among which the nearest is looked for
 BESIDE = 0.5  # mean edges of a wall beyond its rim, where a node doesn't touch it
 SUB = np.array([(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)])  # triangles of a quadratic facet
 
@@ -42,13 +41,7 @@ class TouchingSolid(Solid):
     springs: Springs | None = None
 
     def energy(self, displacement: Floats) -> tuple[float, Floats, float]:
-        """Return the energy J, its gradient (n, 3) N, and the least det F; see Solid.
-
-        Parameters
-        ----------
-        displacement : Floats, shape (n, 3), m
-            The displacement.
-        """
+        """Return the energy J, its gradient (n, 3) N, and the least det F at a displacement (n, 3) m; see Solid."""
         energy, forces, least = super().energy(displacement)
         if self.springs is None:
             return energy, forces, least
@@ -58,13 +51,7 @@ class TouchingSolid(Solid):
         return energy + 0.5 * float(stiffness @ entered**2), forces + push, least
 
     def tangent(self, displacement: Floats) -> bsr_array:
-        """Return the stiffness about a displaced state, held axes included; see Solid.
-
-        Parameters
-        ----------
-        displacement : Floats, shape (n, 3), m
-            The displacement.
-        """
+        """Return the stiffness about a displacement (n, 3) m, held axes included; see Solid."""
         found = super().tangent(displacement)
         if self.springs is None:
             return found
@@ -94,16 +81,9 @@ class _Factor:
 class Lips:
     """The two walls of a cut.
 
-    Parameters
-    ----------
-    below : Longs, shape (w, 6)
-        Quadratic facets of the wall on the sheet's negative side.
-    above : Longs, shape (w, 6)
-        Those of the other wall; each node lies on that of the first wall.
-    points : Floats, shape (p, 3), m
-        Corners of the elements.
-    cells : Longs, shape (c, 4)
-        The elements' corners, which tell on which side of a facet its wall's tissue lies.
+    below (w, 6): quadratic facets of the wall on the sheet's negative side; above (w, 6): those of the other wall (each
+    node lies on that of the first wall); points (p, 3) m: corners of the elements; cells (c, 4): the elements' corners,
+    which tell on which side of a facet its wall's tissue lies.
     """
 
     def __init__(self, below: Longs, above: Longs, points: Floats, cells: Longs) -> None:
@@ -127,14 +107,7 @@ class Lips:
     def settle(self, solid: TouchingSolid, load: Floats, start: Floats) -> tuple[Floats, bool]:
         """Return the equilibrium of a solid whose lips touch, (n, 3) m, and whether there is one.
 
-        Parameters
-        ----------
-        solid : TouchingSolid
-            The solid.
-        load : Floats, shape (n, 3), N
-            The loads.
-        start : Floats, shape (n, 3), m
-            The equilibrium without contact.
+        load (n, 3) N; start (n, 3) m: the equilibrium without contact.
         """
         if self.penetration(solid.nodes, start) > DEEP * self._edge:
             start = np.zeros_like(start)
@@ -190,15 +163,9 @@ class Lips:
         there, and their weights (k, 3).
         """
         triangles = self._triangles
-        corner = positions[triangles]
-        reach = min(CANDIDATES, len(triangles))
-        points = positions[self._above]
-        candidates = cKDTree(corner.mean(axis=1)).query(points, k=reach)[1].reshape(len(points), reach)
-        weights = _closest(points[:, None], corner[candidates])
-        away = points[:, None] - np.einsum("kcw,kcwx->kcx", weights, corner[candidates])
-        best = np.argmin(np.einsum("kcx,kcx->kc", away, away), axis=1)
-        row = np.arange(len(points))
-        chosen, weight, away = candidates[row, best], weights[row, best], away[row, best]
+        corner, points = positions[triangles], positions[self._above]
+        chosen, weight, _ = nearest_among(corner, points)
+        away = points - np.einsum("kw,kwx->kx", weight, corner[chosen])
         # Normals are interpolated between nodes, so that they don't jump where the nearest triangle changes.
         normal = np.einsum("kw,kwx->kx", weight, self._normals(positions)[triangles[chosen]])
         normal /= np.linalg.norm(normal, axis=1)[:, None]
@@ -224,27 +191,3 @@ def _points_into_tissue(triangles: Longs, points: Floats, cells: Longs) -> Mask:
     into = np.einsum("wx,wx->w", np.cross(b - a, c - a), points[cells[owner]].mean(axis=1) - a)
     turned: Mask = into > 0.0
     return turned
-
-
-def _closest(points: Floats, triangles: Floats) -> Floats:
-    """Return the weights (..., 3) of the nearest points of triangles (..., 3, 3) to points (..., 3)."""
-    a, b, c = (triangles[..., k, :] for k in range(3))
-    one, other = b - a, c - a
-    normal = np.cross(one, other)
-    square = np.maximum(np.einsum("...x,...x->...", normal, normal), 1e-300)
-    at_b = np.einsum("...x,...x->...", np.cross(points - a, other), normal) / square
-    at_c = np.einsum("...x,...x->...", np.cross(one, points - a), normal) / square
-    best = np.stack([1.0 - at_b - at_c, at_b, at_c], axis=-1)
-    nearest = np.where((best >= 0.0).all(axis=-1), 0.0, np.inf)
-    for first, last in ((0, 1), (1, 2), (2, 0)):
-        start, way = triangles[..., first, :], triangles[..., last, :] - triangles[..., first, :]
-        length = np.maximum(np.einsum("...x,...x->...", way, way), 1e-300)
-        part = np.clip(np.einsum("...x,...x->...", points - start, way) / length, 0.0, 1.0)
-        away = points - start - part[..., None] * way
-        distance = np.einsum("...x,...x->...", away, away)
-        weights = np.zeros_like(best)
-        weights[..., first], weights[..., last] = 1.0 - part, part
-        closer = distance < nearest
-        best = np.where(closer[..., None], weights, best)
-        nearest = np.where(closer, distance, nearest)
-    return best

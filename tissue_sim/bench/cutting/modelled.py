@@ -40,13 +40,7 @@ class Settled(NamedTuple):
 
 
 def lips_of(cut: CutOrgan) -> Lips:
-    """Return places evenly along the lips of an organ's last cut.
-
-    Parameters
-    ----------
-    cut : CutOrgan
-        The cut organ.
-    """
+    """Return places evenly along the lips of an organ's last cut."""
     sheet, uncut = cut.sheets[-1], cut.uncut
     points = _along(sheet.polyline, sheet.flat)
     below, above = np.flatnonzero(cut.side < 0), np.flatnonzero(cut.side > 0)
@@ -71,19 +65,8 @@ def _along(polyline: Floats, flat: Floats) -> Floats:
 class Modelled:
     """The real-time model of an organ, with a cut or without.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    place : Place | None
-        Where it is cut; None for the uncut organ.
-    onto : Onto | None, optional
-        How forces on the organ of which this one is a finer form act on this one; None where it is none.
-
-    Raises
-    ------
-    UserError
-        As Simulation.cut does.
+    place: where it is cut, None for the uncut organ; onto: how forces on the organ of which this one is a finer form
+    act on this one, None where it is none. Raises UserError as Simulation.cut does.
     """
 
     def __init__(self, organ: Organ, place: Place | None, onto: Onto | None = None) -> None:
@@ -102,13 +85,7 @@ class Modelled:
         return all(report.resolved for report in self.simulation.cuts)
 
     def settle(self, force: Floats) -> Settled:
-        """Return where the model comes to rest under forces.
-
-        Parameters
-        ----------
-        force : Floats, shape (n_surface, 3), N
-            The forces.
-        """
+        """Return where the model comes to rest under forces (n_surface, 3) N."""
         simulation = self.simulation
         count = simulation.state.count
         before = count.faults, count.snaps
@@ -124,14 +101,8 @@ class Modelled:
     def opening_force(self, force: Floats, size: float, wanted: float) -> float:
         """Return the force on each lip, N, that opens the middle of the cut; nan where none is found.
 
-        Parameters
-        ----------
-        force : Floats, shape (n_surface, 3), N
-            The load that pulls the lips apart.
-        size : float, N
-            Its force on each lip.
-        wanted : float, m
-            The opening.
+        force (n_surface, 3) N: the load that pulls the lips apart; size: its force on each lip, N; wanted: the opening,
+        m.
         """
 
         def opened_by(newton: float) -> float | None:

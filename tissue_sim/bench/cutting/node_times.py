@@ -17,7 +17,7 @@ from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.organ.surfaces.sizing import mean_edge
-from tissue_sim.ros.probes.graph import NODE, Graph, ticks
+from tissue_sim.ros.probes.graph import Graph, ticks
 from tissue_sim.ros.shared.children import Child
 
 if TYPE_CHECKING:
@@ -41,25 +41,17 @@ class CutInNode(NamedTuple):
 def measure(priority: int = 0) -> list[CutInNode]:
     """Return what was measured of the kidney's cuts in a running node.
 
-    Parameters
-    ----------
-    priority : int, optional
-        Real-time priority of the node's loop.
-
-    Raises
-    ------
-    UserError
-        When rclpy is not installed, the node does not start, does not cut or does not report.
+    priority: real-time priority of the node's loop. Raises UserError when rclpy is not installed, the node does not
+    start, does not cut or does not report.
     """
     organ, found = kidney(), list[CutInNode]()
     with Graph() as graph:
         from tissue_sim.ros.probes.cut_probe import CutProbe
         from tissue_sim.ros.probes.tool_driver import RADIUS
-        from tissue_sim.ros.shared.client import client_node
 
         served = served_by(graph, f"rate:={RATE}", f"realtime_priority:={priority}", f"left.radius:={RADIUS}")
         ticks(served)
-        own = graph.enter_context(client_node("cut_probe", NODE))
+        own = graph.client("cut_probe")
         hand = CutProbe(own, organ, RATE)
         hand.meet()
         cuts = [one for one in CUTS if one.organ == "kidney"]
@@ -75,28 +67,12 @@ def measure(priority: int = 0) -> list[CutInNode]:
 
 
 def served_by(graph: Graph, *parameters: str) -> Child:
-    """Start a node that serves the kidney.
-
-    Parameters
-    ----------
-    graph : Graph
-        The ROS graph.
-    parameters : str
-        Parameters of the node.
-    """
+    """Start a node that serves the kidney. graph: the ROS graph; parameters: parameters of the node."""
     return graph.start_node(str(shipped_organ()), *parameters)
 
 
 def beside(organ: Organ, place: Place) -> CutPlace:
-    """Return a cut and where a hand presses beside it: some edges away, on the surface.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    place : Place
-        Where the cut lies.
-    """
+    """Return a cut and where a hand presses beside it: some edges away, on the surface. place: where the cut lies."""
     from tissue_sim.ros.probes.cut_probe import CutPlace
 
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)
@@ -110,13 +86,7 @@ def beside(organ: Organ, place: Place) -> CutPlace:
 
 
 def longest(window: Window) -> float:
-    """Return the time, s, of the longest tick in the reports of some time.
-
-    Parameters
-    ----------
-    window : Window
-        What was measured.
-    """
+    """Return the time, s, of the longest tick in the reports of a window."""
     return max(one.longest for one in window.reports[1:])
 
 
@@ -126,12 +96,8 @@ def longest(window: Window) -> float:
 def as_json(found: list[CutInNode], priority: int = 0) -> JsonObject:
     """Return all figures and bounds.
 
-    Parameters
-    ----------
-    found : list[CutInNode]
-        What was measured of each cut; nothing where the node was left out.
-    priority : int, optional
-        Real-time priority of the node's loop.
+    found: what was measured of each cut (nothing where the node was left out); priority: real-time priority of the
+    node's loop.
     """
     table = [_row(one) for one in found]
 
@@ -170,13 +136,7 @@ def _percentiles(delays: Floats) -> list[float]:
 
 
 def text(found: JsonObject) -> list[str]:
-    """Return the figures as lines of a table.
-
-    Parameters
-    ----------
-    found : JsonObject
-        The figures.
-    """
+    """Return the figures as lines of a table."""
     if not found["rows"]:
         return ["ticks of a running node: left out, as rclpy is not installed (pip install 'tissue_sim[ros]')"]
     head = ["ticks of a node, us", "", "p50", "p99", "longest", "late by", "late", "ticks", "substeps"]

@@ -26,20 +26,7 @@ def kidney() -> Organ:
 def liver(data: Path | None) -> Organ:
     """Return a liver that is built and calibrated with defaults: some minutes, once. It is kept in the user's cache.
 
-    Parameters
-    ----------
-    data : Path | None
-        Folder of the data; None where there is none.
-
-    Returns
-    -------
-    Organ
-        The organ.
-
-    Raises
-    ------
-    UserError
-        Without the mesh.
+    data: folder of the data, None where there is none. Raises UserError without the mesh.
     """
     folder = user_cache() / f"liver-{__version__}"
     path = folder / "liver.npz"
@@ -59,11 +46,5 @@ def liver(data: Path | None) -> Organ:
 
 
 def makers(data: Path | None) -> Mapping[str, Callable[[], Organ]]:
-    """Return what makes each organ, by name.
-
-    Parameters
-    ----------
-    data : Path | None
-        Folder of the data; None where there is none.
-    """
+    """Return what makes each organ, by name. data: folder of the data, None where there is none."""
     return {"kidney": kidney, "slab": slab, "liver": lambda: liver(data)}

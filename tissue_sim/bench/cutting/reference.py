@@ -64,34 +64,14 @@ class Reference(NamedTuple):
 
 
 def key_of(organ: Organ, cut: Cut) -> str:
-    """Return a digest of what the finite elements of a cut use.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    cut : Cut
-        The cut.
-    """
+    """Return a digest of what the finite elements of a cut use."""
     return hashlib.sha256(repr((VERSION, fits(organ), tuple(cut))).encode()).hexdigest()
 
 
 def reference_of(organ: Organ, cut: Cut, stored: Table | None) -> Reference:
     """Return the reference of a cut: that of the file, of the cache, or computed now in some minutes.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    cut : Cut
-        The cut.
-    stored : Table | None
-        Content of the file that ships.
-
-    Raises
-    ------
-    UserError
-        As CutBody does.
+    stored: content of the file that ships. Raises UserError as CutBody does.
     """
     key = key_of(organ, cut)
     if stored is not None and f"{key}/force" in stored:
@@ -112,19 +92,8 @@ def stored_table() -> Table | None:
 def remake(organ: Organ, path: Path, cuts: Sequence[Cut]) -> None:
     """Write references of an organ's cuts, computed now or kept in the user's cache, into a file.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    path : Path
-        The file; what it has of other cuts of the organ stays.
-    cuts : Sequence[Cut]
-        The cuts.
-
-    Raises
-    ------
-    UserError
-        As reference_of does, and where the file can't be written.
+    What the file has of other cuts of the organ stays. Raises UserError as reference_of does, and where the file can't
+    be written.
     """
     known = {key_of(organ, cut) for cut in CUTS if cut not in cuts}
     table = {name: array for name, array in (stored_table() or {}).items() if name.split("/")[0] in known}
@@ -170,22 +139,7 @@ def unpacked(table: Mapping[str, NDArray]) -> Reference:
 
 
 def computed(organ: Organ, cut: Cut, place: Place) -> Reference:
-    """Compute the reference of a cut: some minutes.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    cut : Cut
-        The cut.
-    place : Place
-        Where it lies.
-
-    Raises
-    ------
-    UserError
-        As CutBody does.
-    """
+    """Compute the reference of a cut: some minutes. place: where it lies. Raises UserError as CutBody does."""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1), progress.task(f"finite elements, {cut.name}"):
@@ -274,14 +228,7 @@ def middle_opening(opening: Floats) -> float:
 def force_for(wanted: float, guess: float, opened_by: Callable[[float], float | None]) -> float:
     """Return the force, N, at which a function of it takes a value; nan where it isn't found.
 
-    Parameters
-    ----------
-    wanted : float
-        The value.
-    guess : float, N
-        Where to begin.
-    opened_by : Callable[[float], float | None]
-        The function; None where it has no value.
+    wanted: the value; guess: where to begin, N; opened_by: the function, None where it has no value.
     """
     known = [(0.0, 0.0)]
     for _ in range(MOST_TRIES):

@@ -15,13 +15,13 @@ from scipy.sparse.csgraph import connected_components
 
 from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.model.cutting.sheet import Sheet
+from tissue_sim.organ.edges import cell_edges
 
 SNAP, SNAP_FRONT = 0.4, 0.3  # of a node's shortest edge, from which it is moved onto the sheet, and onto its front
 LEAST_VOLUME = 0.15  # of an element's volume, which it keeps when a corner is moved
 ON = 0.12  # of an edge, within which a node that can't be moved counts as on the sheet, or on the front
 STEP = 1e-6  # m, for slopes
 ROUNDS = 3  # of Newton's method and of regula falsi
-EDGES = np.array([(a, b) for a in range(4) for b in range(a + 1, 4)])
 FACES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])
 
 
@@ -47,21 +47,8 @@ class Opened(NamedTuple):
 def split(points: Floats, cells: Longs, sheet: Sheet, still: Mask) -> Mesh:
     """Return tetrahedra with faces on a sheet.
 
-    Parameters
-    ----------
-    points : Floats, shape (p, 3), m
-        Nodes.
-    cells : Longs, shape (c, 4)
-        Tetrahedra.
-    sheet : Sheet
-        The sheet.
-    still : Mask, shape (p,)
-        Nodes of the boundary that must stay where they are, and on their side of the sheet.
-
-    Returns
-    -------
-    Mesh
-        The mesh; the nodes keep their numbers.
+    points (p, 3) m: nodes; cells (c, 4): tetrahedra; still (p,): nodes of the boundary that must stay where they are,
+    and on their side of the sheet. Returns the mesh; the nodes keep their numbers.
     """
     points, cells = points.copy(), _upright(points, cells.astype(np.int64))
     fronts = _Fronts(sheet)
@@ -132,7 +119,7 @@ def _volumes(points: Floats, cells: Longs) -> Floats:
 
 def _edges(cells: Longs) -> Longs:
     """Return the edges (e, 2), each once."""
-    return np.unique(np.sort(cells[:, EDGES].reshape(-1, 2), axis=1), axis=0)
+    return np.unique(np.sort(cell_edges(cells), axis=1), axis=0)
 
 
 def _shortest(points: Floats, cells: Longs) -> Floats:
@@ -295,17 +282,7 @@ def _is_in(edges: Longs, others: Longs, n: int) -> Mask:
 def opened(mesh: Mesh, sheet: Sheet) -> Opened:
     """Return a mesh whose walls are doubled, so that the two sides part there.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The mesh.
-    sheet : Sheet
-        The sheet on which its walls lie.
-
-    Returns
-    -------
-    Opened
-        The mesh; nodes on the front stay single.
+    sheet: the sheet on which its walls lie. Returns the mesh; nodes on the front stay single.
     """
     n, cells = len(mesh.points), mesh.cells
     mine = np.zeros(n, dtype=bool)

@@ -61,15 +61,7 @@ def measure() -> tuple[list[Timed], Floats]:
 
 
 def timed(organ: Organ, cut: Cut) -> Timed:
-    """Time a cut, its parts, and ticks under a load that pulls its lips apart.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    cut : Cut
-        The cut.
-    """
+    """Time a cut, its parts, and ticks under a load that pulls its lips apart."""
     place = placed(organ, cut)
     parts = _parts(organ, place)
     loads = loads_of(organ, place)
@@ -153,20 +145,7 @@ def _took(work: Callable[[], object]) -> float:
 
 
 def as_json(found: list[Timed], bursts: Floats) -> JsonObject:
-    """Return all figures and bounds.
-
-    Parameters
-    ----------
-    found : list[Timed]
-        The times.
-    bursts : Floats, shape (k,), s
-        Times of a fixed loop, in the same run.
-
-    Returns
-    -------
-    JsonObject
-        The figures by name.
-    """
+    """Return all figures and bounds. bursts (k,) s: times of a fixed loop, in the same run."""
     table = [_row(one) for one in found]
 
     steps = [100.0 * row["critical_step_after_us"] / row["critical_step_before_us"] for row in table]
@@ -199,18 +178,7 @@ def _row(one: Timed) -> JsonObject:
 
 
 def text(found: JsonObject) -> list[str]:
-    """Return the figures as lines of tables.
-
-    Parameters
-    ----------
-    found : JsonObject
-        The figures.
-
-    Returns
-    -------
-    list[str]
-        The lines.
-    """
+    """Return the figures as lines of tables."""
     parts = ("total", "sheet", "topology", "masses", "surface", "rest")
     cuts = [["cut, mm", *(f"{name} ms" for name in parts), "cells", "nodes", "critical step us"]]
     ticks = [["ticks", "before p50", "p99 us", "taken up", "first", "after p50", "p99", "substeps"]]

@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.identify import coverage, inclusions, palpation_sets, synthetic
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
@@ -29,15 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=int, default=synthetic.RUNS, metavar="N", help="runs of each synthetic case")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Identify, compare and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     if args.data:
         palpation_sets.check_data(Path(args.data))
     organ = Organ.load(args.organ or shipped_organ("kidney"))
     found = in_one_thread(measure, organ, args.runs, args.data)
-    emit(found, text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(found))
 
 
 def measure(organ: Organ, runs: int, data: str | None) -> JsonObject:
@@ -97,7 +95,7 @@ def _inclusion_bounds(around: list[JsonObject]) -> list[Bound]:
             100.0 * row[key] / row["runs"] for key in ("reported_over_inclusion", "reported_elsewhere")
         )
         found += _row_bounds(row, OFF_OFFSETS)
-        if row["case"] == inclusions.UNKNOWN:
+        if row["case"].startswith(inclusions.UNKNOWN):
             found.append(Bound(f"{row['case']}: reported over it", reported, REPORTED, "%", True))
         else:
             found.append(Bound(f"{row['case']}: reported over it as if it were unknown", reported, FALSE, "%"))
@@ -134,7 +132,7 @@ def text(found: JsonObject) -> str:
         keys = ("reported_over_inclusion", "reported_elsewhere", "map_pays")
         table = [[*columns, "reported over it", "elsewhere", "map pays"]]
         table += [[*_columns(row), *(f"{row[key]} of {row['runs']}" for key in keys)] for row in found["inclusions"]]
-        lines += [f"around an inclusion, {inclusions.USED} presses a run", *aligned(table), ""]
+        lines += [f"around an inclusion, {inclusions.USED} places a run", *aligned(table), ""]
     if found["sets"]:
         table = [
             ["set", "presses", "E kPa", *(f"{law} {what}" for law in palpation_sets.LAWS for what in ("%", "map"))]

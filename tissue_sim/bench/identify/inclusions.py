@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,7 +22,8 @@ from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.inclusions import cell_factors, inclusions_of, with_inclusions
 from tissue_sim.organ.organ import Organ
 
-USED = 10  # presses of a run; that over the inclusion is always among them
+USED = 10  # places of a run; that over the inclusion is always among them
+TIMES = (1, 5)  # how often each is pressed
 KNOWN, UNKNOWN = "known inclusion, bias, unknown offsets", "unknown inclusion, bias, unknown offsets"
 PRIORS = Priors(offset=OFFSET)
 
@@ -34,13 +36,14 @@ class Around(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Result of a case, and in how many runs it reports a stiff place.
+    """Result of a case, its presses a run, and in how many runs it reports a stiff place.
 
     reported: over the inclusion; elsewhere: farther from there than its surroundings reach; mapped: runs in which a map
     lowers the held-out error.
     """
 
     recovered: Recovered
+    presses: int
     reported: int
     elsewhere: int
     mapped: int
@@ -78,34 +81,39 @@ def measure(organ: Organ, runs: int) -> list[Found]:
     around = around_of(organ)
     found: list[Found] = []
     with rows.until_stopped():
-        for number, case in enumerate(around.truths):
-            found.append(found_around(case, around, np.random.default_rng(100 + number), runs))
+        for number, (times, case) in enumerate(itertools.product(TIMES, around.truths)):
+            found.append(found_around(case, around, np.random.default_rng(100 + number), runs, times))
             one = found[-1]
             rows.report(
-                case, f"error {np.abs(one.recovered.off).max():.1f} %", f"reported in {one.reported} of {runs} runs"
+                one.recovered.name,
+                f"error {np.abs(one.recovered.off).max():.1f} %",
+                f"reported in {one.reported} of {runs} runs",
             )
     return found
 
 
-def found_around(case: str, around: Around, random: np.random.Generator, runs: int) -> Found:
-    """Return what is found in runs of one case: each has other places, noise and offsets."""
+def found_around(case: str, around: Around, random: np.random.Generator, runs: int, times: int = 1) -> Found:
+    """Return what is found in runs of one case: each has other places, noise and offsets; times: presses of a place."""
     truth, count = around.truths[case], len(around.points)
     apart = np.linalg.norm(around.points - around.points[0], axis=1)
     moduli, widths = np.empty(runs), np.empty(runs)
     held = reported = elsewhere = mapped = 0
-    for run in progress.steps(range(runs), case):
-        chosen = np.concatenate([[0], 1 + np.sort(random.permutation(count - 1)[: USED - 1])])
+    name = case if times == 1 else f"{case}, each place {times} times"
+    place = np.repeat(np.arange(min(USED, count)), times)
+    for run in progress.steps(range(runs), name):
+        chosen = np.concatenate([[0], 1 + np.sort(random.permutation(count - 1)[: USED - 1])])[place]
         curves = truth.model.some(chosen)
         samples = synthetic.pressed(truth.elements.some(chosen), BIAS, OFFSET, random)
-        fit, interval = synthetic.identified(samples, curves, PRIORS, truth.own_error, run)
+        fit, interval = synthetic.identified(samples, curves, PRIORS, truth.own_error, run, place)
         moduli[run], widths[run] = fit.factor * truth.modulus, 0.5 * np.log(interval.high / interval.low)
         held += bool(interval.low * truth.modulus < MODULUS < interval.high * truth.modulus)
-        stiff = chosen[stiff_places(fit).presses]
+        stiff = chosen[stiff_places(fit, place).presses]
         reported += 0 in stiff
         elsewhere += bool((apart[stiff] > AROUND).any())
         validated = held_out(curves, samples, around.points[chosen], FINGER, PRIORS)
         mapped += validated is not None and validated.map_pays
-    return Found(Recovered(case, moduli, held, float(np.median(widths))), reported, elsewhere, mapped)
+    recovered = Recovered(name, moduli, held, float(np.median(widths)))
+    return Found(recovered, len(place), reported, elsewhere, mapped)
 
 
 def as_rows(found: list[Found]) -> list[JsonObject]:
@@ -113,7 +121,7 @@ def as_rows(found: list[Found]) -> list[JsonObject]:
     return [
         {
             **row,
-            "presses": USED,
+            "presses": one.presses,
             "reported_over_inclusion": one.reported,
             "reported_elsewhere": one.elsewhere,
             "map_pays": one.mapped,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim import progress
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench import rows
 from tissue_sim.bench.identify.known_presses import DEEP, FINGER, forces_by_elements
 from tissue_sim.calibration.checkpoint import Checkpoint
@@ -137,13 +137,16 @@ def pressed(elements: ForceCurves, bias: float, offset: float, random: np.random
 
 
 def identified(
-    samples: Samples, curves: ForceCurves, priors: Priors, own_error: float, seed: int
+    samples: Samples, curves: ForceCurves, priors: Priors, own_error: float, seed: int, place: Longs | None = None
 ) -> tuple[Fit, Interval]:
-    """Return the fit of presses and the interval of its factor, as an identification computes them."""
+    """Return the fit of presses and the interval of its factor, as an identification computes them.
+
+    place: of each press, (n,); None where each has its own.
+    """
     fit = fitted(curves, samples, priors)
-    count = len(samples.depths)
-    drawn = drawn_factors(curves, samples, priors, fit, np.arange(count), seed)
-    return fit, interval_of(fit, drawn, count, own_error)
+    place = np.arange(len(samples.depths)) if place is None else place
+    drawn = drawn_factors(curves, samples, priors, fit, place, seed)
+    return fit, interval_of(fit, drawn, int(place.max()) + 1, own_error)
 
 
 def as_rows(found: list[Recovered]) -> list[JsonObject]:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -256,7 +257,7 @@ def plain(youngs_modulus: float) -> Organ:
     return built("beam", positions, triangles, HELD, MATERIAL._replace(youngs_modulus=youngs_modulus))
 
 
-def modulus_at_rest(travel: float, watch: Any) -> float:
+def modulus_at_rest(travel: float, watch: Callable[[], object]) -> float:
     """Return Young's modulus with which finite elements sag as far, m, as the beam without a weight."""
     modulus = MATERIAL.youngs_modulus
     for _ in range(FITS):
@@ -265,7 +266,7 @@ def modulus_at_rest(travel: float, watch: Any) -> float:
     return modulus
 
 
-def fitted(beam: Beam, runs: list[Run], at_rest: float, watch: Any) -> Fitted:
+def fitted(beam: Beam, runs: list[Run], at_rest: float, watch: Callable[[], object]) -> Fitted:
     """Return modulus and damping of the motion in the runs without a weight, by the model."""
 
     def off(unknown: Floats) -> Floats:
@@ -284,19 +285,8 @@ def fitted(beam: Beam, runs: list[Run], at_rest: float, watch: Any) -> Fitted:
 def measure(data: Path, folder: Path, progress: Progress) -> tuple[Fitted, list[Bent]]:
     """Build and calibrate the beam, fit its parameters without a weight, and predict every run.
 
-    Parameters
-    ----------
-    data : Path
-        Folder of the measured tables.
-    folder : Path
-        For the calibrated beam and intermediate results.
-    progress : Progress
-        Receives the progress.
-
-    Returns
-    -------
-    tuple[Fitted, list[Bent]]
-        The fit, and the results of every run.
+    data: folder of the measured tables; folder: for the calibrated beam and intermediate results. Returns the fit, and
+    the results of every run.
     """
     runs = [run_of(name, markers) for name, markers in read(data / FILE).items()]
     without = [run for run in runs if run.weight == 0.0]
@@ -338,20 +328,7 @@ def predicted(beam: Beam, run: Run, fit: Fitted, rests: tuple[float, float]) -> 
 
 
 def as_json(fit: Fitted, found: list[Bent]) -> JsonObject:
-    """Return the fit, and the figures of every run.
-
-    Parameters
-    ----------
-    fit : Fitted
-        The fit.
-    found : list[Bent]
-        The results.
-
-    Returns
-    -------
-    JsonObject
-        The figures by name.
-    """
+    """Return the fit, and the figures of every run."""
     return {
         "modulus_at_rest_pa": fit.at_rest,
         "modulus_moving_pa": fit.moving,

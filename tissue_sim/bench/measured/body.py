@@ -39,23 +39,7 @@ class Rate(NamedTuple):
 def built(name: str, positions: Floats, triangles: Ints, fixed: str, material: Material) -> Organ:
     """Return the organ of a surface, with the pipeline's atoms and springs.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    positions : Floats, shape (n, 3), m
-        Points.
-    triangles : Ints, shape (t, 3)
-        Corner indices.
-    fixed : str
-        Choice of the held nodes, as for select_fixed.
-    material : Material
-        Its material.
-
-    Returns
-    -------
-    Organ
-        The organ.
+    positions (n, 3) m: points; triangles (t, 3): corner indices; fixed: choice of the held nodes, as for select_fixed.
     """
     given = {key: getattr(material, key) for key in ("youngs_modulus", "poisson_ratio", "density")}
     request = Request(name=name, fixed=fixed, **given)
@@ -65,19 +49,7 @@ def built(name: str, positions: Floats, triangles: Ints, fixed: str, material: M
 def calibrated(organ: Organ, folder: Path, progress: Progress) -> Organ:
     """Return the organ calibrated with defaults, and write it into a folder.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    folder : Path
-        For the organ and intermediate results.
-    progress : Progress
-        Receives the progress.
-
-    Returns
-    -------
-    Organ
-        The calibrated organ.
+    folder: for the organ and intermediate results.
     """
     settings = Settings()
     inputs = {"organ": organ.digest(), "version": __version__, **asdict(settings)}
@@ -92,22 +64,8 @@ def solve_prescribed_surface(solid: Solid, led: Floats) -> Floats:
 
     Newton's method, each step factored and shortened until the energy falls.
 
-    Parameters
-    ----------
-    solid : Solid
-        The solid.
-    led : Floats, shape (n, 3), m
-        Displacements of the held axes.
-
-    Returns
-    -------
-    Floats, shape (n, 3), m
-        Displacements.
-
-    Raises
-    ------
-    UserError
-        Where it doesn't converge.
+    led (n, 3) m: displacements of the held axes. Returns displacements (n, 3) m. Raises UserError where it doesn't
+    converge.
     """
     pull = np.where(solid.held, 0.0, (solid.stiffness @ np.where(solid.held, led, 0.0).ravel()).reshape(led.shape))
     moved = np.where(solid.held, led, solid.solve(-pull[None])[0])
@@ -130,19 +88,7 @@ def solve_prescribed_surface(solid: Solid, led: Floats) -> Floats:
 def timed(simulation: Simulation, ticks: int, watch: Callable[[], None] | None = None) -> Rate:
     """Run a number of ticks and time them.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        The simulation.
-    ticks : int
-        Number of ticks.
-    watch : Callable[[], None] | None, optional
-        Called after each, outside the timed part.
-
-    Returns
-    -------
-    Rate
-        Times and faults.
+    ticks: number of ticks; watch: called after each, outside the timed part. Returns times and faults.
     """
     took, before = np.empty(ticks), int(simulation.state.count.faults)
     for tick in range(ticks):

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from tissue_sim import progress
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.measured import beam, truth_cube
-from tissue_sim.bench.measured.plots import write_pictures
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, print_pictures
+from tissue_sim.bench.measured.plots import pictures_of
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.bench.timing import in_one_thread
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
@@ -31,21 +31,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, organ=None, check=True)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Build, calibrate, predict and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     data = Path(args.data)
     for body, file in (("cube", truth_cube.FILE), ("beam", beam.FILE)):
         if body in args.bodies and not (data / file).is_file():
             raise UserError(f"{data / file} does not exist; name the folder of the measured tables with --data")
-    found, pictures = in_one_thread(measure, data, Path(args.out), tuple(args.bodies))
-    emit(found, text(found), args.json)
-    print_pictures(pictures)
-    return exit_code(found, check=args.check)
+    found, cube, bent = in_one_thread(measure, data, Path(args.out), tuple(args.bodies))
+    return Result(found, text(found), {} if rows.stopped() else pictures_of(cube, bent))
 
 
-def measure(data: Path, folder: Path, bodies: tuple[str, ...]) -> tuple[JsonObject, list[Path]]:
-    """Return figures, bounds, and pictures. Raises UserError as the bodies do."""
+def measure(
+    data: Path, folder: Path, bodies: tuple[str, ...]
+) -> tuple[JsonObject, list[truth_cube.Compressed] | None, list[beam.Bent] | None]:
+    """Return figures with bounds, and the results of both bodies. Raises UserError as the bodies do."""
     found: JsonObject = {}
     bounds: list[Bound] = []
     cube: list[truth_cube.Compressed] | None = None
@@ -77,7 +76,7 @@ def measure(data: Path, folder: Path, bodies: tuple[str, ...]) -> tuple[JsonObje
                 Bound(f"beam, {weight}: motion, the worse run", moving, beam.MOST_OFF_MOVING, "%"),
             ]
     found["bounds"] = [bound.as_json() for bound in bounds]
-    return found, [] if rows.stopped() else write_pictures(cube, bent, folder)
+    return found, cube, bent
 
 
 def text(found: JsonObject) -> str:

@@ -17,15 +17,7 @@ def shell(counts: tuple[int, int, int]) -> tuple[Longs, Ints]:
     The triangles are counter-clockwise from outside where the indices grow along a right-handed frame. The diagonals
     alternate, so that none of the lattice's directions is stiffer than another.
 
-    Parameters
-    ----------
-    counts : tuple[int, int, int]
-        Number of points along each axis.
-
-    Returns
-    -------
-    tuple[Longs, Ints]
-        Indices of the points, shape (n, 3), and triangles, shape (t, 3).
+    counts: number of points along each axis. Returns indices of the points (n, 3) and triangles (t, 3).
     """
     index = np.stack(np.meshgrid(*(np.arange(count) for count in counts), indexing="ij"), axis=-1)
     last = np.array(counts) - 1
@@ -52,19 +44,8 @@ def places(points: Floats, nodes: Floats, cells: Ints) -> csr_array:
 
     A point outside all of them is taken with the cell that it leaves least.
 
-    Parameters
-    ----------
-    points : Floats, shape (p, 3), m
-        Points.
-    nodes : Floats, shape (n, 3), m
-        Nodes.
-    cells : Ints, shape (c, 4) or (c, 10)
-        Node indices of linear or quadratic cells.
-
-    Returns
-    -------
-    csr_array, shape (p, n)
-        Interpolation matrix.
+    points (p, 3) m; nodes (n, 3) m; cells (c, 4) or (c, 10): node indices of linear or quadratic cells. Returns (p, n):
+    interpolation matrix.
     """
     corner = nodes[cells[:, :4]]
     back = np.linalg.inv((corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1))
@@ -87,17 +68,7 @@ def places(points: Floats, nodes: Floats, cells: Ints) -> csr_array:
 def rigid_motion(start: Floats, end: Floats) -> tuple[Floats, Floats]:
     """Return the rotation and shift that bring points closest to others (Kabsch 1976).
 
-    Parameters
-    ----------
-    start : Floats, shape (k, 3)
-        Points.
-    end : Floats, shape (k, 3)
-        Other points.
-
-    Returns
-    -------
-    tuple[Floats, Floats]
-        Rotation, shape (3, 3), and shift, shape (3,).
+    start (k, 3): points; end (k, 3): other points. Returns the rotation (3, 3) and the shift (3,).
     """
     middle, goal = start.mean(axis=0), end.mean(axis=0)
     left, _, right = np.linalg.svd((start - middle).T @ (end - goal))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim.bench.measured.beam import WEIGHTS, Bent
 from tissue_sim.bench.measured.truth_cube import Compressed
-from tissue_sim.errors import UserError
 from tissue_sim.figures import empty_figure, hide_box
 
 if TYPE_CHECKING:
@@ -20,39 +20,14 @@ _MEASURED, _ELEMENTS, _MODEL = "#222222", "#2166ac", "#d55e00"
 MIDDLE = 2  # index among the inner beads' layers
 
 
-def write_pictures(cube: list[Compressed] | None, bent: list[Bent] | None, folder: Path) -> list[Path]:
-    """Write truth_cube.png and beam.png, as far as there are results.
-
-    Parameters
-    ----------
-    cube : list[Compressed] | None
-        Results of the cube; None for none.
-    bent : list[Bent] | None
-        Results of the beam; None for none.
-    folder : Path
-        Where they are written.
-
-    Returns
-    -------
-    list[Path]
-        Their paths.
-
-    Raises
-    ------
-    UserError
-        Where the folder can't be written.
-    """
-    paths = []
-    try:
-        if cube is not None:
-            paths.append(folder / "truth_cube.png")
-            _cube(cube).savefig(paths[-1], dpi=140)
-        if bent is not None:
-            paths.append(folder / "beam.png")
-            _beam(bent).savefig(paths[-1], dpi=140)
-    except OSError as error:
-        raise UserError(f"cannot write to {folder}: {error.strerror}") from None
-    return paths
+def pictures_of(cube: list[Compressed] | None, bent: list[Bent] | None) -> dict[str, Callable[[], Figure]]:
+    """Return what draws truth_cube.png and beam.png, as far as there are results of the cube and of the beam."""
+    pictures: dict[str, Callable[[], Figure]] = {}
+    if cube is not None:
+        pictures["truth_cube.png"] = partial(_cube, cube)
+    if bent is not None:
+        pictures["beam.png"] = partial(_beam, bent)
+    return pictures
 
 
 def _cube(found: list[Compressed]) -> Figure:

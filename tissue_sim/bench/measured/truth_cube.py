@@ -88,19 +88,7 @@ def between(beads: Floats) -> Floats:
 def measure(data: Path, folder: Path, progress: Progress) -> list[Compressed]:
     """Build the body between the outermost beads, calibrate it, and predict the inner ones at every strain.
 
-    Parameters
-    ----------
-    data : Path
-        Folder of the measured tables.
-    folder : Path
-        For the calibrated body and intermediate results.
-    progress : Progress
-        Receives the progress.
-
-    Returns
-    -------
-    list[Compressed]
-        The results of every strain.
+    data: folder of the measured tables; folder: for the calibrated body and intermediate results.
     """
     beads = read(data / FILE)
     lattice = between(beads)
@@ -152,18 +140,7 @@ def on_facets(filling: FeMesh, corners: Floats, moved: Floats) -> Floats:
 
 
 def as_json(found: list[Compressed]) -> list[JsonObject]:
-    """Return the figures of every strain.
-
-    Parameters
-    ----------
-    found : list[Compressed]
-        The results.
-
-    Returns
-    -------
-    list[JsonObject]
-        The figures by name.
-    """
+    """Return the figures of every strain."""
     return [
         {
             "strain_percent": one.strain,

@@ -15,7 +15,7 @@ from tissue_sim.bench import rows
 from tissue_sim.bench.palpation.presses import DEPTHS, Pressed, presses
 from tissue_sim.bench.palpation.slab import slab
 from tissue_sim.bench.palpation.slides import SLID_DEPTH, WAY, SlidingPress, slides
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.errors import UserError
 from tissue_sim.identification.places import KINDS, flat_locations
 from tissue_sim.json_types import JsonObject
@@ -28,19 +28,8 @@ LEAST_RADIUS, MOST_RADIUS, MOST_PLACES = 0.2, 5.0, 100
 MOST_RIPPLE = 5.0  # %
 
 
-def run(args: argparse.Namespace) -> int:
-    """Press, slide, compare and print.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed arguments.
-
-    Returns
-    -------
-    int
-        Exit code: 0, or with --check 1 when a bound is missed.
-    """
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     radii = parse_radii(args.radii)
     if not 1 <= args.places <= MOST_PLACES:
         raise UserError(f"--places {args.places} is outside 1..{MOST_PLACES}")
@@ -62,8 +51,7 @@ def run(args: argparse.Namespace) -> int:
             slid.append(slide)
             rows.report(f"{slide.radius:g} edges, point {slide.place}, sliding", f"ripple {slide.ripple:.1f} %")
     found = as_json(pressed, slid) | {"organ": organ.name, "edge_m": edge, "places": len(places)}
-    emit(found, text(found), args.json)
-    return exit_code(found, check=args.check)
+    return Result(found, text(found))
 
 
 def parse_radii(given: str | None) -> tuple[float, ...]:

@@ -8,11 +8,13 @@ finger.
 from __future__ import annotations
 
 import argparse
+from functools import partial
 
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.palpation import finger
-from tissue_sim.bench.printing import emit, exit_code, print_pictures
+from tissue_sim.bench.palpation.plot import drawn
+from tissue_sim.bench.printing import Result
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -47,9 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Press, compare and print; return 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
+def run(args: argparse.Namespace) -> Result:
+    """Measure what the arguments ask for."""
     if args.places is not None:
         from tissue_sim.bench.palpation import balls
 
@@ -60,9 +61,7 @@ def run(args: argparse.Namespace) -> int:
     pressed = finger.measure(organ)
     maps = finger.measure_maps(organ, pressed)
     found = finger.as_json(pressed, maps)
-    emit(found, finger.text(organ, found), args.json)
-    if args.out and not rows.stopped():
-        from tissue_sim.bench.palpation.plot import write_plots
-
-        print_pictures(write_plots(organ, pressed, maps, args.out))
-    return exit_code(found, check=args.check)
+    names = ["palpation.png"] if len(pressed) == 1 else [f"palpation_{number}.png" for number in range(len(pressed))]
+    pairs = zip(names, pressed, maps, strict=True)
+    pictures = {} if rows.stopped() else {name: partial(drawn, organ, one, around) for name, one, around in pairs}
+    return Result(found, finger.text(organ, found), pictures)

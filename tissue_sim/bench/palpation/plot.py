@@ -2,54 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim.bench.palpation.finger import DEPTHS, MAP_DEPTH, Map, PressForces
-from tissue_sim.errors import UserError
 from tissue_sim.figures import empty_figure
 from tissue_sim.organ.organ import Organ
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-def write_plots(organ: Organ, pressed: Sequence[PressForces], maps: Sequence[Map], folder: str) -> list[Path]:
-    """Write a picture for each inclusion into the folder.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    pressed : Sequence[PressForces]
-        Curves over the inclusions.
-    maps : Sequence[Map]
-        Maps around them.
-    folder : str
-        The folder.
-
-    Returns
-    -------
-    list[Path]
-        Paths of the pictures.
-
-    Raises
-    ------
-    UserError
-        Where it can't be written.
-    """
-    paths = []
-    for number, (one, around) in enumerate(zip(pressed, maps, strict=True)):
-        path = Path(folder) / ("palpation.png" if len(pressed) == 1 else f"palpation_{number}.png")
-        try:
-            drawn(organ, one, around).savefig(path, dpi=150)
-        except OSError as error:
-            raise UserError(f"cannot write to {folder}: {error.strerror}") from None
-        paths.append(path)
-    return paths
 
 
 def drawn(organ: Organ, pressed: PressForces, around: Map) -> Figure:

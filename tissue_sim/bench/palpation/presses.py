@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from itertools import starmap
 from typing import NamedTuple
 
 import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.bench.processes import on_all_cores
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.sphere_compression import compressed, own_nodes
@@ -51,19 +53,24 @@ def presses(
 
     radii: mean edges. Raises UserError as Body does.
     """
-    edge, reference = mean_edge(organ), reference or by_elements
+    edge = mean_edge(organ)
+    runs = [(radius, spots, _depths(organ, spots, radius * edge)) for radius in radii for spots in places]
+    given = [(organ, spots, radius * edge, radius * edge * depths) for radius, spots, depths in runs]
+    wanted = starmap(reference, given) if reference else on_all_cores(by_elements, given)
+    balls = {radius: ball(organ, radius * edge, FRICTION) for radius in radii}
     with progress.task("presses", len(radii) * sum(map(len, places))) as under_way:
-        for radius in radii:
-            scene = ball(organ, radius * edge, FRICTION)
-            for spots in places:
-                thick = min(thickness(organ, spot) for spot in spots)
-                depths = DEPTHS[radius * edge * DEPTHS <= THROUGH * thick]
-                wanted = reference(organ, spots, radius * edge, radius * edge * depths)
-                for spot, one in zip(spots, wanted, strict=True):
-                    press = Press(spot.point - radius * edge * spot.way, spot.way)
-                    ours = forces(scene, press, radius * edge * depths)
-                    yield Pressed(radius, spot.place, spot.kind, depths, ours, one)
-                    under_way.advance()
+        for (radius, spots, depths), found in zip(runs, wanted, strict=True):
+            for spot, one in zip(spots, found, strict=True):
+                press = Press(spot.point - radius * edge * spot.way, spot.way)
+                ours = forces(balls[radius], press, radius * edge * depths)
+                yield Pressed(radius, spot.place, spot.kind, depths, ours, one)
+                under_way.advance()
+
+
+def _depths(organ: Organ, spots: Sequence[PressPoint], radius: float) -> Floats:
+    """Return how deep a ball of a radius, m, is pressed in at all spots of a place, (d,) radii."""
+    thick = min(thickness(organ, spot) for spot in spots)
+    return DEPTHS[radius * DEPTHS <= THROUGH * thick]
 
 
 def by_elements(organ: Organ, spots: Sequence[PressPoint], radius: float, depths: Floats) -> Floats:

@@ -37,14 +37,7 @@ class Links(NamedTuple):
 class ChainMail:
     """Nodes linked by edges; the organ's fixed nodes are held.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    nodes : Floats, shape (n, 3), m
-        Nodes at rest, the organ's surface first.
-    edges : Ints, shape (e, 2)
-        Node indices.
+    nodes (n, 3) m: nodes at rest, the organ's surface first; edges (e, 2): node indices.
     """
 
     def __init__(self, organ: Organ, nodes: Floats, edges: Ints) -> None:

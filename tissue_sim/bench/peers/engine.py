@@ -45,23 +45,11 @@ class Engine(Protocol):
     update: float  # simulated s that an update stands for
 
     def settle(self, load: Load) -> Answer:
-        """Return the equilibrium of the surface under a load, from the rest shape.
-
-        Parameters
-        ----------
-        load : Load
-            The load.
-        """
+        """Return the equilibrium of the surface under a load, from the rest shape."""
         ...
 
     def burst(self, load: Load) -> Burst:
-        """Return a function that times updates under a load.
-
-        Parameters
-        ----------
-        load : Load
-            The load.
-        """
+        """Return a function that times updates under a load."""
         ...
 
 
@@ -74,27 +62,9 @@ def settle_by_steps(
 ) -> Answer:
     """Step an engine until its surface is at rest.
 
-    step: does a step of `tick` s and returns the processor's seconds for it; surface: displacements (n, 3) m now;
-    longest: simulated s after which it counts as not settled, as it does when a value is not finite.
-    tolerance: how much its displacement may change in 0.1 s, relative L2.
-
-    Parameters
-    ----------
-    step : Callable[[], float]
-        Does a step and returns its processor time, s.
-    surface : Callable[[], Floats]
-        Returns the present displacements, shape (n, 3), m.
-    tick : float, s
-        Time step.
-    longest : float, s
-        Simulated time after which it counts as not settled, as it does when a value is not finite.
-    tolerance : float, optional
-        Largest relative change (L2) of the displacement in 0.1 s.
-
-    Returns
-    -------
-    Answer
-        The equilibrium.
+    step: does a step and returns its processor time, s; surface: returns the present displacements, shape (n, 3), m;
+    tick: time step, s; longest: simulated time after which it counts as not settled, as it does when a value is not
+    finite, s; tolerance: largest relative change (L2) of the displacement in 0.1 s. Returns the equilibrium.
     """
     stride = max(1, round(LOOK / tick))
     before = np.zeros_like(surface())
@@ -112,18 +82,7 @@ def settle_by_steps(
 
 
 def timed(work: Callable[[], object]) -> float:
-    """Return the processor time of this thread for a piece of work.
-
-    Parameters
-    ----------
-    work : Callable[[], object]
-        The work.
-
-    Returns
-    -------
-    float, s
-        The time.
-    """
+    """Return the processor time of this thread for a piece of work, s."""
     start = time.thread_time()
     work()
     return time.thread_time() - start

@@ -83,14 +83,8 @@ class QuadraticTetrahedra:
 class Compliance:
     """Table of surface displacements under unit forces, of the quadratic body, in single precision.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    table : NDArray[np.float32], shape (3 n, 3 n), m/N
-        The table.
-    one_patch : bool, optional
-        Use only the columns of the loaded nodes, as for a tool that can't be anywhere else.
+    table (3 n, 3 n) m/N; one_patch: use only the columns of the loaded nodes, as for a tool that can't be anywhere
+    else.
     """
 
     def __init__(self, organ: Organ, table: NDArray[np.float32], *, one_patch: bool = False) -> None:
@@ -116,17 +110,9 @@ class Compliance:
 
 
 def compliance_table(body: Body) -> NDArray[np.float32]:
-    """Return the displacements of the surface nodes under a unit force on any of them.
+    """Return the displacements of the surface nodes under a unit force on any of them, (3 n, 3 n) m/N.
 
-    Parameters
-    ----------
-    body : Body
-        The finite-element body.
-
-    Returns
-    -------
-    NDArray[np.float32], shape (3 n, 3 n), m/N
-        The table.
+    body: the finite-element body.
     """
     n = body.organ.n_surface
     table = np.empty((3 * n, 3 * n), dtype=np.float32)

@@ -17,19 +17,8 @@ from tissue_sim.organ.organ import Organ
 class Ours:
     """Simulation with options; a local region is kept whatever the load, so that it is assessed alone.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    longest : float, s, optional
-        Simulated time after which it counts as not settled.
-    options : Any
-        Options of Simulation.
-
-    Raises
-    ------
-    UserError
-        As Simulation does.
+    longest: simulated time after which it counts as not settled, s; options: options of Simulation. Raises UserError as
+    Simulation does.
     """
 
     def __init__(self, organ: Organ, longest: float = 5.0, **options: Any) -> None:

@@ -38,21 +38,8 @@ class Row(NamedTuple):
 def rows_of(variants: Variants, tuning: Sequence[Load], *, own: bool, quick: bool) -> Iterator[Row]:
     """Yield the rows of one size.
 
-    Parameters
-    ----------
-    variants : Variants
-        Variants of the organ.
-    tuning : Sequence[Load]
-        Loads on which XPBD is tuned.
-    own : bool
-        Whether it is the organ's own size, which has the paper's springs, too.
-    quick : bool
-        Whether rows that differ only in their steps are left out.
-
-    Yields
-    ------
-    Iterator[Row]
-        One row.
+    variants: variants of the organ; tuning: loads on which XPBD is tuned; own: whether it is the organ's own size,
+    which has the paper's springs, too; quick: whether rows that differ only in their steps are left out.
     """
     plain, groups, cells = variants
     points, balanced = plain.n_surface, cells[BALANCED]
@@ -74,7 +61,7 @@ def rows_of(variants: Variants, tuning: Sequence[Load], *, own: bool, quick: boo
         yield ours(f"{CALIBRATED}, substeps x4", balanced, finer=4)
     shared = _Shared(plain, tuning, (1, 2) if thorough else (1,))
 
-    def peer(name: str, make: Callable[..., tuple[Engine, str]], *arguments: Any) -> Row:
+    def peer(name: str, make: Callable[..., tuple[Engine, str]], *arguments: object) -> Row:
         return Row(name, False, points, partial(make, *arguments))
 
     if points <= MOST_LINEAR:

@@ -32,23 +32,7 @@ class Tetrahedra(NamedTuple):
 
 
 def tetrahedra_of(organ: Organ) -> Tetrahedra:
-    """Return the mesh of an organ.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-
-    Returns
-    -------
-    Tetrahedra
-        The mesh.
-
-    Raises
-    ------
-    UserError
-        Without Netgen, and where it can't fill the surface.
-    """
+    """Return the mesh of an organ. Raises UserError without Netgen, and where it can't fill the surface."""
     filling = fill(organ, grading=UNGRADED)
     cells = np.ascontiguousarray(filling.elements[:, :4])
     nodes = np.ascontiguousarray(filling.nodes[: cells.max() + 1])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,7 @@ class Xpbd:
         if not pypbd.Simulation.hasCurrent():
             pypbd.Simulation.getCurrent().initDefault()  # once in a process; gravity is read from it
         self._time = pypbd.TimeManager.getCurrent()
-        self._model: Any = pypbd.SimulationModel()
+        self._model = pypbd.SimulationModel()
         self._model.init()
         self.rest = mesh.nodes / UNIT
         body = self._model.addTetModel(list(self.rest), mesh.cells.ravel().tolist())
@@ -122,26 +122,8 @@ def tuned(organ: Organ, mesh: Tetrahedra, loads: Sequence[Load], iterations: Seq
     Its equilibrium depends on its iterations, which it stops before they converge, as real time requires. So for each
     number of iterations the stiffness is scaled by how much the answers are too small or too large.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    mesh : Tetrahedra
-        Its tetrahedra.
-    loads : Sequence[Load]
-        Loads of the tuning.
-    iterations : Sequence[int], optional
-        Numbers of iterations that are tried.
-
-    Returns
-    -------
-    Settings
-        The settings.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        Without pypbd.
+    mesh: its tetrahedra; loads: loads of the tuning; iterations: numbers of iterations that are tried. Raises
+    ModuleNotFoundError without pypbd.
     """
     best = math.inf, Settings()
     for count in iterations:

@@ -100,20 +100,7 @@ class Cell:
 def axes_named(names: str) -> list[str]:
     """Return the axes of a list with commas; `force` and `depth` stand for all of their kind, `all` for every axis.
 
-    Parameters
-    ----------
-    names : str
-        The list.
-
-    Returns
-    -------
-    list[str]
-        Names of axes.
-
-    Raises
-    ------
-    UserError
-        For an unknown one.
+    Raises UserError for an unknown one.
     """
     chosen: list[str] = []
     for name in names.split(","):
@@ -127,21 +114,8 @@ def axes_named(names: str) -> list[str]:
 def cells_of(axes: list[str], organ: str, quick: bool, regions: Sequence[str] = LOCAL_REGIONS) -> list[Cell]:
     """Return every cell of the axes, in the order of the map; the slow explicit integrator has fewer values.
 
-    Parameters
-    ----------
-    axes : list[str]
-        Names of axes.
-    organ : str
-        Organ file, or SMALL_ORGAN.
-    quick : bool
-        Whether times are shorter.
-    regions : Sequence[str], optional
-        Local regions to try.
-
-    Returns
-    -------
-    list[Cell]
-        The cells.
+    axes: names of axes; organ: organ file, or SMALL_ORGAN; quick: whether times are shorter; regions: local regions to
+    try.
     """
     return [
         Cell(axis, value, integrator, region, organ, quick)

@@ -41,18 +41,7 @@ class InversionCheck:
         self._volume = signed_volume(rest, triangles)
 
     def look(self, positions: Floats) -> Turned:
-        """Return what is inverted at positions (n, 3) m.
-
-        Parameters
-        ----------
-        positions : Floats, shape (n, 3), m
-            Positions of the nodes.
-
-        Returns
-        -------
-        Turned
-            The inverted parts.
-        """
+        """Return what is inverted at positions (n, 3) m of the nodes."""
         return Turned(
             cells=int(np.count_nonzero(_volumes(positions, self._cells) <= 0.0)),
             folds=int(np.count_nonzero(_cosines(positions, self._triangles, self._pairs) <= _FOLDED)),

@@ -162,25 +162,8 @@ FULL, QUICK, BRIEF = Pace(0.05, 0.15, 0.15), Pace(0.03, 0.05, 0.4), Pace(0.01, 0
 def load_on(organ: Organ, where: str, newtons: float, depth: float, tick_time: float, pace: Pace) -> Loading:
     """Return the load of a cell.
 
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    where : str
-        One of LOADS.
-    newtons : float, N
-        Sum of the forces.
-    depth : float
-        Depth of a poke in thicknesses.
-    tick_time : float, s
-        Duration of a tick.
-    pace : Pace
-        Durations.
-
-    Returns
-    -------
-    Loading
-        The load.
+    where: one of LOADS; newtons: sum of the forces, N; depth: depth of a poke in thicknesses; tick_time: duration of a
+    tick, s; pace: durations.
     """
     ramp_ticks, hold_ticks = max(1, round(pace.ramp / tick_time)), max(1, round(pace.hold / tick_time))
     far = where in ("point", "far", "tool_far")

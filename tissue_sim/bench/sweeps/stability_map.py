@@ -3,34 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tissue_sim.bench.sweeps.cells import AXES
 from tissue_sim.bench.sweeps.trial import Record
-from tissue_sim.errors import UserError
 from tissue_sim.figures import empty_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLOURS = {"stable": "#7fbf8e", "guarded": "#f2c14e", "diverged": "#c8432f"}
 _RECOVERED = "////"
 
 
-def draw_map(records: Sequence[Record], title: str, path: Path) -> None:
-    """Write the map of the records as a PNG.
-
-    Parameters
-    ----------
-    records : Sequence[Record]
-        The records.
-    title : str
-        Title.
-    path : Path
-        The file.
-
-    Raises
-    ------
-    UserError
-        Where it can't be written.
-    """
+def drawn(records: Sequence[Record], organ: str) -> Figure:
+    """Return the map of the records of an organ of that name."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch, Rectangle
@@ -88,8 +75,5 @@ def draw_map(records: Sequence[Record], title: str, path: Path) -> None:
         fontsize=10,
         frameon=False,
     )
-    figure.suptitle(title, fontsize=13)
-    try:
-        figure.savefig(path, dpi=130)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from None
+    figure.suptitle(f"Stability of {organ}: {len(records)} runs", fontsize=13)
+    return figure

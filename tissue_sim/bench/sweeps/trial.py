@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -70,7 +70,7 @@ class Record:
         return plain
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return list(value) if isinstance(value, tuple) else value
@@ -159,18 +159,7 @@ class _Watch:
 
 
 def run_cell(cell: Cell) -> Record:
-    """Load, hold, release and watch one cell.
-
-    Parameters
-    ----------
-    cell : Cell
-        The cell.
-
-    Returns
-    -------
-    Record
-        The results.
-    """
+    """Load, hold, release and watch one cell."""
     start = time.perf_counter()
     simulation = simulation_of(cell)
     axis = AXES[cell.axis]

@@ -37,15 +37,7 @@ MOST_SUBSTEPS, QUICK_SUBSTEPS = 400, 100
 def organ_of(organ: str) -> Organ:
     """Return the organ of a cell, read once in a worker; SMALL_ORGAN is synthetic.
 
-    Parameters
-    ----------
-    organ : str
-        Organ file, or SMALL_ORGAN.
-
-    Returns
-    -------
-    Organ
-        The organ.
+    organ: organ file, or SMALL_ORGAN.
     """
     return small_organ() if organ == SMALL_ORGAN else Organ.load(organ)
 
@@ -109,35 +101,13 @@ def _simulation(
 
 
 def made_for(cell: Cell) -> tuple[str, str, str, float, bool]:
-    """Return what a cell's simulation depends on; cells that agree in it can use one after another.
-
-    Parameters
-    ----------
-    cell : Cell
-        The cell.
-
-    Returns
-    -------
-    tuple[str, str, str, float, bool]
-        The key.
-    """
+    """Return what a cell's simulation depends on; cells that agree in it can use one after another."""
     tool = AXES[cell.axis].load.startswith("tool")
     return cell.organ, cell.integrator, cell.local_region, cell.at("mass_ratio", 0.0), tool
 
 
 def simulation_of(cell: Cell) -> Simulation:
-    """Return the cell's simulation, as if it were new.
-
-    Parameters
-    ----------
-    cell : Cell
-        The cell.
-
-    Returns
-    -------
-    Simulation
-        The simulation.
-    """
+    """Return the cell's simulation, as if it were new."""
     simulation, settings, words = _simulation(*made_for(cell))
     settings = copy_of(settings)
     rate, substeps = cell.at("rate", DEFAULT_RATE), 0

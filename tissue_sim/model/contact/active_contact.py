@@ -97,7 +97,7 @@ def gather_contacts(world: World, step: float, spread: bool) -> int:
             continue
         contact = scratch.active[found]
         contact.response = take_nodes(state, scratch.mobility, contact) * step + scratch.give[body]
-        soften(state, contact, softening)
+        soften(state, contact, softening, stiffness_now(world, contact))
         forgive_depth(state, scratch, contact, gap, step)
         given = spread and pressed > 0.0
         normal, last_held = contact.normal, state.contact_held[1 if given else 0, entry]
@@ -111,10 +111,37 @@ def gather_contacts(world: World, step: float, spread: bool) -> int:
 
 
 @kernel
-def soften(state: State, contact: ActiveContact, scale: float) -> None:
-    """Set the compliances and stiffnesses of an active contact; scale: stiffness scale times the step, s."""
+def stiffness_now(world: World, contact: ActiveContact) -> float:
+    """Return by how much tissue around an active contact is stiffer than once it has relaxed; 1 for elastic tissue.
+
+    All of it relaxes alike. So this is the factor by which its nodes' forces on the tool exceed their elastic ones, and
+    a held tool's force decreases by the tissue's fraction.
+    """
+    state = world.state
+    if len(state.relaxing) == 0:
+        return 1.0
+    most = 1.0 + world.model.relaxation[1]
+    elastic = unrelaxed = 0.0
+    for c in range(contact.nodes):
+        node = contact.node[c]
+        for axis in range(3):
+            along = contact.weight[c] * contact.normal[axis]
+            elastic -= along * state.last_elastic[node, axis]
+            unrelaxed -= along * state.unrelaxed[node, axis]
+    if elastic <= 0.0:  # it has just been touched
+        return most
+    return min(max(1.0 + unrelaxed / elastic, 1.0), most)
+
+
+@kernel
+def soften(state: State, contact: ActiveContact, scale: float, stiffer: float) -> None:
+    """Set the compliances and stiffnesses of an active contact.
+
+    scale: stiffness scale times the step, s; stiffer: of `stiffness_now`. The compliance across the normal is that of
+    relaxed tissue: by how much tissue has yielded there is known from the impulse alone, and would grow as it relaxes.
+    """
     compliance = state.contacts.compliance[contact.entry]
-    contact.compliance = compliance[0] / scale if scale > 0.0 else 0.0
+    contact.compliance = compliance[0] / (scale * stiffer) if scale > 0.0 else 0.0
     contact.compliance_across = compliance[1] / scale if scale > 0.0 else 0.0
     whole, across = contact.response + contact.compliance, contact.response + contact.compliance_across
     contact.stiffness = 1.0 / whole if whole > 0.0 else 0.0

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import math
 
-from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.blade_entry import enters
+from tissue_sim.model.contact.blade_lag import GIVE, lag_across, lag_forward, offset_of, way_past, write_arm
 from tissue_sim.model.contact.blade_places import is_known, leave_tissue, locate, times, turned_by, write_back
 from tissue_sim.model.contact.impulses import count_on_body, push_bodies
 from tissue_sim.model.data.blades import CORNERS, LIP_NODES, BladeRow, BladeSample
@@ -25,9 +25,8 @@ from tissue_sim.model.data.world import World
 
 AJAR = 1e-4  # m, opening of the lips from which the flank touches one of them
 AT_FRONT = 1e-9  # m at rest, within which a place is at the front of its cut
-# m/N, by which tissue yields right at a place: cells are coarser than places are apart, so that what holds these may
-# not fit together.
-GIVE = 1e-3
+CATCHES_UP = 1e-3  # m that a place lags behind its blade, or is ahead of it, for which it cuts twice as far, or not
+MOST_PACE, LEAST_PACE = 2.0, 0.5
 EASES = 0.02  # s, in which tissue gives way to forces across a flank that only balance each other
 MOST_SPEED = 2.0  # m/s, of a place through tissue
 SETTLED = 1e-3  # fraction of the impulses that a pass may still change
@@ -79,7 +78,7 @@ def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) ->
     """Write where a place is, what holds it there, and how both yield."""
     state, shapes, scratch, cells = world.state, world.shapes, world.scratch, world.model.cut_cells
     blades, rotation, cell = shapes.blades, scratch.rotation[row.body], sample.cell
-    _write_arm(world, row, rotation, row.arm)
+    write_arm(world, row, rotation, row.arm)
     turned_by(rotation, blades.forward[row.sample], row.forward)
     turned_by(rotation, blades.normal[row.sample], row.normal)
     f, n, e = row.forward, row.normal, row.along
@@ -120,15 +119,6 @@ def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) ->
 
 
 @kernel
-def _write_arm(world: World, row: BladeRow, rotation: Floats, arm: Floats) -> None:
-    """Write where a place is from its tool's origin, m, in a rotation (9,) of the tool, to arm (3,)."""
-    at = world.scratch.blade_at
-    for axis in range(3):
-        at[axis] = world.shapes.blades.at[row.sample, axis] + world.state.blades[row.sample].offset[axis]
-    turned_by(rotation, at, arm)
-
-
-@kernel
 def _borrow_back(world: World, row: BladeRow, found: int) -> None:
     """Take over how the tissue at the nearest place of the same blade is deformed, for a place in an inverted cell.
 
@@ -161,14 +151,18 @@ def _resist(world: World, row: BladeRow, sample: BladeSample, step: float) -> No
     row.most = settings.force_clamp * step
     row.drag = settings.flank_friction * blades.flank[row.sample] * step
     width, speed = blades.width[row.sample], blades.speed[row.sample]
-    row.resistance = 0.0
+    row.resistance, row.lag, row.pace = 0.0, 0.0, 1.0
+    row.lag_across = lag_across(world, row, sample, step)
     sample.free = sample.free and world.model.cut_cells.is_cut[sample.cell] == 1
     row.at_front = width > 0.0 and not sample.free and sample.depth >= sample.deepest - AT_FRONT
     if row.at_front and speed > 0.0:
         _melt(world, row, sample, speed * step)
         row.resistance = row.most
     elif row.at_front:
-        row.resistance = settings.toughness * width * row.area_ratio * step
+        row.lag = lag_forward(world, row, sample, step)
+        if not row.borrowed:
+            row.pace = min(max(1.0 + row.lag / CATCHES_UP, LEAST_PACE), MOST_PACE)
+        row.resistance = row.pace * settings.toughness * width * row.area_ratio * step
     row.slips = row.cuts = False
     for axis in range(3):
         row.pushed[axis] = sample.force[axis] * step
@@ -179,24 +173,11 @@ def _resist(world: World, row: BladeRow, sample: BladeSample, step: float) -> No
 @kernel
 def _melt(world: World, row: BladeRow, sample: BladeSample, most: float) -> None:
     """Move a place that parts tissue without force forward, by as far as it presses and at most `most`, m."""
-    x, y, z = _offset(world, row, row.weight)
+    x, y, z = offset_of(world, row, row.weight)
     f = row.forward
     ahead = min(most, f[0] * x + f[1] * y + f[2] * z)
     if ahead > 0.0:
         _advance(world, row, sample, (ahead, 0.0, 0.0))
-
-
-@kernel
-def _offset(world: World, row: BladeRow, weights: Floats) -> tuple[float, float, float]:
-    """Return how far a place of a blade is from what holds it, m."""
-    state, origin, arm = world.state, world.scratch.origin[row.body], row.arm
-    x, y, z = origin[0] + arm[0], origin[1] + arm[1], origin[2] + arm[2]
-    for place in range(LIP_NODES):
-        weight = weights[place]
-        if weight != 0.0:
-            position = state.position[row.node[place]]
-            x, y, z = x - weight * position[0], y - weight * position[1], z - weight * position[2]
-    return x, y, z
 
 
 @kernel
@@ -216,13 +197,14 @@ def press_blades(world: World, found: int, step: float) -> bool:
     for index in range(found):
         row = world.scratch.blade_rows[index]
         f, e, n, pushed = row.forward, row.along, row.normal, row.pushed
-        x, y, z = _offset(world, row, row.across_weight)
-        across = pushed[2] + (n[0] * x + n[1] * y + n[2] * z - soft * pushed[2]) * row.across_stiffness
+        x, y, z = offset_of(world, row, row.across_weight)
+        beside = n[0] * x + n[1] * y + n[2] * z - row.lag_across
+        across = pushed[2] + (beside - soft * pushed[2]) * row.across_stiffness
         if row.side * across < 0.0:
             across = 0.0
         across = min(max(across, -row.most), row.most)
-        x, y, z = _offset(world, row, row.weight)
-        ahead = pushed[0] + (f[0] * x + f[1] * y + f[2] * z - soft * pushed[0]) * row.stiffness
+        x, y, z = offset_of(world, row, row.weight)
+        ahead = pushed[0] + (f[0] * x + f[1] * y + f[2] * z - row.lag - soft * pushed[0]) * row.stiffness
         aside = pushed[1] + (e[0] * x + e[1] * y + e[2] * z - soft * pushed[1]) * row.stiffness
         cutting = min(max(ahead, 0.0), row.resistance)
         held = ahead - cutting
@@ -284,18 +266,21 @@ def end_blades(world: World, found: int, step: float) -> None:
         row = scratch.blade_rows[index]
         sample, f, e, n, pushed = state.blades[row.sample], row.forward, row.along, row.normal, row.pushed
         soft = GIVE / step
-        x, y, z = _offset(world, row, row.weight)
+        x, y, z = offset_of(world, row, row.weight)
         ahead = aside = across = 0.0
         if row.slips:
             aside = e[0] * x + e[1] * y + e[2] * z - soft * pushed[1]
         if row.cuts:
-            ahead = f[0] * x + f[1] * y + f[2] * z - soft * pushed[0]
-            if row.borrowed:
-                ahead = min(ahead, _way_past(world, row, step))
+            ahead = f[0] * x + f[1] * y + f[2] * z - row.lag - soft * pushed[0]
+            if row.at_front and world.shapes.blades.speed[row.sample] == 0.0:
+                ahead = row.pace * (ahead + _released(sample, pushed[0], step)) if ahead > 0.0 else ahead
+            elif row.borrowed:  # its offset doesn't shrink by what it moves at rest
+                ahead = min(ahead, way_past(world, row, f, row.weight, step))
         if abs(pushed[2]) >= row.most and row.side == 0.0:  # torn aside
-            across = n[0] * x + n[1] * y + n[2] * z - soft * pushed[2]
+            across = n[0] * x + n[1] * y + n[2] * z - row.lag_across - soft * pushed[2]
         elif row.side == 0.0:
-            across = step / EASES * soft * (pushed[2] - _mean_across(scratch, row.body, found))
+            eased = soft * (pushed[2] - _mean_across(scratch, row.body, found)) + row.lag_across
+            across = step / EASES * eased
         if not row.at_front and not sample.free and world.shapes.blades.width[row.sample] > 0.0:
             # Up to where it has been before; from there on it is resisted.
             ahead = min(ahead, max(0.0, sample.deepest - sample.depth) / max(_shrinking(row), 1e-9))
@@ -308,21 +293,13 @@ def end_blades(world: World, found: int, step: float) -> None:
 
 
 @kernel
-def _way_past(world: World, row: BladeRow, step: float) -> float:
-    """Return how far a place has moved forward past the tissue there in this substep, m.
+def _released(sample: BladeSample, pushed: float, step: float) -> float:
+    """Return how far what yields at a place pushes it on, m, besides by the way that it yields less.
 
-    A place in an inverted cell moves on by that: its offset would not shrink by what it moves at rest, and it would cut
-    the whole cell at once, without a load that pays for the area.
+    Where the tissue ahead resists less, the force falls at once, and with the energy that this releases more is cut.
     """
-    state, scratch, past = world.state, world.scratch, 0.0
-    _write_arm(world, row, scratch.last_rotation[row.body], scratch.blade_way)
-    for axis in range(3):
-        moved = scratch.origin[row.body, axis] + row.arm[axis]
-        moved -= scratch.last_origin[row.body, axis] + scratch.blade_way[axis]
-        for place in range(LIP_NODES):
-            moved -= step * row.weight[place] * state.velocity[row.node[place], axis]
-        past += row.forward[axis] * moved
-    return past
+    change = pushed - sample.force[0] * step
+    return 0.5 * GIVE / step * change * change / pushed if pushed > 0.0 else 0.0
 
 
 @kernel

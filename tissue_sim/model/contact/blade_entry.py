@@ -106,7 +106,7 @@ def begin_cuts(world: World, touching: int, step: float) -> None:
         began = False
         for number in range(len(state.blades)):
             if blades.body[number] == body and blades.width[number] > 0.0:
-                began = _begin(world, number, touching, load / (touched * step)) or began
+                began = _begin(world, number, touching) or began
         if began:
             forget_load(state, blades, body)
             state.bodies[body].cutting = True
@@ -216,8 +216,8 @@ def _pressed_beside(world: World, number: int, touching: int) -> int:
 
 
 @kernel
-def _begin(world: World, number: int, touching: int, load: float) -> bool:
-    """Put a place of an edge into the tissue that it presses, with a load in N/m; return whether it presses any."""
+def _begin(world: World, number: int, touching: int) -> bool:
+    """Put a place of an edge into the tissue that it presses; return whether it presses any."""
     state, scratch, cells = world.state, world.scratch, world.model.cut_cells
     chosen = _pressed_beside(world, number, touching)
     if chosen < 0:
@@ -242,6 +242,5 @@ def _begin(world: World, number: int, touching: int, load: float) -> bool:
         locate(cells, sample, scratch.blade_weight)
     sample.embedded = True
     sample.free = cells.is_cut[sample.cell] == 1
-    sample.force[0] = load * world.shapes.blades.width[number]
     write_offset(world, number, scratch.blade_weight)
     return True

@@ -35,6 +35,12 @@ def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scra
         clamped = clamp_fraction(scratch.impulse, shapes.tool, tool, settings.force_clamp * settings.tick_time)
         cut = cut or clamped < 1.0
         wanted = -clamped / settings.tick_time
+        for body in range(len(state.wrench)):
+            # Where poses come again while the force fades, it rises from what the hand feels, not from what it would
+            # feel without the fading.
+            if shapes.tool[body] == tool and freshness(state.bodies[body].age, settings) == 1.0:
+                for c in range(6):
+                    state.unfaded_wrench[body, c] = state.wrench[body, c]
         change = slew_fraction(state.unfaded_wrench, scratch.impulse, wanted, shapes.tool, tool, settings)
         held_back = held_back or change < 1.0
         for body in range(len(state.wrench)):

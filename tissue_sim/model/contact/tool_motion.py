@@ -6,11 +6,11 @@ import math
 
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
-from tissue_sim.model.contact.gap import gap_and_normal, is_on_outer_side, is_touched, point_in_body
-from tissue_sim.model.contact.shapes import rotation_matrix, signed_distance
+from tissue_sim.model.contact.gap import is_touched
+from tissue_sim.model.contact.poses import distance, distance_along_path, set_frame, step_pose
+from tissue_sim.model.contact.walls import leave_wall
 from tissue_sim.model.data.arrays import copy
-from tissue_sim.model.data.contact_set import POINT_NODES, nodes_of
-from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.contact_set import POINT_NODES
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.shapes import Shapes
@@ -20,9 +20,12 @@ ROUNDING = 1e-6  # fraction of a tick that counts as zero
 # Where tissue is near, a body moves in a step by at most this fraction of its finest feature: points before it then
 # end in its front half, and are pushed on, not past it.
 STEP = 0.25
-WALL = 0.5  # of a body's finest feature: it enters fixed tissue by at most that, so its middle stays outside
-MOVES = 0.5  # of a contact point's weights: with less on moving nodes it counts as fixed
 WALL_ROUNDS = 4  # rounds in a step that move a tool out of fixed tissue: a corner has three walls
+SLOWING = 0.3  # of the force that tissue bears: in the last of it, a tool that slipped is slowed and held
+INWARD = 0.25  # cosine between its way and the force against it, from which it presses deeper
+RECENT = 0.99  # by which the largest recent force, and the mean one, decay in a tick
+CAREFUL = 0.4  # m/s, of a tool that presses again after a slip
+ONCE = 1  # slip that may come from haste
 FASTEST = 1.0  # m/s, of a body that catches up there: well below the speed of sound in tissue
 
 
@@ -87,8 +90,23 @@ def release_body(status: BodyStatus) -> None:
     """
     status.resisted, status.placed = status.engaged or status.resisted, not status.held_off
     status.engaged = status.held_off = status.cutting = False
+    forget_slips(status)
     status.released = True
     status.releases += 1
+
+
+@kernel
+def forget_slips(status: BodyStatus) -> None:
+    """Forget the slips of a body, and the forces on it.
+
+    Parameters
+    ----------
+    status : BodyStatus
+        Status of the body; updated.
+    """
+    status.recent_force = status.bearable = 0.0
+    status.slips = 0
+    status.outward[:] = 0.0
 
 
 @kernel
@@ -126,6 +144,8 @@ def follow_untouched(state: State, shapes: Shapes, settings: Settings, scratch: 
         return False
     state.wrench[:] = 0.0
     state.unfaded_wrench[:] = 0.0
+    for body in range(len(state.bodies)):
+        forget_slips(state.bodies[body])
     return True
 
 
@@ -139,6 +159,9 @@ def advance_bodies(state: State, shapes: Shapes, scratch: Scratch, step: float) 
                 # Contact takes back what a pressing spring adds to the way: a bound on speed would bound its force.
                 is_pressed = scratch.give[other] > 0.0 and has_contact(state, other)
                 most = math.inf if is_pressed else FASTEST * step
+                slipped = state.bodies[other].slips > 0
+                if slipped and not is_pressed and leads_inward(state, other, scratch.goal[other]):
+                    most = CAREFUL * step
                 fraction = min(fraction, free_distance(state, shapes, other, scratch.goal[other], most))
         scratch.fraction[body] = fraction
     for body in range(len(state.body_pose)):
@@ -147,60 +170,6 @@ def advance_bodies(state: State, shapes: Shapes, scratch: Scratch, step: float) 
     for _ in range(WALL_ROUNDS if scratch.walls[0] > 0 else 0):
         if not leave_wall(state, shapes, scratch):
             break
-
-
-@kernel
-def find_walls(model: Model, state: State, scratch: Scratch) -> None:
-    """List the contact points on mostly fixed nodes in scratch.wall: they hardly yield to a tool.
-
-    Parameters
-    ----------
-    model : Model
-        Constants of the model.
-    state : State
-        State of the simulation; updated.
-    scratch : Scratch
-        Working memory; updated.
-    """
-    count, contacts = 0, state.contacts
-    for entry in range(contacts.header.points):
-        moves = 0.0
-        for c in range(nodes_of(contacts, entry)):
-            if model.inverse_mass[contacts.node[entry, c]] > 0.0:
-                moves += contacts.weight[entry, c]
-        status = state.bodies[contacts.body[entry]]
-        if moves < MOVES and status.engaged and not status.cutting:
-            scratch.wall[count] = entry
-            count += 1
-    scratch.walls[0] = count
-
-
-@kernel
-def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
-    """Move a tool out of the fixed point that lies deepest in it; return False where none lies deeper than WALL.
-
-    Tissue that moves is pushed on by the tool; into fixed tissue it would go on until it has slipped inside.
-    """
-    deepest, chosen = 0.0, -1
-    x = y = z = 0.0
-    for index in range(scratch.walls[0]):
-        entry = scratch.wall[index]
-        body = state.contacts.body[entry]
-        if index == 0 or body != state.contacts.body[scratch.wall[index - 1]]:
-            set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
-        _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
-        deep = -signed_distance(shapes, body, lx, ly, lz)[0] - WALL * shapes.finest[body]
-        if deep > deepest:  # hardly ever: only then the normal is looked at
-            _, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
-            if is_on_outer_side(state, entry, (nx, ny, nz)):
-                deepest, chosen, x, y, z = deep, body, nx, ny, nz
-    if chosen < 0:
-        return False
-    for body in range(len(state.body_pose)):
-        if shapes.tool[body] == shapes.tool[chosen]:
-            pose = state.body_pose[body]
-            pose[0], pose[1], pose[2] = pose[0] - deepest * x, pose[1] - deepest * y, pose[2] - deepest * z
-    return True
 
 
 @kernel
@@ -233,68 +202,44 @@ def free_distance(state: State, shapes: Shapes, body: int, goal: Floats, most: f
     now, then = distance_along_path(pose, place, extent), distance_along_path(goal, place, extent)
     if then > contacts.reach[body] and then > now:
         fraction = min(fraction, max(0.0, contacts.reach[body] - now) / (then - now))
+    if status.slips > ONCE and not status.cutting and leads_inward(state, body, goal):
+        fraction *= min(1.0, max(0.0, (1.0 - status.recent_force / status.bearable) / SLOWING))
     return fraction
 
 
 @kernel
-def distance_along_path(pose: Floats, other: Floats, extent: float) -> float:
-    """Return a bound on how far the points of a body lie apart in two poses.
-
-    Parameters
-    ----------
-    pose : Floats, shape (7,)
-        A pose.
-    other : Floats, shape (7,)
-        Another pose.
-    extent : float, m
-        Largest distance of its points from its origin.
-
-    Returns
-    -------
-    float
-        m
-    """
-    if extent == 0.0:
-        return distance(pose, other)
-    # A chord between unit quaternions is 2 sin(angle / 4), and a point moves by 2 sin(angle / 2) of its arm.
-    return distance(pose, other) + 2.0 * extent * quaternion_distance(pose, other)
+def leads_inward(state: State, body: int, goal: Floats) -> bool:
+    """Return whether the way to a goal (7,) leads against the force of the tissue."""
+    outward, pose, along, size, way = state.bodies[body].outward, state.body_pose[body], 0.0, 0.0, 0.0
+    for c in range(3):
+        along += outward[c] * (goal[c] - pose[c])
+        size += outward[c] ** 2
+        way += (goal[c] - pose[c]) ** 2
+    return along < -INWARD * math.sqrt(size * way)
 
 
 @kernel
-def distance(pose: Floats, other: Floats) -> float:
-    """Return the distance between the origins of two poses.
+def note_forces(state: State, settings: Settings, scratch: Scratch) -> None:
+    """Update the recent forces of the tissue on every body; forget the slips of one that is free again at its hand.
 
     Parameters
     ----------
-    pose : Floats, shape (7,)
-        A pose.
-    other : Floats, shape (7,)
-        Another pose.
-
-    Returns
-    -------
-    float
-        m
+    state : State
+        State of the simulation; updated.
+    settings : Settings
+        Settings of the simulation.
+    scratch : Scratch
+        Working memory, with the impulses of this tick.
     """
-    return math.sqrt((pose[0] - other[0]) ** 2 + (pose[1] - other[1]) ** 2 + (pose[2] - other[2]) ** 2)
-
-
-@kernel
-def quaternion_distance(pose: Floats, other: Floats) -> float:
-    """Return the chord between the quaternions of two poses, of either sign: half the angle where it is small.
-
-    Parameters
-    ----------
-    pose : Floats, shape (7,)
-        A pose.
-    other : Floats, shape (7,)
-        Another pose.
-    """
-    less = more = 0.0
-    for c in range(3, 7):
-        less += (pose[c] - other[c]) ** 2
-        more += (pose[c] + other[c]) ** 2
-    return math.sqrt(min(less, more))
+    for body in range(len(state.bodies)):
+        status, impulse = state.bodies[body], scratch.impulse[body]
+        size = math.sqrt(impulse[0] * impulse[0] + impulse[1] * impulse[1] + impulse[2] * impulse[2])
+        status.recent_force = max(size / settings.tick_time, RECENT * status.recent_force)
+        # The last forces before a slip may lead aside; a tool that has slipped keeps the side from which it came.
+        for c in range(3 if status.slips == 0 else 0):
+            status.outward[c] = RECENT * status.outward[c] - (1.0 - RECENT) * impulse[c] / settings.tick_time
+        if size == 0.0 and status.slips > 0 and distance(state.body_pose[body], state.held_pose[body]) == 0.0:
+            forget_slips(status)
 
 
 @kernel
@@ -373,42 +318,6 @@ def restore_bodies(state: State, farthest: float) -> None:
             square += (state.body_pose[body, c] - back[c]) ** 2
         if not square < farthest * farthest:
             copy(back, state.body_pose[body])
-
-
-@kernel
-def step_pose(pose: Floats, goal: Floats, fraction: float) -> None:
-    """Move a pose (7,) by a fraction of the way to a goal; the quaternion by normalised lerp."""
-    if fraction >= 1.0:
-        copy(goal, pose)
-        return
-    for c in range(3):
-        pose[c] += fraction * (goal[c] - pose[c])
-    dot = pose[3] * goal[3] + pose[4] * goal[4] + pose[5] * goal[5] + pose[6] * goal[6]
-    sign = 1.0 if dot >= 0.0 else -1.0
-    norm = 0.0
-    for c in range(3, 7):
-        pose[c] += fraction * (sign * goal[c] - pose[c])
-        norm += pose[c] * pose[c]
-    norm = 1.0 / math.sqrt(norm)
-    for c in range(3, 7):
-        pose[c] *= norm
-
-
-@kernel
-def set_frame(pose: Floats, origin: Floats, rotation: Floats) -> None:
-    """Write the origin and the rotation matrix of a pose.
-
-    Parameters
-    ----------
-    pose : Floats, shape (7,), m and quaternion xyzw
-        The pose.
-    origin : Floats, shape (3,), m
-        Its origin; updated.
-    rotation : Floats, shape (9,)
-        Its rotation matrix, row by row; updated.
-    """
-    copy(pose[:3], origin)
-    rotation_matrix(pose[3:], rotation)
 
 
 @kernel

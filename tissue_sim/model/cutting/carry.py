@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.array_types import Longs
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.records import array_of
 from tissue_sim.model.data.state import State, fields_of, state_like
@@ -52,16 +52,22 @@ _RENEWED = (
 
 
 class CarryPlan(NamedTuple):
-    """Which words of a state continue which words of another; k words. All others keep their values."""
+    """Plan of the k words that are copied from one state to another; all other words keep their values.
+
+    A node's unrelaxed force is divided among the nodes that take its place, by their masses: d words.
+    """
 
     source: Longs  # (k,) places in the words of the state before
     target: Longs  # (k,) places in the words of the state after
+    divided: Longs  # (d,) places in the words of the state after
+    fraction: Floats  # (d,) of what was carried there that remains
 
 
-NO_PLAN = CarryPlan(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+_NONE = np.zeros(0, dtype=np.int64)
+NO_PLAN = CarryPlan(_NONE, _NONE, _NONE, np.zeros(0))
 
 
-def carry_plan(before: State, after: State, origin: Longs, own: int) -> CarryPlan:
+def carry_plan(before: State, after: State, origin: Longs, own: int, mass: Floats) -> CarryPlan:
     """Return how a state continues in that of the same organ after a cut.
 
     The words depend on the sizes of both states only, not on their values, so that the plan is made beside a running
@@ -77,6 +83,8 @@ def carry_plan(before: State, after: State, origin: Longs, own: int) -> CarryPla
         The node before whose place each node after takes.
     own : int
         Number of nodes of the uncut organ.
+    mass : Floats, shape (n,), kg
+        Masses of the nodes after.
     """
     first, last = _numbered(before, 1), _numbered(after, -1)
     old, new = fields_of(first), fields_of(last)
@@ -90,8 +98,21 @@ def carry_plan(before: State, after: State, origin: Longs, own: int) -> CarryPla
     for name in _RENEWED:
         array_of(last.status)[name] = renewed[name]
     last.contacts.words[:] = first.contacts.words
+    if len(last.unrelaxed):
+        new["unrelaxed"][...] = old["unrelaxed"][origin]
+        array_of(last.relaxing)["energy"] = array_of(first.relaxing)["energy"]
     target = np.flatnonzero(last.words > 0)
-    return CarryPlan(last.words[target] - 1, target)
+    return CarryPlan(last.words[target] - 1, target, *_divided(after, origin, mass))
+
+
+def _divided(after: State, origin: Longs, mass: Floats) -> tuple[Longs, Floats]:
+    """Return which words of a state are divided among nodes with the same origin (n,), and their fractions."""
+    if not len(after.unrelaxed):
+        return NO_PLAN.divided, NO_PLAN.fraction
+    part = mass / np.bincount(origin, mass)[origin]
+    nodes = np.flatnonzero(part != 1.0)
+    places = _numbered(after, 1).unrelaxed.view(np.int64)[nodes] - 1
+    return places.reshape(-1), np.repeat(part[nodes], 3)
 
 
 def _as_words(array: NDArray[Any]) -> NDArray[Any]:
@@ -121,3 +142,6 @@ def carry(before: Longs, after: Longs, plan: CarryPlan) -> None:
     """
     for index in range(len(plan.target)):
         after[plan.target[index]] = before[plan.source[index]]
+    numbers = after.view(np.float64)
+    for index in range(len(plan.divided)):
+        numbers[plan.divided[index]] *= plan.fraction[index]

@@ -10,6 +10,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs, Mask
 from tissue_sim.model.cutting.sheet import Place, Sheet
+from tissue_sim.organ.edges import CELL_EDGES
 
 # Mean edges of the crossed cells by which the front is moved: cells resist at it, as they are too coarse for the
 # stress there. Chosen on three cuts of a kidney, and confirmed on two others (docs/cutting.md).
@@ -22,7 +23,6 @@ LEAST_HEIGHT = 0.02
 MOST_BENT = 0.5
 MARGIN = 0.1  # of the front's advance, within which it counts as ending at another cut
 GRID = 12  # samples along each side of a section
-_EDGES = [(a, b) for a in range(4) for b in range(a + 1, 4)]
 
 
 class Crossing(NamedTuple):
@@ -47,6 +47,14 @@ class Samples(NamedTuple):
     coordinates: Floats  # (k, g, 4) barycentric ones in the cell
     weight: Floats  # (k, g) m^2, the area that each stands for
     covered: Mask  # (k, g) whether the sheet reaches it, with the front's advance
+
+
+class Earlier(NamedTuple):
+    """Cells that an earlier stage of the same cut has divided. k cells, n nodes, g points on each section."""
+
+    cells: Longs  # (k,) which they are, ascending
+    height: Floats  # (n,) m, of every node above that stage's sheet
+    covered: Mask  # (k, g) what it has cut of each section, with the front's advance
 
 
 def _sections() -> Longs:
@@ -128,11 +136,19 @@ def crossing_of(rest: Floats, cells: Ints | Longs, sheet: Sheet) -> Crossing:
 
 
 def crossing_among(
-    rest: Floats, cells: Ints | Longs, sheet: Sheet, others: Sequence[Sheet] = ()
+    rest: Floats,
+    cells: Ints | Longs,
+    sheet: Sheet,
+    others: Sequence[Sheet] = (),
+    earlier: Earlier | None = None,
 ) -> tuple[Crossing, Samples]:
     """Return the cells that a sheet divides, of an organ that others cut too.
 
     Heights above the sheet are linear in each cell, so that neighbours agree where it crosses their common edges.
+
+    The sheet of a blade that cuts on is not quite that of its earlier stage: it turns with the blade, and its front is
+    moved by another mean edge. Lips that are open can't close again, or change sides. So cells that the earlier stage
+    has divided stay divided where they were, and torn as far at least.
 
     Parameters
     ----------
@@ -144,6 +160,8 @@ def crossing_among(
         The sheet.
     others : Sequence[Sheet], optional
         Of other cuts, beyond which the front is not moved.
+    earlier : Earlier | None, optional
+        Of the same cut; None: there was none.
 
     Returns
     -------
@@ -151,19 +169,25 @@ def crossing_among(
         The cells, none where the sheet passes between them, and samples of their sections.
     """
     across = sheet.place(rest).across
+    held = np.zeros(0, dtype=np.int64) if earlier is None else np.unique(cells[earlier.cells])
+    if earlier is not None:
+        across[held] = earlier.height[held]
     at = across[cells]
     near = np.flatnonzero((at.min(axis=1) <= 0.0) & (at.max(axis=1) >= 0.0))
     corner = rest[cells[near]]
-    edges = np.stack([np.linalg.norm(corner[:, a] - corner[:, b], axis=1) for a, b in _EDGES], axis=1).mean(axis=1)
+    edges = np.stack([np.linalg.norm(corner[:, a] - corner[:, b], axis=1) for a, b in CELL_EDGES], axis=1).mean(axis=1)
     typical = float(edges.mean()) if len(edges) else 0.0
     least = LEAST_HEIGHT * typical
     height = np.where(np.abs(across) < least, np.copysign(least, across), across)
+    height[held] = across[held]
     at = height[cells]
     crossed = np.flatnonzero((at.min(axis=1) < 0.0) & (at.max(axis=1) > 0.0))
     size = edges[np.searchsorted(near, crossed)]  # no other cell is crossed
     corners, weight = _section_samples(rest[cells[crossed]], at[crossed])
     middle = sheet.place(corners.mean(axis=1))
     real = np.abs(middle.across) < MOST_BENT * size
+    if earlier is not None:
+        real |= np.isin(crossed, earlier.cells)
     crossed, corners, weight, size = crossed[real], corners[real], weight[real], size[real]
     points = corners.reshape(-1, 3)
     place = sheet.place(points)
@@ -172,6 +196,8 @@ def crossing_among(
     advance = ADVANCE * float(size[cut].mean()) if cut.any() else 0.0
     reached = sheet.covers(place, advance) & ~_beyond(points, place, sheet, others, MARGIN * advance)
     covered = reached.reshape(weight.shape)
+    if earlier is not None:
+        covered[np.searchsorted(crossed, earlier.cells)] |= earlier.covered
     cut_fraction = rounded((weight * covered).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300))
     kept = np.flatnonzero(cut_fraction > 0.0) if cut.any() else np.zeros(0, dtype=np.int64)
     chosen = crossed[kept]

@@ -11,7 +11,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.coagulation import stiffening_of
-from tissue_sim.model.cutting.crossing import Crossing, crossing_among
+from tissue_sim.model.cutting.crossing import Crossing, Earlier, crossing_among
 from tissue_sim.model.cutting.cut_surface import CutSurface, cut_surface, uncut_surface
 from tissue_sim.model.cutting.masses import distributed_masses, fastest_mode
 from tissue_sim.model.cutting.parts import Parts, put_together, together
@@ -72,6 +72,7 @@ class CutOrgan(NamedTuple):
     surface: CutSurface
     reports: tuple[CutReport, ...]  # of each cut, as it was made
     sides: Longs  # (m, s) the same for each of the cuts
+    divided: tuple[Earlier, ...]  # what each of the cuts has divided
 
     def origin(self, earlier: CutOrgan) -> Longs:
         """Return the node (n,) of the same organ after fewer cuts whose place each node takes over.
@@ -122,14 +123,15 @@ def not_cut(organ: Organ) -> CutOrgan:
     whole = np.arange(len(organ.cell_nodes))
     side, fraction = np.zeros(len(whole), dtype=np.int64), np.ones(len(whole))
     sides = np.zeros((len(whole), 0), dtype=np.int64)
-    return CutOrgan(organ, organ, fastest_mode(organ), (), whole, side, fraction, uncut_surface(organ), (), sides)
+    return CutOrgan(organ, organ, fastest_mode(organ), (), whole, side, fraction, uncut_surface(organ), (), sides, ())
 
 
 def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     """Return an organ after one more cut.
 
     The cut is made in the uncut organ together with the earlier ones, so that the order of cuts doesn't matter. One
-    that continues the last ones to a greater depth takes their place.
+    that continues the last ones to a greater depth takes their place. What a blade has divided stays divided in the
+    later stages of its cut.
 
     Parameters
     ----------
@@ -152,7 +154,13 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     kept = tuple(one for one in before.sheets if not sheet.deepens(one))
     sheets = (*kept, sheet)
     found = [
-        crossing_among(organ.rest_positions, organ.cell_nodes, one, [other for other in sheets if other is not one])
+        crossing_among(
+            organ.rest_positions,
+            organ.cell_nodes,
+            one,
+            [other for other in sheets if other is not one],
+            _earlier(before, one),
+        )
         for one in sheets
     ]
     crossing = found[-1][0]
@@ -187,7 +195,14 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
         surface=surface,
         reports=(*earlier, report),
         sides=parts.sides,
+        divided=tuple(Earlier(one.cells, one.height, samples.covered) for one, samples in found),
     )
+
+
+def _earlier(before: CutOrgan, sheet: Sheet) -> Earlier | None:
+    """Return what a blade's cut, whose sheet is given, has divided before."""
+    stages = [number for number, one in enumerate(before.sheets) if sheet.mark and sheet.deepens(one)]
+    return before.divided[stages[0]] if stages else None
 
 
 def _report(organ: Organ, sheet: Sheet, crossing: Crossing) -> CutReport:

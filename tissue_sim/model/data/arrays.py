@@ -24,6 +24,23 @@ def copy(source: Floats | Ints, target: Floats | Ints) -> None:
 
 
 @kernel
+def add(source: Floats, target: Floats) -> None:
+    """Add a contiguous array to another of the same size.
+
+    Parameters
+    ----------
+    source : Floats
+        The array.
+    target : Floats
+        Receives the sums.
+    """
+    size = source.size
+    flat_source, flat_target = source.reshape(size), target.reshape(size)
+    for index in range(size):
+        flat_target[index] += flat_source[index]
+
+
+@kernel
 def copy_nodes(source: Floats, target: Floats, nodes: Ints) -> None:
     """Copy the rows of some nodes from one array to another.
 

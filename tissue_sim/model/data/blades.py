@@ -60,6 +60,9 @@ class BladeRow(Record):
     across_stiffness: float  # likewise what the flank touches
     at_front: bool  # of what its edge has cut: further on there is something to cut
     resistance: float  # N s against cutting
+    lag: float  # m that it is behind the blade besides what its force explains, where cutting takes force
+    lag_across: float  # m, likewise across the flank
+    pace: float  # ratio of the way that it cuts to that of the blade past the tissue
     drag: float  # N s of friction on the flank, besides that by the normal force
     most: float  # N s, the largest impulse across the flank
     pushed: Vector  # N s on the tissue in this substep: forward, along, across

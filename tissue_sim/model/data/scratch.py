@@ -28,6 +28,7 @@ class Scratch(NamedTuple):
     force: Floats  # (n, 3) N
     impulse: Floats  # (T, 6) N s on the tissue
     mobility: Floats  # (n,) 1/kg
+    mass: Floats  # (n,) kg, 0 where held
     push: Floats  # (3n,) s/kg, and
     shrink: Floats  # (3n,), of integrators.symplectic_euler_whole
     mobility_key: Floats  # (5,) settings that they were computed for
@@ -57,7 +58,10 @@ class Scratch(NamedTuple):
     candidate_speed: Floats  # (C,) m/s, at which it may shrink by the tool's motion
     watching: Longs  # (1,) how many
     wall: Longs  # (C,) contact points that are mostly held
+    wall_depth: Floats  # (C,) m, see walls.measure_walls, with
+    wall_pose: Floats  # (T, 7) poses of the bodies
     walls: Longs  # (1,) how many
+    walls_measured: Longs  # (1,) 1 where their depths are those of this tick
     # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
     fresh: Ints
     was: Longs

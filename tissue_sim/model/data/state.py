@@ -20,7 +20,7 @@ from tissue_sim.model.data.contact_set import (
     padded,
 )
 from tissue_sim.model.data.layout import Field, carve, size_of
-from tissue_sim.model.data.records import Record, Records, array_of
+from tissue_sim.model.data.records import Record, Records, Vector, array_of
 
 
 class Region(IntEnum):
@@ -104,6 +104,10 @@ class BodyStatus(Record):
     releases: int  # number of these, and of resets; a contact set counts for the life it was found in
     pose_sequence: int  # which pose is in use
     force_sequence: int  # which external force is in use
+    recent_force: float  # N, the largest of the tissue on it since it slipped, unclamped; it decays
+    slips: int  # how often it slipped since it touched, the first time counted twice unless it was hasty
+    bearable: float  # N, up to which it presses after two slips; after one it presses slowly
+    outward: Vector  # N, mean recent force of the tissue on it, until it slips: towards the side from which it came
 
 
 class Relaxing(Record):
@@ -273,7 +277,8 @@ def state_like(state: State) -> State:
     return make_state(*sizes, len(state.blades), len(state.relaxing) > 0)
 
 
-_ADDED = ("bodies.cutting",)  # fields of records that older bags lack, and that are 0 there
+# Fields of records that older bags lack, and that are 0 there.
+_ADDED = tuple(f"bodies.{name}" for name in ("cutting", "recent_force", "slips", "bearable", "outward"))
 # Names in bags that were recorded before fields were renamed, by their present names; accepted for one version.
 _RENAMED = {"unfaded_wrench": "felt", "status.oscillating": "shivering", "count.oscillations": "shivers"}
 _ONLY_HANDED_OUT = ("words", "results", "shape", "shape_tick")  # a tick doesn't start from these

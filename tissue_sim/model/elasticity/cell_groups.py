@@ -241,6 +241,38 @@ def cell_forces(position: Floats, tissue: Tissue, force: Floats) -> None:
     force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
+    push_cells(position, tissue)
+    rows = tissue.rows
+    for node in range(len(force)):
+        for axis in range(3):
+            force[node, axis] += rows[node, WIDTH + axis]
+
+
+@kernel
+def write_cell_forces(position: Floats, tissue: Tissue, scale: float, force: Floats) -> None:
+    """Write the forces of all cells times a factor, and list those that are compressed.
+
+    Parameters
+    ----------
+    position : Floats, shape (n, 3), m
+        Positions of the nodes, surface first.
+    tissue : Tissue
+        Cells of the model.
+    scale : float
+        The factor.
+    force : Floats, shape (n, 3), N
+        Forces on the nodes; updated.
+    """
+    push_cells(position, tissue)
+    rows = tissue.rows
+    for node in range(len(force)):
+        for axis in range(3):
+            force[node, axis] = scale * (0.0 + rows[node, WIDTH + axis])  # no -0.0, as where they are added
+
+
+@kernel
+def push_cells(position: Floats, tissue: Tissue) -> None:
+    """Sum the forces of all cells in the rows of the nodes, and list the cells that are compressed."""
     rows, work, groups = tissue.rows, tissue.work, tissue.groups
     stiff = 0
     for node in range(len(position)):
@@ -253,9 +285,6 @@ def cell_forces(position: Floats, tissue: Tissue, force: Floats) -> None:
             if _resist(work, groups.constants[block]) > 0:
                 stiff = _list_compressed(work, groups.constants[block], block, tissue.compressed_cells, stiff)
             scatter_group(rows, groups.nodes[block], work)
-    for node in range(len(force)):
-        for axis in range(3):
-            force[node, axis] += rows[node, WIDTH + axis]
     tissue.stiff[0] = stiff
 
 

@@ -13,7 +13,7 @@ from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.data.blocks import BLOCK
 from tissue_sim.model.data.model import Model
-from tissue_sim.model.elasticity.cell_groups import cell_forces
+from tissue_sim.model.elasticity.cell_groups import cell_forces, write_cell_forces
 
 # Of its rest length, below which a spring's push decreases to zero where its ends meet. Equation (1) alone reverses
 # there by twice its largest force: no step is short enough for that, and energy is created.
@@ -341,6 +341,38 @@ def elastic_forces(model: Model, position: Floats, force: Floats) -> None:
         Constants of the model.
     position : Floats, shape (n, 3), m
         Positions of the nodes, surface first.
+    force : Floats, shape (n, 3), N
+        Forces on the nodes; updated.
+    """
+
+
+@kernel
+def _write_cells(model: Model, position: Floats, scale: float, force: Floats) -> None:
+    write_cell_forces(position, model.tissue, scale, force)
+
+
+@kernel
+def _write_springs(model: Model, position: Floats, scale: float, force: Floats) -> None:
+    force[:] = 0.0
+    _by_springs(model, position, force)
+    if scale != 1.0:
+        for node in range(len(force)):
+            for axis in range(3):
+                force[node, axis] *= scale
+
+
+@chosen(lambda model, *_: _write_cells if has(model, "tissue") else _write_springs)
+def write_elastic_forces(model: Model, position: Floats, scale: float, force: Floats) -> None:
+    """Write the forces of the model's springs, or of its cells, times a factor.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    position : Floats, shape (n, 3), m
+        Positions of the nodes, surface first.
+    scale : float
+        The factor.
     force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """

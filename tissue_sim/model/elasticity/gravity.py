@@ -67,7 +67,24 @@ def is_out_of_balance(model: Model, settings: Settings) -> bool:
 
 
 @kernel
-def add_weight(model: Model, settings: Settings, force: Floats) -> None:
+def write_masses(model: Model, mass: Floats) -> None:
+    """Write the masses of nodes that move, and 0 for others.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    mass : Floats, shape (n,), kg
+        The masses; updated.
+    """
+    mass[:] = 0.0
+    for index in range(len(model.moving)):
+        node = model.moving[index]
+        mass[node] = 1.0 / model.inverse_mass[node]
+
+
+@kernel
+def add_weight(model: Model, settings: Settings, mass: Floats, force: Floats) -> None:
     """Add the nodes' weight; at rest in equilibrium the sum of forces is zero to the last bit.
 
     Parameters
@@ -76,18 +93,18 @@ def add_weight(model: Model, settings: Settings, force: Floats) -> None:
         Constants of the model.
     settings : Settings
         Settings of the simulation.
+    mass : Floats, shape (n,), kg
+        Masses, see write_masses: a division for each node would take longer than all the rest.
     force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
     if not is_heavy(model, settings):
         return
     gx, gy, gz = excess(model, settings)
-    for index in range(len(model.moving)):
-        node = model.moving[index]
-        mass = 1.0 / model.inverse_mass[node]
-        force[node, 0] += mass * gx
-        force[node, 1] += mass * gy
-        force[node, 2] += mass * gz
+    for node in range(len(mass)):
+        force[node, 0] += mass[node] * gx
+        force[node, 1] += mass[node] * gy
+        force[node, 2] += mass[node] * gz
     for node in range(len(model.borne)):
         for axis in range(3):
             force[node, axis] += model.borne[node, axis]

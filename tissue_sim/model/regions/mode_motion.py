@@ -9,7 +9,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.settings import Settings
-from tissue_sim.model.data.state import State
+from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.regions.local_region import driving
 
 OFFSET_TIME = 0.25  # s in which an offset fades
@@ -139,3 +139,34 @@ def set_mode_move(model: Model, state: State, scratch: Scratch) -> None:
     position, rest, move = state.mode_position, scratch.mode_rest, scratch.mode_move
     for k in range(len(move)):
         move[k] = position[k] - held * rest[k]
+
+
+@kernel
+def modes_are_finite(state: State) -> bool:
+    """Return whether all modes of a modal region are finite.
+
+    Parameters
+    ----------
+    state : State
+        State of the simulation; updated.
+
+    Returns
+    -------
+    bool
+        True where they are.
+    """
+    finite = True
+    for k in range(len(state.mode_position)):
+        finite = finite and abs(state.mode_position[k]) < math.inf and abs(state.mode_velocity[k]) < math.inf
+    return finite
+
+
+@kernel
+def largest_swing(model: Model, state: State) -> tuple[float, float]:
+    """Return the largest speed, m/s, and displacement, m, that the modes may have anywhere."""
+    speed = away = 0.0
+    if state.status.region == Region.MODAL:
+        for k in range(len(model.reduction.peak)):
+            away += abs(state.mode_position[k]) * model.reduction.peak[k]
+            speed += abs(state.mode_velocity[k]) * model.reduction.peak[k]
+    return speed, away

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from tissue_sim.array_types import Ints, Longs
@@ -12,6 +11,7 @@ from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.regions.local_region import driving
+from tissue_sim.model.regions.mode_motion import largest_swing
 
 
 @part
@@ -97,37 +97,6 @@ def are_placed(model: Model, state: State, scratch: Scratch, nodes: Longs | Ints
 
 
 @kernel
-def modes_are_finite(state: State) -> bool:
-    """Return whether all modes of a modal region are finite.
-
-    Parameters
-    ----------
-    state : State
-        State of the simulation; updated.
-
-    Returns
-    -------
-    bool
-        True where they are.
-    """
-    finite = True
-    for k in range(len(state.mode_position)):
-        finite = finite and abs(state.mode_position[k]) < math.inf and abs(state.mode_velocity[k]) < math.inf
-    return finite
-
-
-@kernel
-def _swing(model: Model, state: State) -> tuple[float, float]:
-    """Return the largest speed, m/s, and displacement, m, that the modes may have anywhere."""
-    speed = away = 0.0
-    if state.status.region == Region.MODAL:
-        for k in range(len(model.reduction.peak)):
-            away += abs(state.mode_position[k]) * model.reduction.peak[k]
-            speed += abs(state.mode_velocity[k]) * model.reduction.peak[k]
-    return speed, away
-
-
-@kernel
 def largest_motion(model: Model, state: State, scratch: Scratch) -> tuple[float, float]:
     """Return the largest components of velocity and of displacement from rest of the nodes.
 
@@ -158,5 +127,5 @@ def largest_motion(model: Model, state: State, scratch: Scratch) -> tuple[float,
         away_x = max(away_x, abs(position[node, 0] - rest[node, 0]))
         away_y = max(away_y, abs(position[node, 1] - rest[node, 1]))
         away_z = max(away_z, abs(position[node, 2] - rest[node, 2]))
-    swing_speed, swing = _swing(model, state)
+    swing_speed, swing = largest_swing(model, state)
     return max(speed_x, speed_y, speed_z, swing_speed), max(away_x, away_y, away_z, swing)

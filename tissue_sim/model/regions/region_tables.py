@@ -1,4 +1,4 @@
-"""Which organs take a local region, and the tables that the model of one needs."""
+"""Choice of organs that take a local region, and the tables that the model of one needs."""
 
 from __future__ import annotations
 

@@ -19,6 +19,7 @@ from tissue_sim.model.data.records import Record
 from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
 from tissue_sim.model.runtime.mailboxes import Mailboxes, mailbox
+from tissue_sim.model.stepping.contact_pairs import renew_surface
 from tissue_sim.model.stepping.coupled_step import CoupledOrgans
 
 
@@ -31,6 +32,7 @@ class ExchangeWords(Record):
     tick: int  # that first tick
     coarse_square: float  # see joined.ExchangePlan
     added: float
+    version: int
 
 
 class Exchange(NamedTuple):
@@ -110,6 +112,7 @@ def take_exchange(
     if joined is not None:
         joined.coarse.square[organ] = exchange.words.coarse_square
         joined.links.added[0] = exchange.words.added
+        renew_surface(joined.pairs, organ, exchange.words.version)
         for link in range(len(exchange.lightness)):
             joined.links.lightness[link] = exchange.lightness[link]
     exchange.words.tick = after.status.tick + 1

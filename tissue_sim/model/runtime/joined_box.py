@@ -14,8 +14,17 @@ from tissue_sim.model.data.records import Record, Records
 from tissue_sim.model.data.world import World
 from tissue_sim.model.runtime.mailboxes import JOURNAL_ROWS, Mailbox, fence, mailbox, put, take
 from tissue_sim.model.stepping.breathing import Breath
+from tissue_sim.model.stepping.contact_pairs import (
+    MOST_ORGANS,
+    MOST_PAIRS,
+    OrganContactSet,
+    copy_pair,
+    copy_points,
+    organ_contact_set,
+    separate_points,
+    take_pairs,
+)
 from tissue_sim.model.stepping.coupled_step import CoupledOrgans
-from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, OrganContactSet, organ_contact_set, take_pairs
 
 
 class JoinedRow(Record):
@@ -33,12 +42,13 @@ class Kept(NamedTuple):
     pairs: OrganContactSet
     pressed: Floats  # (p,) N, as in pairs.Pairs
     held: Floats  # (p, 3) N
+    version: Longs  # (MOST_ORGANS,) as in OrganContacts
 
 
 class JoinedBox(NamedTuple):
     """Mailboxes of all organs. T rigid bodies."""
 
-    pairs: Mailbox  # OrganContactSet.words
+    pairs: Mailbox  # the words of pairs, the number of cut points, and these
     respiration: Mailbox  # (1,) a fraction of the breath's displacement
     wrenches: Mailbox  # wrench_words
     row: JoinedRow  # as the last tick took it up
@@ -78,6 +88,7 @@ def make_joined_box(n_bodies: int) -> JoinedBox:
             organ_contact_set(),
             np.zeros(MOST_PAIRS),
             np.zeros((MOST_PAIRS, 3)),
+            np.zeros(MOST_ORGANS, dtype=np.int64),
         ),
         taken=taken,
         taken_fraction=np.zeros(1),
@@ -107,6 +118,7 @@ def take_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
     sequence = take(box.pairs, 0, row.pairs, box.taken.words)
     if sequence != row.pairs:
         row.pairs, changed = sequence, True
+        separate_points(box.taken)
         take_pairs(joined.pairs, box.taken)
     if changed:
         note_joined(box, tick)
@@ -152,13 +164,12 @@ def keep_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
     pairs, kept, words = joined.pairs, box.kept, joined.carried.breath_words
     for index in range(len(words)):
         kept.breath[index] = words[index]
+    copy_points(pairs, kept.pairs)
+    for organ in range(len(kept.version)):
+        kept.version[organ] = pairs.version[organ]
     kept.pairs.found[0] = pairs.found[0]
     for pair in range(pairs.found[0]):
+        copy_pair(pairs, pair, kept.pairs, pair)
         kept.pressed[pair] = pairs.pressed[pair]
-        for end in range(2):
-            kept.pairs.organ[pair, end] = pairs.organ[pair, end]
-        for corner in range(4):
-            kept.pairs.node[pair, corner] = pairs.node[pair, corner]
         for axis in range(3):
-            kept.pairs.weight[pair, axis] = pairs.weight[pair, axis]
             kept.held[pair, axis] = pairs.held[pair, axis]

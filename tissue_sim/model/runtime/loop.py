@@ -24,6 +24,7 @@ from tissue_sim.model.runtime.mailboxes import (
     Control,
     LoopWords,
     Mailboxes,
+    Pace,
     fence,
     keep_states,
     note_tick,
@@ -36,6 +37,8 @@ from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled, 
 CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
 # ns; further behind than this, ticks are dropped instead of run in a burst. Posted times come in larger steps.
 LATEST_CATCH_UP, LATEST_CATCH_UP_POSTED = 50_000_000, 1_000_000_000
+MOST_WAITS = 2  # see wait_for_tick
+SHIFTS = 32  # requests until most of a wrong phase is gone
 NAP = 4_000_000  # ns that an idle loop sleeps at most, so that simulated time is never 5 ms behind
 LOOK_UP = 50_000_000  # ns after which a loop that waits for a posted time checks whether it has to end
 STANDS_AFTER = 500_000_000  # ns of wall time after which a clock that doesn't advance counts as stopped
@@ -118,19 +121,41 @@ def wait_until(deadline: int, loop: LoopWords) -> int:
 def wait_for_tick(due: int, period: int, answered: int, loop: LoopWords) -> int:
     """Sleep until a tick is due by the monotonic clock, a period after `due`, ns, or is requested.
 
-    answered: control.asked when the last tick began. The time is returned, which is `due` or later.
+    answered: control.asked when the last tick began. The time is returned, which is `due` or later. A request before
+    `due` waits, and its tick uses up the time of the next one: in a stream of poses at the rate of the ticks all would
+    wait like that. After MOST_WAITS in a row, a tick is therefore left out for the request after it.
     """
-    control, time = loop.control, now(loop.now)
+    control, pace, time = loop.control, loop.pace, now(loop.now)
+    early = answered  # control.asked with all requests before `due`
     while time < due + period:
         control.waiting = True
         fence()  # from here on a post rings the bell
-        is_asked = control.asked != answered
-        if is_asked and time >= due:
-            break
-        sleep_until_bell(due if is_asked else due + period, loop)
+        asked, deadline = control.asked, due + period
+        if time < due:
+            early = asked
+        if pace.waits < MOST_WAITS or asked != early:
+            if asked != answered and time >= due:
+                break
+            deadline = due if asked != answered else deadline
+        sleep_until_bell(deadline, loop)
         time = now(loop.now)
     control.waiting = False
+    pace.waits = pace.waits + 1 if control.asked == early == answered + 1 and pace.waits < MOST_WAITS else 0
     return time
+
+
+@kernel
+def suited_due(due: int, start: int, period: int, pace: Pace) -> int:
+    """Return when a tick that one request brought forward was due, ns, shifted to let requests come midway between two.
+
+    In a stream at the rate of the ticks, one that comes a little early then needn't wait, and one that comes a little
+    late finds no tick under way without it. All shifts together are at most half a period.
+    """
+    shift = (start - due - period // 2) // SHIFTS
+    if abs(pace.shift + shift) > period // 2:
+        return due
+    pace.shift += shift
+    return due + shift
 
 
 @kernel
@@ -259,6 +284,8 @@ def run_loop(
                 continue
         else:
             start = wait_for_tick(due, period, answered, loop)
+            if start < due + period and control.asked == answered + 1:
+                due = suited_due(due, start, period, pace)
         due += period
         late = max(0, start - due)
         begin = start

@@ -16,7 +16,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.jit import kernel
+from tissue_sim.jit import kernel, short
 from tissue_sim.model.cutting.carry import NO_PLAN, CarryPlan
 from tissue_sim.model.data.contact_set import ContactSet, contact_set
 from tissue_sim.model.data.records import Record, Records
@@ -95,8 +95,10 @@ class Demand(Record):
 
 
 class Pace(Record):
-    """Notes of the loop about posted times."""
+    """Notes of the loop about requests and posted times."""
 
+    waits: int  # how many ticks in a row had one request, which had to wait until they were due
+    shift: int  # ns by which the times when ticks are due were shifted to suit the requests
     seen: int  # ns, the newest that it has seen
     seen_at: int  # ns of the monotonic clock, when it did
     behind: int  # ns, remaining lag behind the previous one
@@ -224,7 +226,7 @@ def fence(typing_context):  # type: ignore[no-untyped-def]
     return types.void(), generate
 
 
-@kernel
+@short
 def put(box: Mailbox, addressee: int, message: Longs) -> int:
     """Post a message.
 
@@ -254,7 +256,7 @@ def put(box: Mailbox, addressee: int, message: Longs) -> int:
     return sequence
 
 
-@kernel
+@short
 def take(box: Mailbox, addressee: int, last: int, message: Longs) -> int:
     """Copy the newest message.
 

@@ -11,9 +11,9 @@ from tissue_sim.model.data.links import Links
 from tissue_sim.model.data.world import World
 from tissue_sim.model.stepping.breathing import Carried, breathe, weigh
 from tissue_sim.model.stepping.coarse_steps import Coarse, fit_coarse, plan_coarse, ratio_of
+from tissue_sim.model.stepping.contact_pairs import OrganContacts
 from tissue_sim.model.stepping.ligament_links import load_links, measure_links, pull_links
 from tissue_sim.model.stepping.organ_contact import (
-    OrganContacts,
     apply_organ_contacts,
     resolve_organ_contacts,
     wake_touched_organs,

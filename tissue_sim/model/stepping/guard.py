@@ -14,7 +14,8 @@ from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import Fault, Region, State
 from tissue_sim.model.regions.active_region import restore_shape
-from tissue_sim.model.regions.moved_nodes import are_placed, checked_nodes, modes_are_finite
+from tissue_sim.model.regions.mode_motion import modes_are_finite
+from tissue_sim.model.regions.moved_nodes import are_placed, checked_nodes
 from tissue_sim.model.stepping.inputs import MAX_BACKOFF
 from tissue_sim.model.stepping.relaxation import forget_relaxation
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.blade_places import forget_blades
-from tissue_sim.model.contact.tool_motion import distance, distance_along_path, quaternion_distance
+from tissue_sim.model.contact.poses import distance, distance_along_path, quaternion_distance
+from tissue_sim.model.contact.tool_motion import CAREFUL, forget_slips
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import POINT_NODES, ContactSet, Engaged, used_words
 from tissue_sim.model.data.model import Model
@@ -20,6 +23,10 @@ CATCH_UP = 0.03  # s in which a tool catches up most of its lag behind its poses
 RESUMED = 1.0  # s without poses after which a returning hand counts as new
 MAX_BACKOFF = 8  # highest factor on the substeps
 AFTER_SLIP = 2  # factor after a tool has slipped inside; more would not keep it out of a pinch, and last long
+BEHIND = 1e-4  # m that a tool which isn't hasty may be behind its hand
+BORNE = 0.7  # fraction of the force at which a tool slipped, up to which it is pressed from then on
+SWALLOWED = 0.97  # fraction of that which is left where swinging tissue swallowed it without such a force
+BARELY_FELT = 0.05  # N: a tool that slipped at less is pressed as if it had slipped at this
 CREEP = 1e-3, 1e-2  # m/s and 1/s at least, so that it arrives
 
 
@@ -168,11 +175,34 @@ def covers(state: State, shapes: Shapes, found: ContactSet, body: int) -> bool:
 
 @kernel
 def put_back(state: State, body: int) -> None:
-    """Put a body that is inside on the surface, from where it presses again; after a slip in shorter substeps."""
-    copy(state.contacts.place[body], state.body_pose[body])
-    if state.bodies[body].engaged:
+    """Put a body that is inside on the surface, from where it presses again; after a slip in shorter substeps.
+
+    Where the nearest surface is that of the organ's far side, the body goes back as far, against its way in; the next
+    contact set then tells whether it is outside. After that a hasty tool presses slowly. One that wasn't hasty, or
+    slips again, presses with less force than that at which it slipped, which the surface can't bear.
+    """
+    status, pose, place, ahead, size = state.bodies[body], state.body_pose[body], state.contacts.place[body], 0.0, 0.0
+    is_hasty = status.speed > CAREFUL or distance(pose, state.held_pose[body]) > BEHIND
+    for c in range(3):
+        ahead -= status.outward[c] * (place[c] - pose[c])
+        size += status.outward[c] ** 2
+    if ahead > 0.0:
+        way = distance(pose, place) / math.sqrt(size)
+        for c in range(3):
+            pose[c] += way * status.outward[c]
+        copy(pose, place)
+        state.contacts.reach[body] = 0.0
+    else:
+        copy(place, pose)
+    if status.engaged:
         state.status.backoff = max(AFTER_SLIP, state.status.backoff)
         state.count.slips += 1
+        # Tissue that swings back may swallow a tool that was just put on it, whatever the force.
+        is_pressed = status.slips == 0 or status.recent_force > 0.5 * status.bearable
+        borne = BORNE * max(status.recent_force, BARELY_FELT)
+        status.bearable = borne if is_pressed else SWALLOWED * status.bearable
+        status.recent_force = 0.0
+        status.slips += 1 if is_hasty or status.slips > 0 else 2
 
 
 @kernel
@@ -307,6 +337,7 @@ def reset_state(model: Model, state: State) -> None:
         status.age = status.force_age = -1
         status.stamp = status.pose_sequence = status.force_sequence = 0
         status.remaining = status.speed = status.turning = 0.0
+        forget_slips(status)
         status.engaged = status.held_off = status.released = status.resisted = status.placed = False
         state.contacts.engaged[body] = Engaged.NO.value
         for c in range(POINT_NODES):

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
-from tissue_sim.model.data.arrays import copy
+from tissue_sim.model.data.arrays import add, copy
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.state import State
 
@@ -68,6 +68,7 @@ def relax(model: Model, state: State, force: Floats, step: float) -> None:
     memory.step = step
     if last == 0.0:
         copy(force, state.last_elastic)
+        add(state.unrelaxed, force)  # what a cut has left of it
         return
     half = 0.5 * last * model.relaxation[0]
     kept, taken = (1.0 - half) / (1.0 + half), model.relaxation[1] / (1.0 + half)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from tissue_sim.array_types import Floats
 from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel, part
 from tissue_sim.model.contact.constraint import add_contact_impulses, carry_force, resolve_contacts
@@ -18,19 +17,19 @@ from tissue_sim.model.contact.tool_motion import (
     add_tip_forces,
     advance_held,
     couple_bodies,
-    find_walls,
     follow_untouched,
     has_tip_force,
     keep_bodies,
+    note_forces,
 )
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
+from tissue_sim.model.contact.walls import find_walls
 from tissue_sim.model.data.model import Model
-from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.settings import Integrator, Settings
 from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.data.world import World
-from tissue_sim.model.elasticity.forces import elastic_forces
-from tissue_sim.model.elasticity.gravity import add_weight, is_out_of_balance
+from tissue_sim.model.elasticity.forces import write_elastic_forces
+from tissue_sim.model.elasticity.gravity import add_weight, is_out_of_balance, write_masses
 from tissue_sim.model.elasticity.stiffening import shortening_of
 from tissue_sim.model.regions.active_region import (
     absorb_load,
@@ -110,14 +109,15 @@ def plan_tick(world: World) -> bool:
     # The first forces tell how stiff the cells are.
     plan.whole = status.region == Region.WHOLE
     if plan.whole:
-        whole_forces(model, state.position, settings, scratch)
+        write_elastic_forces(model, state.position, settings.stiffness_scale, scratch.force)
     plan.regional = is_region_of_cells(model, state)
     if plan.regional:
         region_forces(model, state, settings, scratch, False)
     wanted = settings.substeps if plan.whole else settings.region_substeps
     factor = caution(model, state, plan.whole or plan.regional)
     plan.substeps = wanted * status.backoff * factor
-    plan.looking = plan.whole and is_oscillation_checked(model, state, plan.substeps) and (factor == 1 or is_cut(model))
+    plan.looking = plan.whole and is_oscillation_checked(model, state, plan.substeps)
+    plan.looking = plan.looking and (factor == 1 or can_be_cut(model, state))
     return True
 
 
@@ -154,10 +154,10 @@ def take_substep(world: World, substep: int) -> None:
         if state.status.region != Region.WHOLE:
             region_forces(model, state, settings, scratch, substep == substeps - 1)
         else:
-            whole_forces(model, state.position, settings, scratch)
+            write_elastic_forces(model, state.position, settings.stiffness_scale, scratch.force)
     if len(state.relaxing) > 0:
         relax(model, state, scratch.force, step)
-    add_loads(model, state, settings, scratch.force)
+    add_loads(world)
     integrate(world, step)
     move_prescribed(state, substep, substeps, step)
     pushed = has_taken_impulses(state, settings)
@@ -183,6 +183,7 @@ def end_tick(world: World) -> None:
     guard(model, state, settings, scratch)
     check_cells(model, state, scratch)
     count_prescribed(state)
+    note_forces(state, settings, scratch)
     compute_haptic_output(state, shapes, settings, scratch)
     change_region(world)
     unload_nodes(state)
@@ -218,23 +219,16 @@ def caution(model: Model, state: State, begun: bool) -> int:
     factor = 2 if begun and has_compressed_cells(model) else 1
     if state.status.turned > 0:
         factor = 4 if state.status.turned > CRUMPLED * len(model.cells) else 2
-    if state.status.oscillating > 0 and (factor == 1 or (is_cut(model) and factor == 2)):
+    doubled = factor == 2 and can_be_cut(model, state)
+    if state.status.oscillating > 0 and (factor == 1 or doubled):
         factor *= 2
     return max(least, factor)
 
 
 @kernel
-def is_cut(model: Model) -> bool:
-    """Return whether the organ has cuts, and with them nodes that are light."""
-    return len(model.lips.weight) > 0
-
-
-@kernel
-def whole_forces(model: Model, position: Floats, settings: Settings, scratch: Scratch) -> None:
-    """Write the elastic forces of the whole organ at position (n, 3) m to scratch.force (n, 3) N."""
-    scratch.force[:] = 0.0
-    elastic_forces(model, position, scratch.force)
-    scale_force(settings, scratch.force)
+def can_be_cut(model: Model, state: State) -> bool:
+    """Return whether the organ has cuts, and with them light nodes, or meets a blade, which presses deep dents."""
+    return len(model.lips.weight) > 0 or len(state.blades) > 0
 
 
 @kernel
@@ -295,6 +289,7 @@ def set_mobility(world: World, step: float) -> None:
         return
     key[0], key[1], key[2], key[3], key[4] = step, damping, inertia, changes, masses
     mobility, moving, inverse_mass = scratch.mobility, model.moving, model.inverse_mass
+    write_masses(model, scratch.mass)
     for index in range(len(moving)):
         node = moving[index]
         inverse = inverse_mass[node] / scratch.coarse[node] if coarse else inverse_mass[node]
@@ -311,19 +306,10 @@ def set_mobility(world: World, step: float) -> None:
 
 
 @kernel
-def scale_force(settings: Settings, force: Floats) -> None:
-    """Scale the elastic forces by the tissue's stiffness."""
-    scale = settings.stiffness_scale
-    if scale != 1.0:
-        for node in range(len(force)):
-            for c in range(3):
-                force[node, c] *= scale
-
-
-@kernel
-def add_loads(model: Model, state: State, settings: Settings, force: Floats) -> None:
-    """Add the external forces."""
-    add_weight(model, settings, force)
+def add_loads(world: World) -> None:
+    """Add the external forces to scratch.force."""
+    state, settings, force = world.state, world.settings, world.scratch.force
+    add_weight(world.model, settings, world.scratch.mass, force)
     for index in range(state.status.loaded):
         node = state.loaded_node[index]
         for c in range(3):

@@ -6,7 +6,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.world import World
-from tissue_sim.model.elasticity.gravity import add_weight, is_out_of_balance
+from tissue_sim.model.elasticity.gravity import add_weight, is_out_of_balance, write_masses
 from tissue_sim.model.regions.active_region import leave_region, show_region
 from tissue_sim.model.stepping.inputs import load_nodes, reset_state, take_contacts, take_force, take_pose
 from tissue_sim.model.stepping.prescribed import free_nodes, prescribe_nodes
@@ -73,7 +73,9 @@ def weigh_world(world: World, force: Floats) -> None:
     force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
-    add_weight(world.model, world.settings, force)
+    mass = world.scratch.mass
+    write_masses(world.model, mass)
+    add_weight(world.model, world.settings, mass, force)
 
 
 @kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import SimpleITK as sitk
@@ -15,13 +15,16 @@ from tissue_sim.errors import UserError, shown
 from tissue_sim.organ.imaging.dicom_file import SEGMENTATIONS, Stack, decoded, decoding, read_header
 from tissue_sim.organ.imaging.voxel_files import check_count
 
+if TYPE_CHECKING:
+    from pydicom.dataset import Dataset
+
 
 class FrameGrid(NamedTuple):
     """Positions of the frames of a DICOM file.
 
     Attributes
     ----------
-    image : Any
+    image : Dataset
         The file as highdicom reads it.
     size : tuple[int, int, int]
         Voxels along x, y, z.
@@ -37,7 +40,7 @@ class FrameGrid(NamedTuple):
         Number of different rescale slopes and intercepts among the frames.
     """
 
-    image: Any
+    image: Dataset
     size: tuple[int, int, int]
     spacing: Floats
     origin: Floats
@@ -46,12 +49,12 @@ class FrameGrid(NamedTuple):
     rescales: int
 
 
-def functional_group(image: Any, frame: int, name: str) -> Any:
+def functional_group(image: Dataset, frame: int, name: str) -> Dataset:
     """Return what a DICOM file of many frames says about one of them, or about all of them.
 
     Parameters
     ----------
-    image : Any
+    image : Dataset
         The file as highdicom reads it.
     frame : int
         Index of the frame.
@@ -60,7 +63,7 @@ def functional_group(image: Any, frame: int, name: str) -> Any:
 
     Returns
     -------
-    Any
+    Dataset
         First item of the sequence.
 
     Raises
@@ -132,7 +135,7 @@ def read_frame_grid(file: Path, *, whole: bool) -> FrameGrid:
     return FrameGrid(image, (nx, ny, nz), spacing, matrix[:3, 3], matrix[:3, :3] / spacing, place, len(rescales))
 
 
-def _rescale(image: Any, frame: int) -> tuple[str, str]:
+def _rescale(image: Dataset, frame: int) -> tuple[str, str]:
     """Return the rescale slope and intercept of a frame as they are written; empty strings where it has none."""
     try:
         found = functional_group(image, frame, "PixelValueTransformationSequence")

@@ -13,6 +13,7 @@ import SimpleITK as sitk
 from tissue_sim.array_types import Floats
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
+from tissue_sim.file_kinds import IMAGE, unpacked_size, wrong_kind
 from tissue_sim.memory import limited
 from tissue_sim.organ.imaging.dicom import read_stack
 from tissue_sim.organ.imaging.dicom_file import Stack, is_dicom
@@ -22,13 +23,18 @@ from tissue_sim.organ.imaging.itk_output import silenced
 from tissue_sim.organ.imaging.meta_header import read_meta_header
 from tissue_sim.organ.imaging.nifti_header import read_nifti_header
 from tissue_sim.organ.imaging.nrrd_header import read_nrrd_header
-from tissue_sim.organ.imaging.voxel_files import Header, check_count, check_room
+from tissue_sim.organ.imaging.voxel_files import LONGEST_HEADER, Header, check_count, check_room
 
 _LARGEST_AXIS = 1e9  # mm, of a step between voxels
 _LARGEST_SKEW = 1e-3  # cosine between two axes
 _PAIR = re.compile(r"\.(hdr|img)(\.gz)?$", re.IGNORECASE)  # NIfTI in two files
 _PERMISSIVE = "ITK_NIFTI_SFORM_PERMISSIVE"  # how skewed a NIfTI is, is checked here
 _UNSCALED = (".tif", ".tiff", ".lsm")  # ITK takes the distance of their slices for 1 mm
+_BLANK = re.compile(rb"\r?\n\r?\n")  # ends a NRRD's header
+_NRRD_PACKED = re.compile(rb"^encoding: *gz(ip)?\s", re.MULTILINE | re.IGNORECASE)
+_NRRD_ELSEWHERE = re.compile(rb"^(data ?file|byte ?skip|line ?skip):", re.MULTILINE | re.IGNORECASE)
+_META_DATA = re.compile(rb"^ElementDataFile *= *local *\r?\n", re.MULTILINE | re.IGNORECASE)  # ends a MetaImage's
+_META_PACKED = re.compile(rb"^CompressedData *= *True", re.MULTILINE | re.IGNORECASE)
 _ROOM = 1 << 28  # bytes that reading a header may need beside those of the file, whatever its counts say
 FORMATS = "NIfTI, NRRD, MHA or a DICOM folder"
 
@@ -119,11 +125,14 @@ def read_file(path: Path, *, layers: bool = False) -> tuple[sitk.Image, tuple[st
     UserError
         Where the file can't be read, isn't 3-D, or has axes that deviate from right angles by more than a thousandth.
     """
+    _check_kind(path)
     if path.suffix.lower() in _UNSCALED:
         raise UserError(f"{path} is a TIFF, which doesn't state the distance of its slices; save it as NRRD or MHA")
     header = _header(path)
     if header is not None and header.affine is not None:
         _check_axes(path, header.affine[:3, :3])  # ITK finds no direction in some that are not at right angles
+    if header is not None:
+        _check_whole(path, header)
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
     # A header of ours was looked at before; others ITK takes at their word.
@@ -156,6 +165,43 @@ def read_file(path: Path, *, layers: bool = False) -> tuple[sitk.Image, tuple[st
     image = image if dimension == 3 else image[(slice(None),) * 3 + (0,) * (dimension - 3)]
     _place(path, image, header or Header())
     return image, header.notes if header else ()
+
+
+def _check_kind(path: Path) -> None:
+    """Refuse a file that is empty, or of another kind than an image."""
+    try:
+        if other := wrong_kind(path, IMAGE):
+            raise UserError(f"{path} {other}, and no image; name a {FORMATS}")
+    except OSError as error:
+        raise UserError(f"{path} can't be read: {error.strerror}") from None
+
+
+def _check_whole(path: Path, header: Header) -> None:
+    """Refuse a file whose voxels are cut off or whose compressed data is changed: ITK reads what is there."""
+    file = next((one for one in header.beside if one.is_file()), path)
+    held = unpacked_size(file, _packed_from(file))
+    if held is None:
+        raise UserError(f"{file} is damaged: its compressed data is cut off or changed; copy or export it again")
+    if held < header.least:
+        raise UserError(
+            f"{file} is cut off: it has {held} bytes, and its header states {header.least}; copy or export it again"
+        )
+
+
+def _packed_from(path: Path) -> int:
+    """Return where a NRRD's or a MetaImage's own voxels begin if they are compressed; otherwise 0."""
+    with path.open("rb") as stream:
+        head = stream.read(LONGEST_HEADER)
+    is_nrrd = head.startswith(b"NRRD")
+    end = (_BLANK if is_nrrd else _META_DATA).search(head)
+    if end is None:
+        return 0
+    said = head[: end.end()]
+    if is_nrrd:
+        is_packed = bool(_NRRD_PACKED.search(said)) and not _NRRD_ELSEWHERE.search(said)
+    else:
+        is_packed = bool(_META_PACKED.search(said))
+    return end.end() if is_packed else 0
 
 
 def _place(path: Path, image: sitk.Image, header: Header) -> None:
@@ -203,6 +249,8 @@ def _header(path: Path) -> Header | None:
 def _reason(error: BaseException) -> str:
     """Return the informative line of an ITK exception."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    if any("Unable to determine ImageIO reader" in line for line in lines):
+        return "its format is unknown"
     telling = [line for line in lines if "ERROR" in line or "rror:" in line] or lines or [type(error).__name__]
     text = telling[-1].split("):")[-1].strip()
     return text[:160] if text else "unknown error"

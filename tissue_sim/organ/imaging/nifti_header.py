@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import math
 import zlib
 from pathlib import Path
 
@@ -35,7 +36,7 @@ def read_nifti_header(path: Path) -> Header:
     Returns
     -------
     Header
-        The affine and the unit of length.
+        The affine, the unit of length, and the bytes that the voxels' file needs.
 
     Raises
     ------
@@ -51,6 +52,11 @@ def read_nifti_header(path: Path) -> Header:
 
 
 def _placed(path: Path, header: Nifti1Header) -> Header:
+    size = [int(n) for n in header["dim"][1 : 1 + max(1, min(7, int(header["dim"][0])))]]
+    if not 1 <= int(header["dim"][0]) <= 7 or min(size) < 1:
+        raise UserError(
+            f"{path} has a damaged header: its size is {' x '.join(map(str, size))} voxels; export the image again"
+        )
     for form, fields in _FORMS.items():
         numbers = np.concatenate([np.ravel(header[field]) for field in fields])
         if header[f"{form}_code"] > 0 and not np.all(np.abs(numbers) <= _LARGEST):
@@ -62,14 +68,15 @@ def _placed(path: Path, header: Nifti1Header) -> Header:
         unit = millimetres(path, [header.get_xyzt_units()[0]], "xyzt_units")
     except (HeaderDataError, KeyError, ValueError) as error:
         raise UserError(f"{path} has a damaged header ({error})") from None
+    least = math.prod(size) * int(header["bitpix"]) // 8 + int(header["vox_offset"])
     if sform is None and qform is None:
         note = f"warning: {path.name} has neither a qform nor an sform, so it is unknown which side is left"
-        return Header(unit=unit, notes=(note,))
+        return Header(unit=unit, notes=(note,), least=least)
     if sform is not None and qform is not None:
         _check_agreement(path, header, sform, qform)
     affine = _RAS_TO_LPS @ (qform if sform is None else sform)
     affine[:3] *= unit
-    return Header(affine=affine)
+    return Header(affine=affine, least=least)
 
 
 def _check_agreement(path: Path, header: Nifti1Header, sform: Floats, qform: Floats) -> None:

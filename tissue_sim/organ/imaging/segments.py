@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from tissue_sim.errors import UserError, shown
 from tissue_sim.organ.imaging.dicom_file import SEGMENTATIONS, decoding, is_dicom
 from tissue_sim.organ.imaging.dicom_frames import functional_group, read_frame_grid
 from tissue_sim.organ.imaging.image import Volume
+
+if TYPE_CHECKING:
+    from pydicom.dataset import Dataset
 
 
 class Segment(NamedTuple):
@@ -120,6 +123,6 @@ def read_segments(file: Path) -> tuple[Volume, list[Segment]]:
     return volume, [Segment(number, name, partial(voxels, number)) for number, name in sorted(names.items())]
 
 
-def _number(image: Any, frame: int) -> int:
+def _number(image: Dataset, frame: int) -> int:
     """Return the number of the segment that a frame belongs to."""
     return int(functional_group(image, frame, "SegmentIdentificationSequence").ReferencedSegmentNumber)

@@ -32,12 +32,15 @@ class Header(NamedTuple):
         Transform from voxel indices x, y, z to mm in LPS; None where ITK's is right.
     notes : tuple[str, ...]
         Remarks, one line each.
+    least : int
+        Bytes that the voxels' file has at least, unpacked; 0 where ITK checks that.
     """
 
     beside: tuple[Path, ...] = ()
     unit: float = 1.0
     affine: Floats | None = None
     notes: tuple[str, ...] = ()
+    least: int = 0
 
 
 def millimetres(path: Path, units: Sequence[str], field: str) -> float:

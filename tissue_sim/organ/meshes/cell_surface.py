@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.organ.meshes.mesh_error import MeshError
 
 _CORNERS = {"triangle": 3, "quad": 4, "tetra": 4}
 _SOLIDS = ("hexahedron", "wedge", "pyramid", "polyhedron")
@@ -40,7 +41,7 @@ def surface_of(positions: Floats, cells: Mapping[str, Longs]) -> tuple[Floats, L
         return *_used(positions, boundary), (*notes, f"used the surface of {len(tetras)} tetrahedra")
     faces = np.concatenate([triangles, quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     if not len(faces):
-        raise ValueError("no triangles and no tetrahedra")
+        raise MeshError("no triangles and no tetrahedra")
     # Other points that no element uses are reported by who repairs the surface; the middles of sides are none of these.
     return (*_used(positions, faces), notes) if is_curved else (positions, faces, notes)
 
@@ -52,16 +53,16 @@ def _by_corners(cells: Mapping[str, Longs], count: int) -> tuple[dict[str, Longs
     for kind, rows in cells.items():
         name = kind.rstrip("0123456789")
         if name in _SOLIDS and len(rows):
-            raise ValueError(f"cells of the kind {name}: split them into tetrahedra first")
+            raise MeshError(f"cells of the kind {name}: split them into tetrahedra first")
         if name not in _CORNERS or not len(rows):
             continue
         width = _CORNERS[name]
         if rows.shape[1] < width:
-            raise ValueError(f"a {name} with fewer than {width} corners")
+            raise MeshError(f"a {name} with fewer than {width} corners")
         is_curved |= rows.shape[1] > width
         corners = rows[:, :width]
         if not 0 <= corners.min() <= corners.max() < count:
-            raise ValueError("a cell names a point that doesn't exist")
+            raise MeshError("a cell names a point that doesn't exist")
         parts[name].append(corners)
     return {name: np.concatenate(part) for name, part in parts.items()}, is_curved
 

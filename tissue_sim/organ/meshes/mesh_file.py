@@ -1,4 +1,4 @@
-"""What a mesh file holds: named pieces of triangles, and remarks on how it was read."""
+"""Contents of a mesh file: named pieces of triangles, and remarks on how it was read."""
 
 from __future__ import annotations
 

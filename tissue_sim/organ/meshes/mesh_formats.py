@@ -15,10 +15,12 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from trimesh.parent import Geometry
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.memory import limited
 from tissue_sim.organ.imaging.itk_output import silenced
+from tissue_sim.organ.meshes.mesh_error import MeshError
 from tissue_sim.organ.meshes.mesh_file import ROOM, ROOM_PER_BYTE, MeshFile, Piece, surface_of_cells
 from tissue_sim.organ.meshes.vtk_input import read_vtk, read_vtk_xml
 from tissue_sim.organ.meshes.words import Words, cast
@@ -61,7 +63,7 @@ def _read_trimesh(source: Path) -> MeshFile:
         return _pieces(_load_trimesh(source), source.suffix.lower())
 
 
-def _load_trimesh(source: Path) -> Any:
+def _load_trimesh(source: Path) -> Geometry:
     options: dict[str, Any] = {"process": False, "maintain_order": True}
     if source.suffix.lower() != ".glb":
         return trimesh.load(source, **options)
@@ -70,7 +72,7 @@ def _load_trimesh(source: Path) -> Any:
     return trimesh.load(BytesIO(source.read_bytes()), file_type="glb", resolver=resolver, **options)
 
 
-def _pieces(loaded: Any, suffix: str) -> MeshFile:
+def _pieces(loaded: Geometry, suffix: str) -> MeshFile:
     if not isinstance(loaded, trimesh.Scene):
         return MeshFile((_piece(loaded, "", np.eye(4)),))
     pieces = []
@@ -85,9 +87,9 @@ def _pieces(loaded: Any, suffix: str) -> MeshFile:
     return MeshFile(turned, ("glTF has y up and z to the front: rotated into the patient frame (z to the head)",))
 
 
-def _piece(mesh: Any, name: str, transform: Floats) -> Piece:
+def _piece(mesh: Geometry, name: str, transform: Floats) -> Piece:
     if not isinstance(mesh, trimesh.Trimesh):
-        raise ValueError("no triangles")
+        raise MeshError("no triangles")
     positions = np.array(mesh.vertices, dtype=np.float64)
     if not np.array_equal(transform, np.eye(4)):
         positions = positions @ transform[:3, :3].T + transform[:3, 3]
@@ -137,7 +139,7 @@ def _read_gmsh(source: Path) -> MeshFile:
             with silenced(), np.errstate(all="ignore"), limited(ROOM + ROOM_PER_BYTE * len(text)):
                 mesh = gmsh.read(source)
         except MemoryError:
-            raise ValueError("a count larger than the file can contain") from None
+            raise MeshError("a count larger than the file can contain") from None
         positions, cells = np.asarray(mesh.points, dtype=np.float64), mesh.cells_dict
     return surface_of_cells(positions, cells)
 
@@ -146,7 +148,7 @@ def _gmsh_1(text: bytes) -> tuple[Floats, dict[str, Longs]]:
     """Return points, and corner indices by kind of element, of lines `number type region region count nodes`."""
     sections = {m[1].upper(): m[2] for m in re.finditer(rb"\$(\w+)\s(.*?)\$End\1", text, re.DOTALL | re.IGNORECASE)}
     if not {b"NOD", b"ELM"} <= sections.keys():
-        raise ValueError("no nodes and elements")
+        raise MeshError("no nodes and elements")
     words = sections[b"NOD"].split()
     table = np.array(words[1 : 1 + 4 * int(words[0])], dtype=np.float64).reshape(int(words[0]), 4)
     place = {int(tag): k for k, tag in enumerate(cast(table[:, 0], "i8"))}
@@ -157,7 +159,7 @@ def _gmsh_1(text: bytes) -> tuple[Floats, dict[str, Longs]]:
         kind, count = _GMSH_KINDS.get(numbers[at + 1], ""), numbers[at + 4]
         nodes = numbers[at + 5 : at + 5 + count]
         if not all(node in place for node in nodes):
-            raise ValueError("an element names a node that doesn't exist")
+            raise MeshError("an element names a node that doesn't exist")
         found.setdefault(kind, []).append([place[node] for node in nodes])
         at += 5 + count
     return table[:, 1:], {kind: np.array(rows, dtype=np.int64) for kind, rows in found.items() if kind}

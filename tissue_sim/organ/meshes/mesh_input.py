@@ -11,8 +11,10 @@ from scipy import ndimage
 
 from tissue_sim.array_types import Array, Floats, Ints
 from tissue_sim.errors import UserError
+from tissue_sim.file_kinds import MESH, wrong_kind
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.length_units import UNITS, is_organ
+from tissue_sim.organ.meshes.mesh_error import MeshError
 from tissue_sim.organ.meshes.mesh_file import MeshFile, Piece
 from tissue_sim.organ.meshes.mesh_formats import FORMATS, read_pieces
 from tissue_sim.organ.meshes.mesh_holes import area_of, capped_volume
@@ -200,6 +202,8 @@ def _closed(
 
 def _check_source(source: Path, unit: str | None, longest: float | None) -> None:
     """Refuse a file that can't be read, and one of unknown unit."""
+    if source.is_dir():
+        raise UserError(f"surface {source} is a folder; name a mesh file in it ({', '.join(FORMATS)})")
     if not source.is_file():
         raise UserError(f"surface {source} does not exist; name a mesh file ({', '.join(FORMATS)})")
     suffix = source.suffix.lower()
@@ -228,19 +232,28 @@ def _factor(unit: str | None, longest: float | None) -> float | None:
 
 def _load(source: Path) -> MeshFile:
     try:
+        if other := wrong_kind(source, MESH):
+            raise UserError(f"surface {source} {other}, and no mesh; name a mesh file ({', '.join(FORMATS)})")
         found = read_pieces(source)
-    except ValueError as error:
+    except MeshError as error:
         raise UserError(f"surface {source} can't be read as a mesh ({_reason(error)}); export it again") from None
-    except ModuleNotFoundError:
+    except (ModuleNotFoundError, UserError):
         raise
-    except Exception as error:  # trimesh, meshio and their loaders raise anything on damaged files
-        raise UserError(f"surface {source} can't be read as a mesh ({type(error).__name__}); export it again") from None
+    except PermissionError as error:
+        raise UserError(f"surface {source} can't be read: {error.strerror}") from None
+    except Exception:  # trimesh, meshio and their loaders raise anything on damaged files
+        suffix = source.suffix[1:].upper()
+        raise UserError(
+            f"surface {source} can't be read as a mesh (it is cut off, damaged or no {suffix}); export it again"
+        ) from None
     return _checked(found, source)
 
 
 def _checked(found: MeshFile, source: Path) -> MeshFile:
     if not any(len(piece.triangles) for piece in found.pieces):
-        raise UserError(f"surface {source} has no triangles")
+        raise UserError(
+            f"surface {source} has no triangles: it is cut off, damaged or of another format; export it again"
+        )
     for piece in found.pieces:
         if piece.positions.shape[1:] != (3,):
             raise UserError(f"surface {source} is damaged: its points don't have three coordinates")
@@ -251,8 +264,8 @@ def _checked(found: MeshFile, source: Path) -> MeshFile:
     return found
 
 
-def _reason(error: ValueError) -> str:
-    return " ".join(str(error).split())[:120] or "ValueError"
+def _reason(error: MeshError) -> str:
+    return " ".join(str(error).split())[:120]
 
 
 def _check_size(name: str, size: float, unit: str | None) -> None:

@@ -11,6 +11,7 @@ from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.errors import shown
 from tissue_sim.memory import limited
 from tissue_sim.organ.meshes import vtk_xml_input
+from tissue_sim.organ.meshes.mesh_error import MeshError
 from tissue_sim.organ.meshes.mesh_file import ROOM, ROOM_PER_BYTE, MeshFile, Piece, surface_of_cells
 from tissue_sim.organ.meshes.words import Words
 
@@ -67,7 +68,7 @@ def read_vtk(source: Path) -> MeshFile:
     """
     words = Words(source.read_bytes())
     if "vtk datafile" not in words.line().lower():
-        raise ValueError("not a VTK file")
+        raise MeshError("not a VTK file")
     title = words.line()
     words.binary = words.word().upper() == "BINARY"
     positions, kinds = np.empty((0, 3)), None
@@ -75,7 +76,7 @@ def read_vtk(source: Path) -> MeshFile:
     while word := words.word().upper():
         if word == "DATASET":
             if (dataset := words.word().upper()) not in ("POLYDATA", "UNSTRUCTURED_GRID"):
-                raise ValueError(f"a VTK {dataset}, not a surface")
+                raise MeshError(f"a VTK {dataset}, not a surface")
         elif word == "POINTS":
             count = words.count()
             positions = words.numbers(3 * count, _vtk_type(words.word())).reshape(count, 3).astype("f8")
@@ -111,7 +112,7 @@ def read_vtk_xml(source: Path) -> MeshFile:
         with np.errstate(all="ignore"), limited(ROOM + ROOM_PER_BYTE * len(data)):
             grid = vtk_xml_input.read(data)
     except MemoryError:
-        raise ValueError("a count that is more than the file can hold") from None
+        raise MeshError("a count that is more than the file can hold") from None
     return _vtk_surface(grid.positions, grid.faces, grid.kinds, "RAS" in grid.space)
 
 
@@ -125,7 +126,7 @@ def _vtk_surface(
         offsets, corners = cells["CELLS"]
         other = set(kinds.tolist()) - set(_VTK_CELLS) - set(_VTK_IGNORED)
         if other:
-            raise ValueError(f"cells of VTK's type {min(other)}: triangulate them first")
+            raise MeshError(f"cells of VTK's type {min(other)}: triangulate them first")
         widths = {kind: np.diff(offsets)[kinds == kind] for kind in _VTK_CELLS if np.any(kinds == kind)}
         named = {
             _VTK_CELLS[kind]: _rows(offsets, corners, kinds == kind, int(width.min())) for kind, width in widths.items()
@@ -134,7 +135,7 @@ def _vtk_surface(
     else:
         faces = [split(*cells[word]) for word, split in _VTK_FACES.items() if word in cells]
         if not faces:
-            raise ValueError("no polygons")
+            raise MeshError("no polygons")
         found = MeshFile((Piece("", positions, np.concatenate(faces)),))
     return MeshFile(found.pieces, (*found.notes, "converted from RAS to LPS")) if is_ras else found
 
@@ -142,7 +143,7 @@ def _vtk_surface(
 def _vtk_type(word: str) -> str:
     """Return the numpy type of a VTK type."""
     if word.lower() not in _VTK_TYPES:
-        raise ValueError(f"numbers of the type {shown(word)}")
+        raise MeshError(f"numbers of the type {shown(word)}")
     return _VTK_TYPES[word.lower()]
 
 
@@ -156,7 +157,7 @@ def _vtk_cells(words: Words) -> tuple[Longs, Longs]:
         return offsets, words.numbers(second, _vtk_type(words.word())).astype(np.int64)
     words.at = start
     if first > second:
-        raise ValueError("more polygons than numbers to describe them")
+        raise MeshError("more polygons than numbers to describe them")
     flat = words.numbers(second, "i4").astype(np.int64)
     offsets = np.zeros(first + 1, dtype=np.int64)
     marks = np.zeros(first, dtype=np.int64)
@@ -205,7 +206,7 @@ def _split(offsets: Longs, corners: Longs, triangle: Callable[[int], list[int]])
     """Return the triangles of faces of any number of corners; triangle: which corners of a face its k-th has."""
     size = np.diff(offsets)
     if np.any(size < 3):
-        raise ValueError("polygons with fewer than three corners")
+        raise MeshError("polygons with fewer than three corners")
     found = []
     for width in np.unique(size):
         rows = _rows(offsets, corners, size == width, int(width))

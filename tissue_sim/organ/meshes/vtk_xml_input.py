@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import shown
+from tissue_sim.organ.meshes.mesh_error import MeshError
 
 _TYPES = {
     **{f"{sign}Int{8 * size}": f"{sign.lower() or 'i'}{size}" for sign in ("", "U") for size in (1, 2, 4, 8)},
@@ -73,9 +74,9 @@ def _add(found: Grid, piece: ElementTree.Element, reader: _Reader) -> None:
             continue
         corners, ends = (_integers(reader.array(_named(node, part))) for part in ("connectivity", "offsets"))
         if np.any(np.diff(ends, prepend=0) < 0) or (ends[-1] if len(ends) else 0) != len(corners):
-            raise ValueError("offsets that don't fit the corners of its cells")
+            raise MeshError("offsets that don't fit the corners of its cells")
         if len(corners) and not 0 <= corners.min() <= corners.max() < len(positions):
-            raise ValueError("a triangle names a point that doesn't exist")
+            raise MeshError("a triangle names a point that doesn't exist")
         old = found.faces.get(name, Faces(np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.int64)))
         found.faces[name] = Faces(
             np.concatenate([old.offsets, ends + old.offsets[-1]]), np.concatenate([old.corners, corners + before])
@@ -83,7 +84,7 @@ def _add(found: Grid, piece: ElementTree.Element, reader: _Reader) -> None:
         if section == "Cells":
             kinds = _integers(reader.array(_named(node, "types")))
             if len(kinds) != len(ends):
-                raise ValueError("another number of cells than of their types")
+                raise MeshError("another number of cells than of their types")
             found.kinds = kinds if found.kinds is None else np.concatenate([found.kinds, kinds])
 
 
@@ -93,7 +94,7 @@ def _named(node: ElementTree.Element, name: str) -> ElementTree.Element | None:
 
 def _integers(values: NDArray[np.generic]) -> Longs:
     if values.dtype.kind not in "iu" or (values.dtype == np.uint64 and np.any(values > np.uint64(2**62))):
-        raise ValueError("a number that can't be, where counts and indices are")
+        raise MeshError("a number that can't be, where counts and indices are")
     return values.astype(np.int64)
 
 
@@ -103,7 +104,7 @@ class _Reader:
     def __init__(self, data: bytes) -> None:
         head, mark, tail = data.partition(b"<AppendedData")
         if b"<!DOCTYPE" in head or b"<!ENTITY" in head:  # entities may name files, or grow without end
-            raise ValueError("a document type, which no VTK file has")
+            raise MeshError("a document type, which no VTK file has")
         if mark:
             opening, _, rest = tail.partition(b">")
             head += mark + opening + b"/></VTKFile>"
@@ -111,14 +112,14 @@ class _Reader:
         try:
             self._root = ElementTree.fromstring(head)
         except ElementTree.ParseError as error:
-            raise ValueError(f"no XML of VTK's: {error}") from None
+            raise MeshError(f"no XML of VTK's: {error}") from None
         if self._root.tag != "VTKFile" or self._root.get("type") not in ("PolyData", "UnstructuredGrid"):
-            raise ValueError(f"a VTK {shown(self._root.get('type', self._root.tag))}, no surface")
+            raise MeshError(f"a VTK {shown(self._root.get('type', self._root.tag))}, no surface")
         self._order = ">" if self._root.get("byte_order") == "BigEndian" else "<"
         self._wide = "Q" if self._root.get("header_type") == "UInt64" else "I"
         self._compressor = self._root.get("compressor", "")
         if self._compressor and self._compressor not in _COMPRESSORS:
-            raise ValueError(f"compressed by {shown(self._compressor)}: save it with zlib, or uncompressed")
+            raise MeshError(f"compressed by {shown(self._compressor)}: save it with zlib, or uncompressed")
         appended = self._root.find("AppendedData")
         self._is_raw = appended is not None and appended.get("encoding") == "raw"
 
@@ -136,9 +137,9 @@ class _Reader:
     def array(self, node: ElementTree.Element | None) -> NDArray[np.generic]:
         """Return the numbers of a DataArray in a row."""
         if node is None:
-            raise ValueError("an array that its cells or points need is missing")
+            raise MeshError("an array that its cells or points need is missing")
         if node.get("type") not in _TYPES:
-            raise ValueError(f"numbers of the type {shown(node.get('type', ''))}")
+            raise MeshError(f"numbers of the type {shown(node.get('type', ''))}")
         kind = np.dtype(_TYPES[node.get("type", "")])
         how, text = node.get("format", "ascii"), node.text or ""
         if how == "ascii":
@@ -161,7 +162,7 @@ class _Reader:
         if not blocks:
             return b""
         if blocks > len(source):
-            raise ValueError("more blocks than the file can hold")
+            raise MeshError("more blocks than the file can hold")
         packed = self._numbers(source, 3 + blocks)[3:]
         start = (3 + blocks) * size
         rest = source[start:] if isinstance(source, bytes) else source.beyond(start)
@@ -174,20 +175,20 @@ class _Reader:
 
     def _decompressed(self, packed: bytes, wanted: int) -> bytes:
         if wanted > _GROWTH * max(len(packed), 1):
-            raise ValueError("a block that would be larger than its bytes can make it")
+            raise MeshError("a block that would be larger than its bytes can make it")
         try:
             found = _COMPRESSORS[self._compressor](packed, wanted)
         except (zlib.error, lzma.LZMAError, EOFError):
-            raise ValueError("a compressed block that is damaged") from None
+            raise MeshError("a compressed block that is damaged") from None
         if len(found) != wanted:
-            raise ValueError("a compressed block of another length than it says")
+            raise MeshError("a compressed block of another length than it says")
         return found
 
     def _numbers(self, source: bytes | _Base64, count: int) -> tuple[int, ...]:
         size = count * struct.calcsize(self._wide)
         head = source[:size] if isinstance(source, bytes) else source.first(size)
         if len(head) < size:
-            raise ValueError("the file ends early")
+            raise MeshError("the file ends early")
         return struct.unpack(f"{self._order}{count}{self._wide}", head)
 
 
@@ -226,4 +227,4 @@ def _decoded(text: bytes) -> bytes:
     try:
         return base64.b64decode(text, validate=True)
     except ValueError:
-        raise ValueError("a damaged array in base64") from None
+        raise MeshError("a damaged array in base64") from None

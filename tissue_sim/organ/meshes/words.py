@@ -7,8 +7,11 @@ import re
 import numpy as np
 
 from tissue_sim.array_types import Array, Floats
+from tissue_sim.errors import shown
+from tissue_sim.organ.meshes.mesh_error import MeshError
 
 _WORD = re.compile(rb"\s*(\S+)")
+_COUNT = re.compile(r"[+-]?[0-9]{1,18}")
 
 
 class Words:
@@ -36,9 +39,14 @@ class Words:
 
     def count(self) -> int:
         """Return the next word as a count."""
-        value = int(self.word())
+        word = self.word()
+        if not word:
+            raise MeshError("the file ends early")
+        if not _COUNT.fullmatch(word):
+            raise MeshError(f"{shown(word, 20)} where a count is expected")
+        value = int(word)
         if value < 0:
-            raise ValueError("a negative count")
+            raise MeshError("a negative count")
         return value
 
     def numbers(self, count: int, kind: str) -> Array:
@@ -50,7 +58,7 @@ class Words:
             return found.astype(kind)
         parts = self.data[self.at :].split(None, count)
         if len(parts) < count:
-            raise ValueError("the file ends early")
+            raise MeshError("the file ends early")
         self.at = len(self.data) - (len(parts[count]) if len(parts) > count else 0)
         return cast(np.array(parts[:count], dtype="f8"), kind)
 
@@ -84,6 +92,6 @@ def cast(values: Floats, kind: str) -> Array:
     if np.dtype(kind).kind in "iu":
         limits = np.iinfo(kind)
         if not np.all((values >= float(limits.min)) & (values < float(limits.max) + 1.0)):
-            raise ValueError("an invalid number among counts and indices")
+            raise MeshError("an invalid number among counts and indices")
     with np.errstate(over="ignore"):
         return values.astype(kind)

@@ -7,7 +7,7 @@ unit, so every file names it in a comment. OBJ, VTP and VTU keep double precisio
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,6 +15,9 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Array, Ints
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.reporting.vtk_xml import polydata, tetrahedra
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
 Writer = Callable[[Organ, str], bytes]
 
@@ -96,7 +99,7 @@ def surface_vtp(organ: Organ, unit: str) -> bytes:
     return polydata(positions, data, polygons=organ.surface_triangles, comment=_comment(organ, unit))
 
 
-def _mesh(organ: Organ, unit: str) -> Any:
+def _mesh(organ: Organ, unit: str) -> Trimesh:
     import trimesh
 
     return trimesh.Trimesh(organ.surface_positions * UNITS[unit], organ.surface_triangles, process=False)

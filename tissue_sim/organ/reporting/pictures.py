@@ -19,7 +19,8 @@ from tissue_sim.figures import empty_figure, png
 from tissue_sim.organ.reporting.render import Solid, View, balls, draw, rods, view_of
 
 if TYPE_CHECKING:
-    pass
+    from matplotlib.figure import Figure
+
 
 Surface = tuple[Floats, Ints]
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
@@ -212,7 +213,7 @@ def histograms(sets: Sequence[tuple[str, str, Floats, Floats]]) -> bytes:
 
 
 @contextmanager
-def styled_figure(width: float, height: float) -> Iterator[Any]:
+def styled_figure(width: float, height: float) -> Iterator[Figure]:
     """Yield an empty figure, inches, in one style; without pyplot, which would keep state for the whole process."""
     import matplotlib
 

@@ -100,29 +100,12 @@ class SurfaceRow(Record):
 
 
 def pack(**arrays: NDArray) -> NDArray[np.uint8]:
-    """Return arrays as the bytes of an npz.
-
-    Parameters
-    ----------
-    arrays : NDArray
-        The arrays, by name.
-    """
+    """Return arrays, by name, as the bytes of an npz."""
     stream = io.BytesIO()
     np.savez(stream, **arrays)  # type: ignore[arg-type]
     return np.frombuffer(stream.getvalue(), dtype=np.uint8)
 
 
 def unpack(data: NDArray[np.uint8]) -> dict[str, NDArray]:
-    """Return the arrays from the bytes of an npz.
-
-    Parameters
-    ----------
-    data : NDArray[np.uint8]
-        The bytes.
-
-    Raises
-    ------
-    ValueError
-        When they are damaged.
-    """
+    """Return the arrays from the bytes of an npz. Raises ValueError when they are damaged."""
     return read_npz(io.BytesIO(np.asarray(data, dtype=np.uint8).tobytes()))

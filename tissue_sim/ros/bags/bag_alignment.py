@@ -33,17 +33,8 @@ def align(first: Recording, second: Recording) -> Alignment:
     Poses are identified by their values, as some may be lost. Transport over DDS shifts poses by ticks, so the median
     counts.
 
-    Parameters
-    ----------
-    first : Recording
-        A recording.
-    second : Recording
-        Another recording of the same inputs.
-
-    Raises
-    ------
-    UserError
-        When no pose is in both, or the tools or surfaces differ.
+    first: a recording; second: another recording of the same inputs. Raises UserError when no pose is in both, or the
+    tools or surfaces differ.
     """
     if first.config["tools"] != second.config["tools"]:
         tools = (", ".join(one.config["tools"]) for one in (first, second))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,57 +33,23 @@ class BagMessages:
     def put(self, name: str, raw: bytes) -> bool:
         """Record a message as it is.
 
-        Parameters
-        ----------
-        name : str
-            Its topic.
-        raw : bytes
-            Its bytes.
-
-        Returns
-        -------
-        bool
-            whether there is a bag with room for it
+        name: its topic; raw: its bytes. Returns whether there is a bag with room for it.
         """
         return self.spool is not None and self.spool.put(name, raw)
 
     def packed(self, name: str, arrays: Mapping[str, Array]) -> None:
-        """Record arrays as the octets of an npz.
-
-        Parameters
-        ----------
-        name : str
-            The topic.
-        arrays : Mapping[str, Array]
-            The arrays, by name.
-        """
+        """Record arrays, by name, as the octets of an npz of a topic."""
         self.octets(name, bag.pack(**arrays))
 
     def octets(self, name: str, data: NDArray[np.uint8]) -> None:
-        """Record a UInt8MultiArray.
-
-        Parameters
-        ----------
-        name : str
-            The topic.
-        data : NDArray[np.uint8]
-            The bytes.
-        """
+        """Record a UInt8MultiArray of a topic."""
         layout = self._store.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
         self._serialised(name, bag.OCTETS, self._store.types[bag.OCTETS](layout=layout, data=data))
 
     def text(self, name: str, text: str) -> None:
-        """Record a String.
-
-        Parameters
-        ----------
-        name : str
-            The topic.
-        text : str
-            The text.
-        """
+        """Record a String of a topic."""
         kind = bag.NODE_TOPICS["config"]
         self._serialised(name, kind, self._store.types[kind](data=text))
 
-    def _serialised(self, name: str, kind: str, message: Any) -> None:
+    def _serialised(self, name: str, kind: str, message: object) -> None:
         self.put(name, bytes(self._store.serialize_cdr(message, kind)))

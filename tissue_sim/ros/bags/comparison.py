@@ -41,15 +41,7 @@ class Shown:
         return np.unique(np.concatenate([*self.wrench_ticks, *self.surface_ticks]))
 
     def within(self, first: int, last: int) -> Shown:
-        """Return what is shown of the ticks from first to last.
-
-        Parameters
-        ----------
-        first : int
-            The first tick.
-        last : int
-            The last tick.
-        """
+        """Return what is shown of the ticks from first to last."""
         wanted = [(ticks >= first) & (ticks <= last) for ticks in self.wrench_ticks]
         shapes = [(ticks >= first) & (ticks <= last) for ticks in self.surface_ticks]
         return Shown(
@@ -61,13 +53,7 @@ class Shown:
         )
 
     def later(self, ticks: int) -> Shown:
-        """Return the same, some ticks later.
-
-        Parameters
-        ----------
-        ticks : int
-            The number of ticks.
-        """
+        """Return the same, some ticks later."""
         moved = [[shown + ticks for shown in every] for every in (self.wrench_ticks, self.surface_ticks)]
         return Shown(self.tools, moved[0], self.wrenches, moved[1], self.surfaces)
 
@@ -150,16 +136,8 @@ class Comparison:
 def compare(wanted: Shown, found: Shown, force_tolerance: float, position_tolerance: float) -> Comparison:
     """Compare two runs at the same ticks.
 
-    Parameters
-    ----------
-    wanted : Shown
-        The run that is taken as true.
-    found : Shown
-        The run that is compared with it.
-    force_tolerance : float, N and N m
-        Largest deviation of a wrench.
-    position_tolerance : float, m
-        Largest deviation of a position.
+    wanted: the run that is taken as true; found: the run that is compared with it; force_tolerance: largest deviation
+    of a wrench, N and N m; position_tolerance: largest deviation of a position, m.
     """
     wrench_ticks = np.concatenate([*wanted.wrench_ticks, np.zeros(0, dtype=np.int64)])
     order = np.argsort(wrench_ticks, kind="stable")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from typing import Any, TypeGuard
+from typing import TypeGuard
 
 from tissue_sim.json_types import JsonObject
 
@@ -17,15 +17,7 @@ Fits = Callable[[object], bool]
 def read_config(text: str) -> JsonObject:
     """Return a bag's configuration from its JSON, checked as far as every format has it.
 
-    Parameters
-    ----------
-    text : str
-        The JSON.
-
-    Raises
-    ------
-    ValueError
-        When it is none.
+    text: the JSON. Raises ValueError when it is none.
     """
     config = json.loads(text)
     if not isinstance(config, dict):
@@ -34,18 +26,10 @@ def read_config(text: str) -> JsonObject:
     return config
 
 
-def check_config(config: Mapping[str, Any]) -> None:
+def check_config(config: JsonObject) -> None:
     """Check that a configuration of the present format has every value, each of its type.
 
-    Parameters
-    ----------
-    config : Mapping[str, Any]
-        The configuration.
-
-    Raises
-    ------
-    ValueError
-        When a value is missing or of another type; the message names it.
+    Raises ValueError when a value is missing or of another type; the message names it.
     """
     wanted: dict[str, Fits] = {"scene": _is_name, "organs": _is_filled} if "organs" in config else {"organ": _is_object}
     wanted |= {"parameters": _is_object, "shape_gravity": _is_vector}
@@ -75,12 +59,12 @@ def check_config(config: Mapping[str, Any]) -> None:
         raise ValueError("its return springs follow the skeleton, which this version's don't do; record it again")
 
 
-def organs_of(config: Mapping[str, Any]) -> JsonObject:
+def organs_of(config: JsonObject) -> JsonObject:
     """Return what a bag says of its organs, by the names that a scene gives them, or one that is empty."""
     return dict(config["organs"]) if "organs" in config else {"": config["organ"]}
 
 
-def _check(values: Mapping[str, Any], where: str, wanted: Mapping[str, Fits]) -> None:
+def _check(values: JsonObject, where: str, wanted: Mapping[str, Fits]) -> None:
     for name, fits in wanted.items():
         if name not in values:
             raise ValueError(f"its configuration has no '{where}{name}'")

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from tissue_sim.errors import shown
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.config import organs_of
 from tissue_sim.version import __version__
@@ -24,46 +23,24 @@ class Described:
     organ: str
     digest: str
     version: str
-    parameters: Mapping[str, Any]
+    parameters: JsonObject
 
     @classmethod
-    def recorded(cls, config: Mapping[str, Any], how: str = "recorded") -> Described:
-        """Describe a bag by its configuration.
-
-        Parameters
-        ----------
-        config : Mapping[str, Any]
-            The configuration.
-        how : str, optional
-            What it is called in a line.
-        """
+    def recorded(cls, config: JsonObject, how: str = "recorded") -> Described:
+        """Describe a bag by its configuration. how: what it is called in a line."""
         organs = organs_of(config).values()
         name = config["scene"] if "scene" in config else config["organ"]["name"]
         digest = "".join(organ["digest"] for organ in organs)
         return cls(how, name, digest, config["package_version"], config["parameters"])
 
     def replayed(self, organ: Organ | None) -> Described:
-        """Describe the same run by this package, with another organ if there is one.
-
-        Parameters
-        ----------
-        organ : Organ | None
-            The other organ.
-        """
+        """Describe the same run by this package, with another organ if there is one."""
         name, digest = (self.organ, self.digest) if organ is None else (organ.name, organ.digest())
         return Described("replayed with", name, digest, __version__, self.parameters)
 
 
 def differences(first: Described, second: Described) -> list[str]:
-    """Return one line for each difference.
-
-    Parameters
-    ----------
-    first : Described
-        A run.
-    second : Described
-        Another run.
-    """
+    """Return one line for each difference between two runs."""
     lines = []
 
     def report(what: str, one: object, other: object) -> None:

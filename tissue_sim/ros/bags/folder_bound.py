@@ -16,15 +16,7 @@ class Bound:
     def inside(self, folder: str) -> Path:
         """Return a folder with links and `..` resolved, as they are now.
 
-        Parameters
-        ----------
-        folder : str
-            The folder.
-
-        Raises
-        ------
-        UserError
-            When it is outside the bound.
+        Raises UserError when it is outside the bound.
         """
         try:
             bound, wanted = self._folder.resolve(), Path(folder).resolve()

@@ -53,10 +53,7 @@ def frames_of(bag: Bag, every: int) -> list[Frame]:
 
     Tools stand where their poses were when a tick took them up, and carry the force on the hand.
 
-    Raises
-    ------
-    UserError
-        For a bag that can't be replayed or would give more than MOST_FRAMES frames.
+    Raises UserError for a bag that can't be replayed or would give more than MOST_FRAMES frames.
     """
     ticks = np.arange(bag.first_tick + every, bag.last_tick + 1, every)
     if not len(ticks):
@@ -148,26 +145,8 @@ def _mesh(tools: ToolSet, body: int) -> Any:
 def write_vtu(path: Path, frames: Sequence[Frame], scale: float) -> list[Path]:
     """Write each part of each frame as VTU into a folder beside `path`, a .pvd file that tells their times.
 
-    Parameters
-    ----------
-    path
-        The .pvd file, which ParaView opens as one animation.
-    frames
-        In order.
-    scale
-        Factor on metres.
-
-    Returns
-    -------
-    list[Path]
-        What was written, the .pvd file first.
-
-    Raises
-    ------
-    UserError
-        Without meshio.
-    OSError
-        Where a file can't be written.
+    path: the .pvd file, which ParaView opens as one animation; frames: in order; scale: factor on metres. Returns what
+    was written, the .pvd file first. Raises UserError without meshio; OSError where a file can't be written.
     """
     try:
         import meshio
@@ -195,26 +174,9 @@ def write_vtu(path: Path, frames: Sequence[Frame], scale: float) -> list[Path]:
 def write_glb(path: Path, frames: Sequence[Frame], scale: float) -> list[Path]:
     """Write each frame as GLB: of `poke.glb`, poke_0000.glb and on; tick and time are the scene's extras.
 
-    Parameters
-    ----------
-    path
-        What the names begin with.
-    frames
-        In order.
-    scale
-        Factor on metres; glTF is in metres, so 1.
-
-    Returns
-    -------
-    list[Path]
-        What was written.
-
-    Raises
-    ------
-    UserError
-        Where more frames of an earlier export would be left, and taken for some of this one.
-    OSError
-        Where a file can't be written.
+    path: what the names begin with; frames: in order; scale: factor on metres (glTF is in metres, so 1). Returns what
+    was written. Raises UserError where more frames of an earlier export would be left, and taken for some of this one;
+    OSError where a file can't be written.
     """
     import trimesh
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.errors import UserError
-from tissue_sim.model.stepping.organ_contact import OrganContactSet
+from tissue_sim.model.stepping.contact_pairs import OrganContactSet
 from tissue_sim.ros.bags.joined_recording import JoinedRecording
 from tissue_sim.ros.bags.organ_player import OrganPlayer
 
@@ -41,12 +41,7 @@ class JoinedPlayer:
     def step(self, tick: int, was_reset: bool) -> None:
         """Advance by a tick, after every organ has applied its own inputs.
 
-        Parameters
-        ----------
-        tick : int
-            The tick.
-        was_reset : bool
-            Whether it was reset in this tick.
+        was_reset: whether it was reset in this tick.
         """
         if was_reset:
             self.joined.reset()
@@ -78,5 +73,5 @@ class JoinedPlayer:
                 del kept[old]
         while self._surfaces and self._surfaces[0][2] <= sequence:
             organ, number, _ = self._surfaces.pop(0)
-            self._finder.exchange(organ, self._organs[organ].surface_after(number))
+            self._finder.exchange(organ, self._organs[organ].surface_after(number), number)
         return self._finder.find([kept[tick] for tick, kept in zip(ticks, self._kept, strict=True)])

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim.array_types import Array, Longs
 from tissue_sim.model.stepping.breathing import Breath
-from tissue_sim.model.stepping.organ_contact import OrganContactSet, used_words
+from tissue_sim.model.stepping.contact_pairs import OrganContactSet, used_words
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bag_messages import BagMessages
 from tissue_sim.ros.shared.loop import Loop
@@ -44,13 +44,7 @@ class JoinedRecorder:
             self._whole_set(*self._newest)
 
     def state(self, tick: int) -> None:
-        """Record what joined the organs at the tick of the states that the loop has posted.
-
-        Parameters
-        ----------
-        tick : int
-            That tick.
-        """
+        """Record what joined the organs at the tick of the states that the loop has posted."""
         joined, kept = self._joined, self._box.kept
         if joined.alone:
             return
@@ -63,6 +57,7 @@ class JoinedRecorder:
             "pairs": used_words(kept.pairs).copy(),
             "pressed": kept.pressed[:count].copy(),
             "held": kept.held[:count].copy(),
+            "versions": kept.version[: len(joined.simulations)].copy(),
         }
         self._messages.packed(self.names["joined"], fields)
         self._state_tick = tick
@@ -72,14 +67,7 @@ class JoinedRecorder:
 
         Call it with `together` held since they were posted.
 
-        Parameters
-        ----------
-        sequence : int
-            Number of the set.
-        ticks : Sequence[int], shape (k,)
-            Ticks of the surfaces that they were found from.
-        found : OrganContactSet
-            The pairs.
+        sequence: number of the set; ticks (k,): ticks of the surfaces that they were found from; found: the pairs.
         """
         self._newest = sequence, used_words(found).copy()
         if not self._messages.active:
@@ -90,31 +78,25 @@ class JoinedRecorder:
         if self._state_tick < 0 or min(ticks) <= self._state_tick or touches_itself:
             self._whole_set(*self._newest)
 
-    def surface(self, organ: int, number: int) -> None:
+    def surface(self, organ: int, number: int, is_cut: bool) -> None:
         """Record that pairs are found on the surface of an organ after a cut from now on.
 
         Call it with `together` held.
 
-        Parameters
-        ----------
-        organ : int
-            Index of the organ.
-        number : int
-            Number of the cut.
+        organ: index of the organ; number: number of the cut; is_cut: whether the organ has cuts on it, and not none
+        after their reset.
         """
-        self._surfaces[organ] = organ, number, int(self._box.pairs.sequence[0]) + 1
+        row = organ, number, int(self._box.pairs.sequence[0]) + 1
+        self._surfaces.pop(organ, None)
+        if is_cut:  # a bag that begins later begins with this surface
+            self._surfaces[organ] = row
         if self._messages.active:
-            self._surface_notes.append(self._surfaces[organ])
+            self._surface_notes.append(row)
 
     def respiration(self, sequence: int, fraction: float) -> None:
         """Record where the breath is to be; call it with `together` held since it was posted.
 
-        Parameters
-        ----------
-        sequence : int
-            Number of the message.
-        fraction : float
-            Fraction of the breath's way.
+        sequence: number of the message; fraction: fraction of the breath's way.
         """
         self._newest_fraction = sequence, fraction
         if self._messages.active:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from tissue_sim.model.joined import Joined
 from tissue_sim.model.runtime.joined_box import JoinedRow
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath
-from tissue_sim.model.stepping.organ_contact import MOST_PAIRS, OrganContactSet, make_organ_contacts, organ_contact_set
+from tissue_sim.model.stepping.contact_pairs import OrganContactSet, make_organ_contacts, set_of_words
 from tissue_sim.model.stepping.state_check import MOST
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.shared.cdr import parse_octets
@@ -30,6 +31,13 @@ _ROWS = {
 _LATER = {"pair_surfaces": np.zeros(0, dtype=bag.PairSurfaceRow.dtype)}  # bags from before them lack these
 
 
+class Sizes(NamedTuple):
+    """Numbers of nodes that an organ has in a bag."""
+
+    first: int  # at its beginning
+    after: dict[int, int]  # after each cut, by its number
+
+
 @dataclass
 class JoinedRecording:
     """What joined organs at the tick of their states, by name (see joined_recorder), and what happened since.
@@ -43,22 +51,11 @@ class JoinedRecording:
     journal: dict[str, np.ndarray]
 
     @classmethod
-    def parsed(cls, messages: Mapping[str, Sequence[bytes]], below: str, sizes: Sequence[int]) -> JoinedRecording:
+    def parsed(cls, messages: Mapping[str, Sequence[bytes]], below: str, sizes: Sequence[Sizes]) -> JoinedRecording:
         """Return the recording from the messages of the topics below a name.
 
-        Parameters
-        ----------
-        messages : Mapping[str, Sequence[bytes]]
-            Messages by topic.
-        below : str
-            That name.
-        sizes : Sequence[int]
-            Number of nodes of each organ.
-
-        Raises
-        ------
-        ValueError
-            When they are damaged.
+        messages: messages by topic; below: that name; sizes: numbers of nodes of each organ. Raises ValueError when
+        they are damaged.
         """
         unpacked = {
             name: [bag.unpack(parse_octets(raw)) for raw in messages[f"{below}/{name}"]] for name in bag.SCENE_TOPICS
@@ -72,9 +69,10 @@ class JoinedRecording:
             for kind in (*_ROWS, "pair_ticks")
         }
         _check_journal(journal, len(sizes))
-        fields = unpacked["joined"][0]
-        sets = {int(found["sequence"]): _pairs_of(found["words"], sizes) for found in unpacked["organ_contact_set"]}
+        fields = {"versions": np.zeros(len(sizes), dtype=np.int64)} | unpacked["joined"][0]  # older bags lack them
         _check_fields(fields, sizes)
+        known = _with_versions(sizes, fields["versions"])
+        sets = {int(found["sequence"]): _pairs_of(found["words"], known) for found in unpacked["organ_contact_set"]}
         return cls(fields, sets, journal)
 
     @classmethod
@@ -85,18 +83,7 @@ class JoinedRecording:
         return cls({}, {}, journal | {"pair_ticks": np.zeros((0, 1), dtype=np.int64), "wrenches": wrenches})
 
     def join(self, simulations: Sequence[Simulation]) -> Joined:
-        """Join simulations in the states of the bag as they were.
-
-        Parameters
-        ----------
-        simulations : Sequence[Simulation]
-            The simulations.
-
-        Raises
-        ------
-        UserError
-            When they don't fit.
-        """
+        """Join simulations in the states of the bag as they were. Raises UserError when they don't fit."""
         fields = self.fields
         if not fields:
             return Joined(simulations)
@@ -105,29 +92,44 @@ class JoinedRecording:
         joined = Joined(
             simulations, links, make_organ_contacts(float(fields["friction"][0])), breath, fields["moves"].tolist()
         )
-        joined.restore(copy_of(breath), _in_words(fields["pairs"]), fields["pressed"], fields["held"])
+        joined.pairs.version[: len(simulations)] = fields["versions"]
+        joined.restore(copy_of(breath), set_of_words(fields["pairs"]), fields["pressed"], fields["held"])
         return joined
 
 
-def _in_words(words: Longs) -> OrganContactSet:
-    made = organ_contact_set()
-    made.words[: len(words)] = words
-    return made
-
-
-def _pairs_of(words: np.ndarray, sizes: Sequence[int]) -> OrganContactSet:
+def _pairs_of(words: np.ndarray, sizes: Sequence[Sizes]) -> OrganContactSet:
     """Return pairs from the words of a set; raise ValueError for one that names what isn't there."""
-    made = organ_contact_set()
-    if words.ndim != 1 or words.dtype != np.int64 or not 1 <= len(words) <= len(made.words):
-        raise ValueError("its organ contacts are not whole words")
-    count = int(words[0])
-    if not 0 <= count <= MOST_PAIRS or len(words) != 1 + count * ((len(made.words) - 1) // MOST_PAIRS):
-        raise ValueError(f"it counts {count} organ contacts, but contains another number")
-    made.words[: len(words)] = words
-    _check_ends(made.organ[:count], made.node[:count, :1], made.node[:count, 1:], sizes)
-    if count and not np.abs(made.weight[:count]).max() <= 2.0:
+    made = set_of_words(words)
+    count, points = int(made.found[0]), int(made.points[0])
+    node, organ = made.node[:count], made.organ[:count]
+    _check_ends(organ, np.maximum(node[:, :1], 0), np.maximum(node[:, 1:], 0), [one.first for one in sizes])
+    weights = np.concatenate([made.weight[:count].ravel(), made.point_weight[:points].ravel()])
+    if len(weights) and not np.abs(weights).max() <= 2.0:
         raise ValueError("its organ contacts have invalid weights")
+    if points == 0 and node.min(initial=0) < 0:
+        raise ValueError("it joins a node that doesn't exist")
+    _check_points(made, sizes)
     return made
+
+
+def _check_points(found: OrganContactSet, sizes: Sequence[Sizes]) -> None:
+    """Raise ValueError where pairs name cut points that aren't there, or these name nodes that aren't."""
+    count, points = int(found.found[0]), int(found.points[0])
+    if points == 0:
+        return
+    node, organ, owner = found.node[:count], found.organ[:count], found.point_organ[:points]
+    ends = organ[:, [0, 1, 1, 1]]
+    made = node < 0
+    if owner.min() < 0 or owner.max() >= len(sizes) or node.min(initial=0) < -points:
+        raise ValueError("it joins a point of a cut that doesn't exist")
+    if np.any(owner[-1 - node[made]] != ends[made]):
+        raise ValueError("it joins a point of a cut of another organ")
+    rows = zip(owner.tolist(), found.point_version[:points].tolist(), found.point_node[:points], strict=True)
+    for one, version, nodes in rows:
+        # Points of a surface from before the bag are dropped when they are taken up.
+        most = sizes[one].after.get(version)
+        if nodes.min() < 0 or (most is not None and nodes.max() >= most):
+            raise ValueError("it joins a node that doesn't exist")
 
 
 def _check_ends(organ: Longs, near: Longs, far: Longs, sizes: Sequence[int]) -> None:
@@ -140,8 +142,16 @@ def _check_ends(organ: Longs, near: Longs, far: Longs, sizes: Sequence[int]) -> 
             raise ValueError("it joins a node that doesn't exist")
 
 
-def _check_fields(fields: Mapping[str, np.ndarray], sizes: Sequence[int]) -> None:
-    count = int(_pairs_of(fields["pairs"], sizes).found[0])
+def _with_versions(sizes: Sequence[Sizes], versions: np.ndarray) -> list[Sizes]:
+    """Return the sizes with those of the surfaces that the organs had at first, by their numbers."""
+    if versions.shape != (len(sizes),) or versions.dtype != np.int64:
+        raise ValueError(f"its 'versions' has shape {versions.shape}, expected ({len(sizes)},)")
+    both = list(zip(sizes, versions.tolist(), strict=True))
+    return [Sizes(one.first, one.after | {own: min(one.first, one.after.get(own, one.first))}) for one, own in both]
+
+
+def _check_fields(fields: Mapping[str, np.ndarray], sizes: Sequence[Sizes]) -> None:
+    count = int(_pairs_of(fields["pairs"], _with_versions(sizes, fields["versions"])).found[0])
     like: dict[str, np.ndarray] = {f"links.{k}": v for k, v in make_links(len(fields["links.slack"]))._asdict().items()}
     like |= {
         "breath": Breath.rows(np.zeros(Breath.words(), dtype=np.int64)),
@@ -160,7 +170,7 @@ def _check_fields(fields: Mapping[str, np.ndarray], sizes: Sequence[int]) -> Non
     ends = organ.copy()
     ends[:, 1] = np.where(organ[:, 1] == POINT, organ[:, 0], organ[:, 1])
     far = np.where(organ[:, 1] == POINT, node[:, 0], node[:, 1])
-    _check_ends(ends, node[:, :1], far[:, None], sizes)
+    _check_ends(ends, node[:, :1], far[:, None], [one.first for one in sizes])
 
 
 def _check_journal(journal: Mapping[str, np.ndarray], n_organs: int) -> None:

@@ -31,21 +31,8 @@ SHOWING = ("inputs", "wrenches", "surfaces")  # whose ticks a replay visits
 def check_journal(rows: Mapping[str, Array], n_bodies: int, first_tick: int, rate: float) -> None:
     """Check that the rows of a journal have their fields, fit together and tell of possible ticks.
 
-    Parameters
-    ----------
-    rows : Mapping[str, Array]
-        Rows by kind, see recorder.
-    n_bodies : int
-        Number of bodies.
-    first_tick : int
-        Tick of the state.
-    rate : float, Hz
-        Ticks per second.
-
-    Raises
-    ------
-    ValueError
-        When they don't; the message names the rows.
+    rows: rows by kind, see recorder; n_bodies: number of bodies; first_tick: tick of the state; rate: ticks per second,
+    Hz. Raises ValueError when they don't; the message names the rows.
     """
     for kind, record in _ROWS.items():
         _check_rows(rows, kind, record, (len(rows[kind]) if kind in rows and rows[kind].ndim else 0,))

@@ -12,20 +12,7 @@ from tissue_sim.ros.bags.outcome import NOTHING, Outcome
 
 
 def write_junit(path: Path, outcomes: Sequence[Outcome]) -> None:
-    """Write all outcomes to a file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    outcomes : Sequence[Outcome]
-        The outcomes.
-
-    Raises
-    ------
-    UserError
-        When it can't be written.
-    """
+    """Write all outcomes to a file. Raises UserError when it can't be written."""
     root = ElementTree.Element("testsuites", name="tissue_sim replay")
     tests = failures = 0
     for outcome in outcomes:

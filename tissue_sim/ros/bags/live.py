@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,6 +19,7 @@ from shape_msgs.msg import Mesh
 from std_srvs.srv import Trigger
 
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.bags.comparison import Shown
 from tissue_sim.ros.bags.differences import Described, differences
 from tissue_sim.ros.bags.recording import Recording, tools_of
@@ -38,22 +38,8 @@ KEEP = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 def play_live(recording: Recording, target: str) -> tuple[list[str], Shown]:
     """Send all inputs to a running node.
 
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    target : str
-        Name of the node.
-
-    Returns
-    -------
-    tuple[list[str], Shown]
-        notes, and what the node showed by the recording's ticks
-
-    Raises
-    ------
-    UserError
-        When the node is not there, does not follow /clock, or has other tools.
+    target: name of the node. Returns notes, and what the node showed by the recording's ticks. Raises UserError when
+    the node is not there, does not follow /clock, or has other tools.
     """
     if recording.is_scene:
         raise UserError("--live needs the bag of a single organ, and this one contains a scene")
@@ -142,7 +128,7 @@ class _Live:
             raise UserError(f"the bag has external forces of tool '{tool}': give the node {tool}.external_cf, a topic")
         return None
 
-    def _differing(self, values: dict[str, Any], vertices: np.ndarray) -> list[str]:
+    def _differing(self, values: JsonObject, vertices: np.ndarray) -> list[str]:
         recorded = Described.recorded(self._recording.config)
         plain = {name: value if np.isscalar(value) else list(value) for name, value in values.items()}
         known = {name: value for name, value in recorded.parameters.items() if name in plain}
@@ -161,9 +147,9 @@ class _Live:
             raise UserError(f"/{self._target} does not follow /clock: start it with use_sim_time:=true")
         return True if status is not None and status.get("clock", "").startswith("/clock") else None
 
-    def _wait(self, ask: Callable[[], Any], problem: str) -> Any:
+    def _wait[Answer](self, ask: Callable[[], Answer | None], problem: str) -> Answer:
         found = client.wait_until(ask, PATIENCE)
-        if found in (None, False):
+        if found is None or found is False:
             raise UserError(problem)
         return found
 

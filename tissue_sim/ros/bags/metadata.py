@@ -6,12 +6,13 @@ import os
 from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, Qos
 from rosbags.rosbag2.metadata import dump_qos_v9
-from ruamel.yaml import YAML
+from ruamel.yaml import YAML, YAMLError
 
+from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
 
 DISTRIBUTION = "jazzy"  # whose message definitions a bag holds
@@ -29,15 +30,7 @@ class File(NamedTuple):
 
 
 def information(files: Sequence[File], connections: Sequence[Connection]) -> JsonObject:
-    """Return the metadata of files that are one bag, with its topics.
-
-    Parameters
-    ----------
-    files : Sequence[File]
-        The files.
-    connections : Sequence[Connection]
-        The topics.
-    """
+    """Return the metadata of files that are one bag, with its topics."""
     files = [file for file in files if file.counts]
     start = min((file.start for file in files), default=0)
     counts = {topic.topic: sum(file.counts.get(topic.topic, 0) for file in files) for topic in connections}
@@ -56,36 +49,24 @@ def information(files: Sequence[File], connections: Sequence[Connection]) -> Jso
 
 
 def read(folder: Path) -> JsonObject:
-    """Return a bag's metadata.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the bag.
-    """
-    said: JsonObject = YAML(typ="safe").load((folder / NAME).read_text(encoding="utf-8"))
-    return said["rosbag2_bagfile_information"]  # type: ignore[no-any-return]
+    """Return the metadata of the bag in a folder. Raises UserError for a file that holds something else."""
+    try:
+        said = YAML(typ="safe").load((folder / NAME).read_text(encoding="utf-8"))
+    except (YAMLError, UnicodeDecodeError):
+        said = None
+    found = said.get("rosbag2_bagfile_information") if isinstance(said, dict) else None
+    if not isinstance(found, dict):
+        raise UserError(f"bag {folder}: {NAME} is damaged; delete it, and a replay makes it anew from the other files")
+    return found
 
 
 def qos_of(topic: Connection) -> list[Qos]:
-    """Return the profiles that a topic is offered with.
-
-    Parameters
-    ----------
-    topic : Connection
-        The topic.
-    """
+    """Return the profiles that a topic is offered with."""
     return topic.ext.offered_qos_profiles if isinstance(topic.ext, ConnectionExtRosbag2) else []
 
 
-def as_yaml(values: Any) -> str:
-    """Return values as the text of a YAML file.
-
-    Parameters
-    ----------
-    values : Any
-        The values.
-    """
+def as_yaml(values: object) -> str:
+    """Return values as the text of a YAML file."""
     yaml, stream = YAML(typ="safe"), StringIO()
     yaml.default_flow_style = False
     yaml.dump(values, stream)
@@ -95,19 +76,7 @@ def as_yaml(values: Any) -> str:
 def write(folder: Path, files: Sequence[File], connections: Sequence[Connection]) -> None:
     """Write a bag's metadata.yaml, as a whole or not at all.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the bag.
-    files : Sequence[File]
-        Its files.
-    connections : Sequence[Connection]
-        Its topics.
-
-    Raises
-    ------
-    OSError
-        When it can't be written.
+    folder: folder of the bag; connections: its topics. Raises OSError when it can't be written.
     """
     path = folder / f"{NAME}.tmp"
     with path.open("w", encoding="utf-8") as stream:
@@ -119,13 +88,7 @@ def write(folder: Path, files: Sequence[File], connections: Sequence[Connection]
 
 
 def sync_folder(folder: Path) -> None:
-    """Flush a folder's entries to the disk, so that they outlast a power cut.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    """
+    """Flush a folder's entries to the disk, so that they outlast a power cut."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -9,13 +9,7 @@ UNLIMITED = QosTime(9223372036, 854775807)
 
 
 def offered(profile: QoSProfile) -> Qos:
-    """Return a profile in the terms of a bag, as `ros2 bag record` writes it.
-
-    Parameters
-    ----------
-    profile : QoSProfile
-        The profile.
-    """
+    """Return a profile in the terms of a bag, as `ros2 bag record` writes it."""
     return Qos(
         QosHistory[profile.history.name],
         profile.depth,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,15 +34,7 @@ class ToolInputs(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, tools: ToolSet) -> ToolInputs:
-        """Return the inputs of each body: a tool's own, or those of a gripper's jaws, the first of which takes forces.
-
-        Parameters
-        ----------
-        recording : Recording
-            The recording.
-        tools : ToolSet
-            The tools.
-        """
+        """Return the inputs of each body: a tool's own, or those of a gripper's jaws, whose first one takes forces."""
         made = cls([], [], [])
         for tool, bodies in enumerate(tools.bodies):
             poses, angles = recording.poses[tool], recording.angles[tool]
@@ -94,6 +86,7 @@ class OrganPlayer:
         )
         self.simulation = self._new_simulation(organ)
         self.cut_surface: CutSurface | None = None
+        self.version = 0  # number of the newest cut in the replay
         self._cuts = {cut.tick: cut for cut in recording.cuts if cut.tick >= 0}
         self._finders = [(0, ContactFinder(organ, tools))]  # with the number of the first set of each
         for cut in recording.cuts:
@@ -124,13 +117,7 @@ class OrganPlayer:
         self._taken = self.inputs[before]
 
     def begin(self, take_settings: Callable[[Settings], None]) -> None:
-        """Use the settings that the state had.
-
-        Parameters
-        ----------
-        take_settings : Callable[[Settings], None]
-            Applies them.
-        """
+        """Use the settings that the state had; `take_settings` applies them."""
         settings = self.recording.settings
         start = max((number for number in settings if number <= self._taken[0]["settings"]), default=min(settings))
         take_settings(settings[start])
@@ -138,17 +125,7 @@ class OrganPlayer:
     def take(self, tick: int, take_settings: Callable[[Settings], None]) -> Taken | None:
         """Apply what is new in a tick's row of the journal, in the order of the node's loop.
 
-        Parameters
-        ----------
-        tick : int
-            The tick.
-        take_settings : Callable[[Settings], None]
-            Applies settings.
-
-        Returns
-        -------
-        Taken | None
-            None without a row
+        take_settings: applies settings. Returns None without a row.
         """
         found = self.inputs.get(tick)
         if found is None:
@@ -183,15 +160,7 @@ class OrganPlayer:
 
         Call it before anything else of the tick is applied.
 
-        Parameters
-        ----------
-        tick : int
-            The tick.
-
-        Returns
-        -------
-        Simulation | None
-            None in a tick without a cut
+        Returns None in a tick without a cut.
         """
         found = self._cuts.get(tick)
         if found is None:
@@ -209,17 +178,14 @@ class OrganPlayer:
             made.open_cuts(found.surface, found.sides)
         made.plan_from(before, found.origin)
         made.continue_from(before)
-        self.simulation, self.cut_surface = made, found.surface
+        self.simulation, self.cut_surface, self.version = made, found.surface, found.number
         self._finders.append((found.first_set, self._finder_of(found)))
         return made
 
     def surface_after(self, number: int) -> TouchedSurface:
         """Return the surface that the organ had after a cut, or after the reset of its cuts.
 
-        Parameters
-        ----------
-        number : int
-            Number of the cut.
+        number: number of the cut.
         """
         cut = next((cut for cut in self.recording.cuts if cut.number == number), None)
         if cut is None:
@@ -238,13 +204,7 @@ class OrganPlayer:
         return ShownSurface(positions, shown.points(shown.rest), shown.triangles)
 
     def keep(self, tick: int) -> None:
-        """Keep what a contact set was found from: the positions of a tick, and where the tools were.
-
-        Parameters
-        ----------
-        tick : int
-            The tick.
-        """
+        """Keep what a contact set was found from: the positions of a tick, and where the tools were."""
         state = self.simulation.state
         if tick in self._surface_ticks:
             self._surfaces[tick] = self.simulation.positions.copy()
@@ -252,13 +212,7 @@ class OrganPlayer:
             self._tools[tick] = state.body_pose.copy(), state.bodies.releases.copy()
 
     def surface(self) -> Floats:
-        """Return the surface in its present place.
-
-        Returns
-        -------
-        Floats
-            shape (n, 3), m
-        """
+        """Return the surface in its present place, (n, 3) m."""
         return np.asarray(self.simulation.positions[: self.n_surface] + self.simulation.state.carried)
 
     def _settings(self, sequence: int) -> Settings:
@@ -282,7 +236,7 @@ class OrganPlayer:
         return finder.find(self._surfaces[surface], sought)
 
 
-def _forget_before(kept: dict[int, Any], tick: int) -> None:
+def _forget_before[Kept](kept: dict[int, Kept], tick: int) -> None:
     while next(iter(kept)) < tick:
         del kept[next(iter(kept))]
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from tissue_sim.array_types import Array
+from tissue_sim.array_types import Array, Floats
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.records import array_of
 from tissue_sim.model.data.settings import Settings
@@ -17,10 +18,12 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bag_messages import BagMessages
 from tissue_sim.ros.bags.recorded_cut import fields_of_cut
-from tissue_sim.ros.shared.messages import rest_mesh
+from tissue_sim.ros.shared.client import wait_until
+from tissue_sim.ros.shared.messages import CloudTemplate, rest_mesh
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.shown_organ import ShownOrgan
 
+STATE_WAIT = 2.0  # s, at most, for a state, which comes within 0.2
 BodyContact = tuple[float, int, bool]  # the fields of bag.BodyContactRow
 
 
@@ -45,14 +48,7 @@ class _Notes:
 class OrganRecorder:
     """Recorder of what an organ applied and showed, while `messages` has a bag open.
 
-    Parameters
-    ----------
-    messages : BagMessages
-        The open bag.
-    below : str
-        The topics' absolute prefix.
-    physics : Physics
-        The organ's simulation.
+    below: the topics' absolute prefix; physics: the organ's simulation.
     """
 
     def __init__(self, messages: BagMessages, below: str, physics: Physics) -> None:
@@ -64,7 +60,7 @@ class OrganRecorder:
         self.exchanging = threading.Lock()  # held while the loop goes on with another organ: no bag begins meanwhile
         self._notes = _Notes()
         self._newest_set: tuple[int, ContactSet] | None = None
-        self._state_tick = -1
+        self.state_tick = self.shown_tick = -1  # of the state, and of the newest surface, in the bag; -1: none
 
     @property
     def active(self) -> bool:
@@ -81,7 +77,7 @@ class OrganRecorder:
     def begin(self) -> None:
         """Begin a bag with the organ itself; call this and the following methods with `together` held."""
         self.physics.journal()  # rows of ticks before this bag
-        self._notes, self._state_tick = _Notes(), -1
+        self._notes, self.state_tick, self.shown_tick = _Notes(), -1, -1
         self._messages.octets(self.names["organ"], np.frombuffer(self._file, dtype=np.uint8))
         self._messages.put(self.names["mesh"], rest_mesh(ShownOrgan.of(self.physics.simulation)))
         if self._cut is not None:
@@ -98,8 +94,15 @@ class OrganRecorder:
         state = state_like(self.physics.simulation.state)
         state.words[:] = self.physics.box.snapshot
         self._messages.packed(self.names["state"], fields_of(state))
-        self._state_tick = int(state.status.tick)
-        return self._state_tick
+        self.state_tick = int(state.status.tick)
+        return self.state_tick
+
+    def wait_for_state(self) -> None:
+        """Wait until a bag that has just begun has a state: it must be that of the organ which the bag began with.
+
+        Call it with `exchanging` held, and not in the thread that records states.
+        """
+        wait_until(lambda: not self.active or self.state_tick >= 0, STATE_WAIT)
 
     def rows(self) -> dict[str, Array]:
         """Return the journal's rows since the last call; call it with `together` held."""
@@ -109,13 +112,7 @@ class OrganRecorder:
 
     # what happens ------------------------------------------------------------------------------
     def mesh(self, mesh: bytes) -> None:
-        """Record a rest surface that a cut has changed.
-
-        Parameters
-        ----------
-        mesh : bytes
-            Bytes of the message.
-        """
+        """Record a rest surface that a cut has changed, by the bytes of its message."""
         with self.together:
             if self.active:
                 self._messages.put(self.names["mesh"], mesh)
@@ -123,14 +120,7 @@ class OrganRecorder:
     def cut(self, tick: int, made: Simulation, file: bytes) -> None:
         """Record a simulation that the loop goes on with after a cut, or after the reset of its cuts.
 
-        Parameters
-        ----------
-        tick : int
-            The first tick with it.
-        made : Simulation
-            The simulation.
-        file : bytes
-            Content of its organ's file.
+        tick: the first tick with it; file: content of its organ's file.
         """
         fields = fields_of_cut(self.physics.version, tick, made, file)
         with self.together:
@@ -143,10 +133,7 @@ class OrganRecorder:
 
         Call it with `together` held.
 
-        Parameters
-        ----------
-        first_set : int
-            Number of the set.
+        first_set: number of the set.
         """
         numbers = {"number": np.array(self.physics.version), "first_set": np.array(first_set)}
         if self._cut is not None:
@@ -157,36 +144,53 @@ class OrganRecorder:
     def surface(self, tick: int, surface: bytes, skeleton: bytes, markers: bytes | None) -> None:
         """Record a published surface, skeleton and, if wanted, markers.
 
-        Parameters
-        ----------
-        tick : int
-            The tick that they show.
-        surface : bytes
-            Bytes of the surface.
-        skeleton : bytes
-            Bytes of the skeleton.
-        markers : bytes | None
-            Bytes of the markers.
+        tick: the tick that they show; surface: bytes of the surface; skeleton: bytes of the skeleton; markers: bytes of
+        the markers.
         """
         with self.together:
             if not self.active:
                 return
-            if self._messages.put(self.names["surface"], surface):
-                self._notes.surfaces.append((tick,))
+            self._surface(tick, surface)
             self._messages.put(self.names["skeleton"], skeleton)
             if markers is not None:
                 self._messages.put(self.names["markers"], markers)
 
-    def settings(self, sequence: int, settings: Settings) -> None:
-        """Record new settings; call it with `together` held since they were posted.
+    def last_shape(self, frame_id: str) -> None:
+        """Record the surface that the loop has posted, also of an organ that sleeps, which nothing publishes.
 
-        Parameters
-        ----------
-        sequence : int
-            Their number.
-        settings : Settings
-            The settings.
+        Call it where the state is posted, with `exchanging` held.
+
+        frame_id: frame of the surface.
         """
+        shown = ShownOrgan.of(self.physics.simulation)
+        tick, nodes = self._posted()
+        rows = np.zeros((shown.n_rows, 3))
+        shown.fill(rows, nodes)
+        cloud = CloudTemplate(frame_id, shown.n_points, ("x", "y", "z"))
+        cloud.points[:] = shown.points(rows)
+        with self.together:
+            if self.active and tick > self.state_tick:
+                self._surface(tick, cloud.message(time.time_ns()))
+
+    def _posted(self) -> tuple[int, Floats]:
+        """Return the tick of the posted state, and the nodes' positions then, (n, 3) m."""
+        simulation = self.physics.simulation
+        if self.physics.box.demand.on_demand:  # the loop computes them for those who ask
+            nodes = simulation.organ.rest_positions.copy()
+            tick, carried = self.physics.positions(nodes)
+            return tick, nodes + carried
+        state = state_like(simulation.state)
+        state.words[:] = self.physics.box.snapshot
+        return int(state.status.tick), state.position + state.carried
+
+    def _surface(self, tick: int, surface: bytes) -> None:
+        """Record a surface; call it with `together` held."""
+        if self._messages.put(self.names["surface"], surface):
+            self._notes.surfaces.append((tick,))
+            self.shown_tick = max(self.shown_tick, tick)
+
+    def settings(self, sequence: int, settings: Settings) -> None:
+        """Record new settings; call it with `together` held since they were posted. sequence: their number."""
         if self.active:
             fields = {"sequence": np.array(sequence), "settings": array_of(settings)}
             self._messages.packed(self.names["settings"], fields)
@@ -196,23 +200,15 @@ class OrganRecorder:
 
         Call it with `together` held since it was posted.
 
-        Parameters
-        ----------
-        sequence : int
-            Number of the set.
-        ticks : tuple[int, int]
-            Tick of its surface, and of the tools' places.
-        found : ContactSet
-            The contact set.
-        bodies : Sequence[BodyContact]
-            Rows of its bodies.
+        sequence: number of the set; ticks: tick of its surface, and of the tools' places; found: the contact set;
+        bodies: rows of its bodies.
         """
         self._newest_set = sequence, found
         if not self.active:
             return
         self._notes.contacts.append((sequence, *ticks))
         self._notes.body_contacts.append(list(bodies))
-        if self._state_tick < 0 or min(ticks) <= self._state_tick:
+        if self.state_tick < 0 or min(ticks) <= self.state_tick:
             self._whole_set(sequence, found)
 
     def _whole_set(self, sequence: int, found: ContactSet) -> None:

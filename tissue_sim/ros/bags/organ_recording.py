@@ -17,6 +17,7 @@ from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.recorded_cut import RecordedCut, organ_in, recorded_cuts
 from tissue_sim.ros.shared.cdr import parse_cloud, parse_octets
 
+TOO_SHORT = "it was recorded too briefly or broken off, so that nothing of it can be replayed: delete it"
 ADDED = ("toughness", "flank_friction")  # settings that older bags lack, whose tools are no blades
 NO_LONGER = ("factor_slot",)  # settings of older bags that this version has no use for
 
@@ -39,21 +40,8 @@ class OrganRecording:
     def parsed(cls, path: Path, messages: Mapping[str, Sequence[bytes]], below: str, n_bodies: int) -> OrganRecording:
         """Return the recording from the messages of the topics below a name.
 
-        Parameters
-        ----------
-        path : Path
-            The bag, for messages.
-        messages : Mapping[str, Sequence[bytes]]
-            Messages by topic.
-        below : str
-            That name.
-        n_bodies : int
-            Number of bodies.
-
-        Raises
-        ------
-        UserError
-            When the bag lacks something; the message names it.
+        path: the bag, for messages; messages: messages by topic; below: that name; n_bodies: number of bodies. Raises
+        UserError when the bag lacks something; the message names it.
         """
         octets = {
             name: [parse_octets(raw) for raw in messages[f"{below}/{name}"]]
@@ -62,9 +50,9 @@ class OrganRecording:
         }
         for name, lack in (("state", "state to start from"), ("settings", "settings")):
             if not octets[name]:
-                raise UserError(f"bag {path} has no {lack}: the recording was too short or interrupted")
+                raise UserError(f"bag {path} has no {lack}: {TOO_SHORT}")
         if not octets["journal"]:
-            raise UserError(f"bag {path} has no events: the recording was too short or interrupted")
+            raise UserError(f"bag {path} has no events: {TOO_SHORT}")
         rows = [bag.unpack(values) for values in octets["journal"]]
         state = bag.unpack(octets["state"][0])
         n_nodes = len(state["position"])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
+from tissue_sim.progress import task
 from tissue_sim.ros.bags.bag_alignment import align
 from tissue_sim.ros.bags.comparison import Comparison, compare
 from tissue_sim.ros.bags.differences import Described, differences
@@ -70,38 +71,32 @@ class Outcome:
 def replay_bag(path: Path, asked: Asked, prefix: str = "") -> Outcome:
     """Replay a bag and compare; print what differs before that begins.
 
-    Parameters
-    ----------
-    path : Path
-        Folder of the bag.
-    asked : Asked
-        How it is to be compared.
-    prefix : str, optional
-        Begins each printed line.
-
-    Raises
-    ------
-    UserError
-        When the bag can't be read or replayed.
+    path: folder of the bag; asked: how it is to be compared; prefix: begins each printed line. Raises UserError when
+    the bag can't be read or replayed.
     """
-    started, recording = time.monotonic(), Recording.read(path)
-    recorded = Described.recorded(recording.config)
-    notes = differences(recorded, recorded.replayed(asked.organ))
+    started = time.monotonic()
+    with task("reading"):
+        recording = Recording.read(path)
+        recorded = Described.recorded(recording.config)
+        notes = differences(recorded, recorded.replayed(asked.organ))
     for tick, pose in recording.registrations[1:]:
         notes.append(f"organ_pose: [{', '.join(f'{value:g}' for value in pose.tolist())}] after tick {tick}")
     wanted = recording.shown()
     if asked.against is not None:
-        other = Recording.read(asked.against)
+        with task(f"reading {asked.against.name}"):
+            other = Recording.read(asked.against)
         notes += differences(
             Described.recorded(recording.config, f"in {path}"), Described.recorded(other.config, f"in {asked.against}")
         )
-        alignment = align(recording, other)
+        with task("aligning"):
+            alignment = align(recording, other)
         notes.append(alignment.line())
         wanted = other.shown().later(-alignment.later)
     for note in notes:
         print(f"{prefix}{note}", flush=True)
     replayed = replay(recording, asked.organ, wanted)
-    found = compare(replayed.wanted, replayed.shown, asked.force_tolerance, asked.position_tolerance)
+    with task("comparing"):
+        found = compare(replayed.wanted, replayed.shown, asked.force_tolerance, asked.position_tolerance)
     rate = float(recording.config["parameters"]["rate"])
     return Outcome(str(path), rate, time.monotonic() - started, tuple(notes), replayed, found)
 
@@ -109,27 +104,19 @@ def replay_bag(path: Path, asked: Asked, prefix: str = "") -> Outcome:
 def replay_live(path: Path, asked: Asked, node: str) -> Outcome:
     """Send a bag's inputs to a running node, and compare what it shows with a replay at the same ticks.
 
-    Parameters
-    ----------
-    path : Path
-        Folder of the bag.
-    asked : Asked
-        How it is to be compared.
-    node : str
-        Name of the node.
-
-    Raises
-    ------
-    UserError
-        When this can't be done with the bag or the node.
+    path: folder of the bag; asked: how it is to be compared; node: name of the node. Raises UserError when this can't
+    be done with the bag or the node.
     """
     try:
         from tissue_sim.ros.bags.live import play_live
     except ModuleNotFoundError as error:
         raise UserError(f"--live needs ROS, and {error.name} is missing: pip install 'tissue_sim[ros]'") from None
 
-    started, recording = time.monotonic(), Recording.read(path)
-    notes, shown = play_live(recording, node)
+    started = time.monotonic()
+    with task("reading"):
+        recording = Recording.read(path)
+    with task("sending its inputs"):
+        notes, shown = play_live(recording, node)
     for note in notes:
         print(note, flush=True)
     replayed = replay(recording, asked.organ, shown)

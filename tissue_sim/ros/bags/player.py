@@ -34,24 +34,15 @@ class Replayed:
 def replay(recording: Recording, organ: Organ | None = None, wanted: Shown | None = None) -> Replayed:
     """Feed the recorded inputs at the ticks that applied them.
 
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    organ : Organ | None, optional
-        Organ to use instead of the recorded one.
-    wanted : Shown | None, optional
-        Ticks and tools of the results; by default those that the bag shows.
-
-    Raises
-    ------
-    UserError
-        When another organ is given for a scene.
+    organ: organ to use instead of the recorded one; wanted: ticks and tools of the results (by default those that the
+    bag shows). Raises UserError when another organ is given for a scene.
     """
     if organ is not None and recording.is_scene:
         raise UserError("another organ can replace only the one of a single-organ bag, and this one contains a scene")
-    organs = [organ] if organ is not None else [one.organ() for one in recording.organs]
-    return Player(recording, organs).run(recording.shown() if wanted is None else wanted)
+    with progress.task("making the model"):
+        organs = [organ] if organ is not None else [one.organ() for one in recording.organs]
+        player = Player(recording, organs)
+    return player.run(recording.shown() if wanted is None else wanted)
 
 
 class Player:
@@ -81,12 +72,7 @@ class Player:
     def run(self, wanted: Shown, watch: Callable[[int], None] | None = None) -> Replayed:
         """Go through the recording, and return what is wanted of its ticks.
 
-        Parameters
-        ----------
-        wanted : Shown
-            Ticks and tools of the results.
-        watch : Callable[[int], None] | None, optional
-            Called after each tick.
+        wanted: ticks and tools of the results; watch: called after each tick.
         """
         last = max(self.tick, self.recording.last_tick)
         wanted = wanted.within(self.tick + 1, last)
@@ -127,7 +113,7 @@ class Player:
             made = one.cut(tick)
             if made is not None:
                 joined = self.joined.joined
-                plan = joined.plan_exchange(number, made)
+                plan = joined.plan_exchange(number, made)._replace(version=one.version)
                 made.take_settings(joined.simulations[number].settings)  # the loop goes on with its own
                 joined.exchange(number, made, plan)
         for one, take_settings in zip(self.organs, self._take_settings, strict=True):

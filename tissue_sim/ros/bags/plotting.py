@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissue_sim.errors import UserError
-from tissue_sim.figures import empty_figure
+from tissue_sim.figures import empty_figure, save
 from tissue_sim.ros.bags.comparison import Deviation
 from tissue_sim.ros.bags.outcome import Outcome
 
@@ -24,17 +24,8 @@ LEAST = 1e-18  # stands for a deviation of zero: the axis is logarithmic
 def picture_path(given: str, bag: Path) -> Path:
     """Return the file of a picture: the given one that ends in .png, or the bag's name in a folder, which is made.
 
-    Parameters
-    ----------
-    given : str
-        File or folder.
-    bag : Path
-        Folder of the bag.
-
-    Raises
-    ------
-    UserError
-        Without matplotlib, or when the folder can't be made.
+    given: file or folder; bag: folder of the bag. Raises UserError without matplotlib, or when the folder can't be
+    made.
     """
     if importlib.util.find_spec("matplotlib") is None:
         raise UserError("--plot needs matplotlib: pip install matplotlib")
@@ -49,20 +40,7 @@ def picture_path(given: str, bag: Path) -> Path:
 
 
 def write_picture(path: Path, outcome: Outcome) -> None:
-    """Write a PNG.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    outcome : Outcome
-        Result of the bag.
-
-    Raises
-    ------
-    UserError
-        When it can't be written.
-    """
+    """Write the result of a bag as a PNG. Raises UserError when it can't be written."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     wanted, found, rate = outcome.replayed.wanted, outcome.replayed.shown, outcome.rate
@@ -81,10 +59,7 @@ def write_picture(path: Path, outcome: Outcome) -> None:
     _deviation(axes[-1], rate, outcome.comparison.position)
     axes[-1].set_xlabel("simulated time (s)")
     axes[0].set_title(outcome.name, loc="left")
-    try:
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from None
+    save(figure, path, 120.0)
 
 
 def _deviation(axis: Axes, rate: float, found: Deviation) -> None:

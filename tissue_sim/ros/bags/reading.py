@@ -7,13 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tissue_sim.array_types import Array, Floats, Longs
 from tissue_sim.contact.tools import Tool
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.recording import Recording, tools_of
 
@@ -61,7 +61,7 @@ class Bag(Mapping[str, Series]):
         config = recording.config
         self.path = path
         self.recording = recording
-        self.parameters: Mapping[str, Any] = config["parameters"]
+        self.parameters: JsonObject = config["parameters"]
         self.rate = float(config["parameters"]["rate"])  # Hz, when the recording began
         self.version = str(config["package_version"])  # of the package that recorded it
         self.tools: list[Tool] = tools_of(config)

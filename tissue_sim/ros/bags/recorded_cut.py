@@ -33,13 +33,7 @@ class RecordedCut(NamedTuple):
 
 
 def organ_in(file: bytes) -> Organ:
-    """Return the organ of an organ file that a bag holds.
-
-    Parameters
-    ----------
-    file : bytes
-        Content of the file.
-    """
+    """Return the organ of the content of an organ file that a bag holds."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "organ.npz"
         path.write_bytes(file)
@@ -49,16 +43,8 @@ def organ_in(file: bytes) -> Organ:
 def fields_of_cut(number: int, tick: int, made: Simulation, file: bytes) -> dict[str, Array]:
     """Return a cut as arrays by name.
 
-    Parameters
-    ----------
-    number : int
-        How many organs were exchanged until this one.
-    tick : int
-        The first tick with it.
-    made : Simulation
-        The simulation after it.
-    file : bytes
-        Content of its organ's file.
+    number: how many organs were exchanged until this one; tick: the first tick with it; made: the simulation after it;
+    file: content of its organ's file.
     """
     fields: dict[str, Array] = {
         "number": np.array(number),
@@ -78,15 +64,7 @@ def fields_of_cut(number: int, tick: int, made: Simulation, file: bytes) -> dict
 def recorded_cuts(messages: Sequence[Mapping[str, Array]]) -> list[RecordedCut]:
     """Return the cuts of an organ, in order.
 
-    Parameters
-    ----------
-    messages : Sequence[Mapping[str, Array]]
-        Fields of each message about them.
-
-    Raises
-    ------
-    ValueError
-        For a message that no node writes.
+    messages: fields of each message about them. Raises ValueError for a message that no node writes.
     """
     made: dict[int, RecordedCut] = {}
     sets: dict[int, int] = {}

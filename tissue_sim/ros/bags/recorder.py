@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import shutil
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from datetime import datetime
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from tissue_sim.ros.shared.tool_topics import GRIPPER_TOPICS, TOOL_TOPICS
 
 SETTLE_TIME = 0.1  # s of messages in the bag before the state is taken, so that it lacks nothing
 JOURNAL_EVERY = 0.25  # s
+NOT_KEPT = "the bag was removed: no tick was simulated while it was recorded, so that it could not be replayed"
 # Topics that a replay can do without, each with the fill level of the queue for a slow disk up to which it is kept:
 # markers, the largest, are left out first.
 PATIENCE = {"markers": 0.25, "surface": 0.5, "skeleton": 0.5}
@@ -66,6 +68,7 @@ class Recorder:
         config: JsonObject,
     ) -> None:
         self._node_name, self._organs, self._config = node_name, organs, config
+        self._frame_id = str(config.get("parameters", {}).get("frame_id", ""))
         self._messages = BagMessages()
         self.together = self._messages.together
         self.of_organ = [
@@ -81,9 +84,11 @@ class Recorder:
         self._polling = threading.Lock()
         self._journal_at = 0.0  # monotonic s, when the journal was last written
         self._has_state = False
+        self._shown_tick = -1  # the newest of a wrench in the bag
         self._started = 0.0
         self._hurry = False  # there is a state, without which a bag is of no use
         self.path: Path | None = None
+        self.kept = True  # whether the newest bag was kept when it ended
 
     @property
     def active(self) -> bool:
@@ -103,21 +108,8 @@ class Recorder:
     def add_topic(self, tool: str, topic: str, name: str = "", qos: QoSProfile = STREAM) -> str:
         """Give bags a tool's topic, of TOOL_TOPICS or GRIPPER_TOPICS.
 
-        Parameters
-        ----------
-        tool : str
-            Name of the tool.
-        topic : str
-            Name in those tables.
-        name : str, optional
-            Name of the bridge's own topic, where a bag holds its very bytes.
-        qos : QoSProfile, optional
-            How it is delivered.
-
-        Returns
-        -------
-        str
-            its name in the bag
+        tool: name of the tool; topic: name in those tables; name: name of the bridge's own topic, where a bag holds its
+        very bytes; qos: how it is delivered. Returns its name in the bag.
         """
         name = self._tool_topics.setdefault(f"{tool}/{topic}", name or f"{self._node_name}/{tool}/{topic}")
         self._tool_qos[name] = qos
@@ -127,24 +119,8 @@ class Recorder:
     def start(self, folder: Path, newest: dict[str, tuple[int, bytes]], split: Split = WHOLE) -> Path:
         """Start a bag in a folder.
 
-        Parameters
-        ----------
-        folder : Path
-            The folder.
-        newest : dict[str, tuple[int, bytes]]
-            Last sequence and bytes of each input topic.
-        split : Split, optional
-            How the bag is split into files.
-
-        Returns
-        -------
-        Path
-            the bag's path
-
-        Raises
-        ------
-        UserError
-            When it can't be written.
+        newest: last sequence and bytes of each input topic; split: how the bag is split into files. Returns the bag's
+        path. Raises UserError when it can't be written.
         """
         if self.active:
             raise UserError(f"already recording to {self.path}; stop that first")
@@ -167,6 +143,7 @@ class Recorder:
             kept.enter_context(self.together)
             self.path, messages.spool = path, Spool(writer, writer.add_topics(self._topics()), patience)
             self._wrenches, self._has_state, self._started = [], False, time.monotonic()
+            self._shown_tick, self.kept = -1, True
             first = {name: sequence for name, (sequence, _) in newest.items()}
             config = self._config | {"topics": self._tool_topics, "first": first}
             messages.text(self._names["config"], json.dumps(config))
@@ -185,26 +162,47 @@ class Recorder:
     def stop(self, patience: float = 30.0) -> Path | None:
         """Close the bag; return its path, None when none was open.
 
-        What is not written in time is left out and counted as lost; the bag still replays. `error` says what went
-        wrong, then or before.
+        What is not written in time is left out and counted as lost; the bag still replays. So does one that ends right
+        after its beginning: it gets the state, and a shape after it. One during which nothing ticked is removed, and
+        `kept` is false. `error` says what went wrong, then or before.
 
-        Parameters
-        ----------
-        patience : float, s, optional
-            Time for writing the rest.
+        patience: time for writing the rest, s.
         """
         messages = self._messages
         if messages.spool is None or not messages.recording:
             return None
-        self._journal_at = 0.0
         try:
-            self.poll()
-        except TimeoutError:  # a loop that hangs or has ended gives no state: the bag ends without one
-            pass
+            with suppress(TimeoutError):  # a loop that hangs or has ended gives no state
+                self._complete()
+            self.kept = self._can_be_replayed
         finally:
             messages.recording = False
             messages.spool.close(patience)
+        if not self.kept and not self.error and self.path is not None:
+            shutil.rmtree(self.path, ignore_errors=True)
         return self.path
+
+    def _complete(self) -> None:
+        """Record what a replay needs and compares, where the bag lacks it, and the rest of the journal."""
+        if not self._has_state:
+            time.sleep(max(0.0, self._started + SETTLE_TIME - time.monotonic()))
+        self._journal_at = 0.0
+        self.poll()
+        if self.active and not self._can_be_replayed:
+            with ExitStack() as kept:
+                for one in self.of_organ:
+                    kept.enter_context(one.exchanging)
+                kept.enter_context(self._organs.loop.snapshots())
+                for one in self.of_organ:
+                    one.last_shape(self._frame_id)
+            self._journal_at = 0.0
+            self.poll()
+
+    @property
+    def _can_be_replayed(self) -> bool:
+        """Whether the bag has a state, and a wrench or surface of a later tick."""
+        shown = max(self._shown_tick, *(one.shown_tick for one in self.of_organ))
+        return self._has_state and shown > min(one.state_tick for one in self.of_organ)
 
     def poll(self) -> None:
         """Take the state when it is time, and write the journal so far; call it often."""
@@ -214,7 +212,7 @@ class Recorder:
 
     def _poll(self) -> None:
         now = time.monotonic()
-        if not self._has_state and now - self._started > SETTLE_TIME:
+        if not self._has_state and now - self._started >= SETTLE_TIME:
             with self._organs.loop.snapshots():
                 tick = min([one.state() for one in self.of_organ])
                 self.joined.state(tick)
@@ -239,13 +237,7 @@ class Recorder:
                 self._messages.packed(name, own)
 
     def report(self, report: Report) -> None:
-        """Add the bag, and what it lacks.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add the bag, and what it lacks."""
         report.values["recording"] = str(self.path) if self.active else ""
         report.problems["lost_bag_messages"] = self.lost
         if self.error:
@@ -256,10 +248,7 @@ class Recorder:
 
         Poses and forces are recorded in the organ's frame, so that a replay doesn't need it.
 
-        Parameters
-        ----------
-        pose : Sequence[float], shape (7,), m and quaternion xyzw
-            The organ's pose.
+        pose (7,) m and quaternion xyzw: the organ's pose.
         """
         with self.together:
             self._organ_pose = np.array(pose, dtype=np.float64)
@@ -275,12 +264,7 @@ class Recorder:
     def received(self, name: str, raw: bytes) -> None:
         """Record a pose or force that was accepted, as it came; call it before it is posted.
 
-        Parameters
-        ----------
-        name : str
-            Its topic.
-        raw : bytes
-            Its bytes.
+        name: its topic; raw: its bytes.
         """
         if self.active:
             self._messages.put(name, raw)
@@ -288,20 +272,12 @@ class Recorder:
     def wrench(self, name: str, tool: int, tick: int, raw: bytes) -> None:
         """Record a published servo_cf.
 
-        Parameters
-        ----------
-        name : str
-            Its topic.
-        tool : int
-            Index of the tool.
-        tick : int
-            The tick that it shows.
-        raw : bytes
-            Its bytes.
+        name: its topic; tool: index of the tool; tick: the tick that it shows; raw: its bytes.
         """
         with self.together:
             if self.active and self._messages.put(name, raw):
                 self._wrenches.append((tool, tick))
+                self._shown_tick = max(self._shown_tick, tick)
 
     # inside ------------------------------------------------------------------------------------
     def _topics(self) -> dict[str, Topic]:

@@ -18,7 +18,7 @@ from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.bags import bag, recovery
 from tissue_sim.ros.bags.comparison import Shown
 from tissue_sim.ros.bags.config import check_config, organs_of, read_config
-from tissue_sim.ros.bags.joined_recording import JoinedRecording
+from tissue_sim.ros.bags.joined_recording import JoinedRecording, Sizes
 from tissue_sim.ros.bags.journal import check_journal
 from tissue_sim.ros.bags.organ_recording import OrganRecording
 from tissue_sim.ros.shared.cdr import (
@@ -58,20 +58,7 @@ class Recording:
 
     @classmethod
     def read(cls, path: Path) -> Recording:
-        """Read a bag folder.
-
-        Parameters
-        ----------
-        path : Path
-            The folder.
-
-        Raises
-        ------
-        UserError
-            When it can't be read; the message names the bag and what it lacks.
-        """
-        if not path.exists():
-            raise UserError(f"bag {path} does not exist")
+        """Read a bag folder. Raises UserError when it can't be read; the message names the bag and what it lacks."""
         messages = _read_messages(path)
         try:
             return cls._parsed(path, messages)
@@ -93,7 +80,9 @@ class Recording:
         check_config(config)
         n_bodies = sum(tool.n_bodies for tool in tools_of(config))
         organs = [OrganRecording.parsed(path, messages, path_of(name, one), n_bodies) for one in organs_of(config)]
-        sizes = [len(one.state["position"]) for one in organs]
+        sizes = [
+            Sizes(len(one.state["position"]), {cut.number: cut.organ.n_nodes for cut in one.cuts}) for one in organs
+        ]
         if "organs" in config:
             joined = JoinedRecording.parsed(messages, name, sizes)
         else:
@@ -165,13 +154,7 @@ class Recording:
 
 
 def tools_of(config: JsonObject) -> list[Tool]:
-    """Return the tools of a bag's configuration.
-
-    Parameters
-    ----------
-    config : JsonObject
-        The configuration.
-    """
+    """Return the tools of a bag's configuration."""
     parameters, keys = config["parameters"], ("shape", "radius", "length", "mesh")
     return [
         Tool(

@@ -38,25 +38,24 @@ REWRITTEN = ".recovered"  # folder in a bag where a file is rewritten
 
 
 def is_interrupted(folder: Path) -> bool:
-    """Return whether a folder holds a bag without its end.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    """
+    """Return whether a folder holds a bag without its end."""
     return folder.is_dir() and not (folder / metadata.NAME).exists() and any(folder.glob("*.mcap"))
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse what is no folder of a bag. Raises UserError."""
+    if not folder.exists():
+        raise UserError(f"bag {folder} does not exist")
+    if not folder.is_dir():
+        hint = f", here {folder.resolve().parent}" if folder.suffix == ".mcap" else ""
+        raise UserError(f"bag {folder} is a file; name the folder of a bag{hint}")
+    if not (folder / metadata.NAME).exists() and not any(folder.glob("*.mcap")):
+        raise UserError(f"folder {folder} holds no bag: neither {metadata.NAME} nor a .mcap file; name a bag's folder")
 
 
 @contextmanager
 def report_incomplete_records(folder: Path) -> Iterator[None]:
-    """Raise UserError naming a bag where reading it raises anything.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the bag.
-    """
+    """Raise UserError naming the bag in a folder where reading it raises anything."""
     try:
         yield
     except UserError:
@@ -72,16 +71,8 @@ def report_incomplete_records(folder: Path) -> Iterator[None]:
 def listed(folder: Path) -> list[Path]:
     """Return the files that a bag's metadata lists, as a reader would open them.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the bag.
-
-    Raises
-    ------
-    UserError
-        For another storage, and for files or messages that are compressed beyond the storage's own chunks: their
-        unpacked size is unknown.
+    folder: folder of the bag. Raises UserError for another storage, and for files or messages that are compressed
+    beyond the storage's own chunks: their unpacked size is unknown.
     """
     said = metadata.read(folder)
     packed = str(said.get("compression_mode") or "none").lower()
@@ -98,18 +89,10 @@ def listed(folder: Path) -> list[Path]:
 def opened(folder: Path, of_node: bool = True) -> Iterator[Sequence[Reader | McapReader]]:
     """Yield readers of a bag, the oldest first: one of a whole bag, or one for each file of a bag that was broken off.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the bag.
-    of_node : bool, optional
-        Whether a bag that was broken off must be one of this package.
-
-    Raises
-    ------
-    UserError
-        For a bag that can't be read.
+    folder: folder of the bag; of_node: whether a bag that was broken off must be one of this package. Raises UserError
+    for a bag that can't be read.
     """
+    check_folder(folder)
     with report_incomplete_records(folder):
         if is_interrupted(folder):
             with _opened(folder, of_node) as readers:
@@ -124,15 +107,7 @@ def opened(folder: Path, of_node: bool = True) -> Iterator[Sequence[Reader | Mca
 def messages(folder: Path) -> Iterator[tuple[Connection, int, bytes]]:
     """Yield the messages of a bag that was broken off, in their order.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the bag.
-
-    Yields
-    ------
-    Iterator[tuple[Connection, int, bytes]]
-        topic, stamp (ns) and bytes of every whole message
+    folder: folder of the bag. Yields topic, stamp (ns) and bytes of every whole message.
     """
     with _opened(folder) as readers:
         for reader in readers:
@@ -142,15 +117,7 @@ def messages(folder: Path) -> Iterator[tuple[Connection, int, bytes]]:
 def complete(folder: Path) -> str:
     """Give a bag what it lacks at its end; return a line about it.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the bag.
-
-    Raises
-    ------
-    UserError
-        When it is empty, still being recorded, or damaged.
+    folder: folder of the bag. Raises UserError when it is empty, still being recorded, or damaged.
     """
     with ExitStack() as stack, report_incomplete_records(folder):
         for path in folder.glob("*.mcap"):
@@ -218,7 +185,7 @@ def _opened(folder: Path, of_node: bool = True) -> Iterator[list[McapReader]]:
                     readers.append(reader)
                 break
         if not readers:
-            raise UserError(f"bag {folder} was interrupted before it had any content")
+            raise UserError(f"bag {folder} was interrupted before it had any content: delete it")
         if of_node and not any(topic.topic.endswith("/config") for topic in readers[0].connections):
             raise UserError(
                 f"bag {folder} was interrupted, and not recorded by a tissue_sim node: use `ros2 bag reindex`"
@@ -266,15 +233,7 @@ def _whole_records(bio: BinaryIO) -> tuple[int, int]:
 def check_lengths(file: Path) -> None:
     """Check that no record is longer than its file or unpacks to more than it says, which would exhaust memory.
 
-    Parameters
-    ----------
-    file : Path
-        The file.
-
-    Raises
-    ------
-    ReaderError
-        When one does; chunks that don't unpack at all raise one of OF_RUBBISH.
+    Raises ReaderError when one does; chunks that don't unpack at all raise one of OF_RUBBISH.
     """
     size = file.stat().st_size
     with file.open("rb") as bio:

@@ -6,7 +6,9 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from tissue_sim import progress
 from tissue_sim.errors import UserError
+from tissue_sim.interrupts import leaving
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import recovery
 from tissue_sim.ros.bags.comparison import Comparison
@@ -58,7 +60,9 @@ def run(args: argparse.Namespace) -> int:
         raise UserError("--plot must be a folder for several bags")
     for path in [*paths, *([Path(args.against)] if args.against else [])]:
         if recovery.is_interrupted(path):
-            print(recovery.complete(path), flush=True)
+            with progress.task(f"completing {path.name}"):
+                line = recovery.complete(path)
+            print(line, flush=True)
     pictures = [picture_path(args.plot, path) for path in paths] if args.plot else []
     organ = Organ.load(args.organ) if args.organ else None
     asked = Asked(args.force_tolerance, args.position_tolerance, organ, Path(args.against) if args.against else None)
@@ -67,7 +71,9 @@ def run(args: argparse.Namespace) -> int:
     if len(paths) > 1:
         print(columns.head, flush=True)
     for index, path in enumerate(paths):
-        outcome = replay_bag(path, asked, f"{path}: " if len(paths) > 1 else "")
+        of_all = f" ({index + 1} of {len(paths)})" if len(paths) > 1 else ""
+        with leaving(f"{index} of {len(paths)} bags were compared"), progress.task(f"{path.resolve().name}{of_all}"):
+            outcome = replay_bag(path, asked, f"{path}: " if len(paths) > 1 else "")
         outcomes.append(outcome)
         print(columns.row(outcome) if len(paths) > 1 else "\n".join(report_lines(outcome)), flush=True)
         if pictures:
@@ -75,7 +81,8 @@ def run(args: argparse.Namespace) -> int:
             print(f"{pictures[index]}: picture")
     if args.live:
         tolerances = Asked(args.live_force_tolerance, args.live_position_tolerance, organ)
-        outcomes.append(replay_live(paths[0], tolerances, args.node))
+        with progress.task(f"{paths[0].resolve().name} on /{args.node}"):
+            outcomes.append(replay_live(paths[0], tolerances, args.node))
         print("\n".join(report_lines(outcomes[-1])), flush=True)
     if args.junit:
         write_junit(Path(args.junit), outcomes)

@@ -54,15 +54,8 @@ class Spool:
     All topics without an entry in patience are kept: when their messages don't fit, the bag ends with those before, and
     that is an error.
 
-    Parameters
-    ----------
-    writer : BagWriter
-        The bag.
-    topics : Mapping[str, Connection]
-        Its topics.
-    patience : Mapping[str, float]
-        Topics that a bag can do without, each with the fraction of MOST_WAITING that may wait before its messages are
-        left out.
+    patience: topics that a bag can do without, each with the fraction of MOST_WAITING that may wait before its messages
+    are left out.
     """
 
     def __init__(self, writer: BagWriter, topics: Mapping[str, Connection], patience: Mapping[str, float]) -> None:
@@ -86,17 +79,7 @@ class Spool:
     def put(self, name: str, raw: bytes) -> bool:
         """Keep a message of a topic until it is written.
 
-        Parameters
-        ----------
-        name : str
-            The topic.
-        raw : bytes
-            Its bytes.
-
-        Returns
-        -------
-        bool
-            whether there was room for it
+        name: the topic; raw: its bytes. Returns whether there was room for it.
         """
         size = len(raw) + _HEADER.size
         with self._lock:
@@ -125,10 +108,7 @@ class Spool:
     def close(self, patience: float) -> None:
         """End the bag; what is not written in time is left out and counted as lost.
 
-        Parameters
-        ----------
-        patience : float, s
-            Time for writing it.
+        patience: time for writing it, s.
         """
         with self._lock:
             self.is_open = False

@@ -35,17 +35,8 @@ class ToolStream(NamedTuple):
 def recorded_tool(path: Path, name: str | None) -> ToolStream:
     """Return what a node of this package recorded of a tool, in the organ's axes.
 
-    Parameters
-    ----------
-    path : Path
-        Folder of the bag.
-    name : str | None
-        The tool; None for the only one that is round.
-
-    Raises
-    ------
-    UserError
-        For a bag that can't be read, and a tool that it doesn't have.
+    path: folder of the bag; name: the tool, None for the only one that is round. Raises UserError for a bag that can't
+    be read, and a tool that it doesn't have.
     """
     if path.exists():
         _check_own(path)
@@ -55,9 +46,12 @@ def recorded_tool(path: Path, name: str | None) -> ToolStream:
     if not round_ones:
         raise UserError(f"bag {path} has no spherical tool{f' {name}' if name else ''}; it has {', '.join(names)}")
     recorded = [tool for tool in round_ones if {f"{tool.name}/position", f"{tool.name}/force"} <= set(bag)]
-    if len(recorded) != 1:
-        which = ", ".join(tool.name for tool in recorded) or "none"
-        raise UserError(f"bag {path}: tools with poses and forces: {which}; choose one with --tool")
+    if not recorded:
+        idle = ", ".join(tool.name for tool in round_ones)
+        raise UserError(f"bag {path} has no poses with forces of {idle}; record while a tool presses the organ")
+    if len(recorded) > 1:
+        which = ", ".join(tool.name for tool in recorded)
+        raise UserError(f"bag {path} has several tools with poses and forces, {which}; choose one with --tool")
     tool = recorded[0]
     positions, turns, forces = (bag[f"{tool.name}/{what}"] for what in ("position", "quaternion", "force"))
     known = forces.time >= positions.time[0]
@@ -74,19 +68,8 @@ def recorded_tool(path: Path, name: str | None) -> ToolStream:
 def topics_of(path: Path, pose_topic: str, wrench_topic: str) -> ToolStream:
     """Return a tool's stream from two topics of a bag, in the axes that these have.
 
-    Parameters
-    ----------
-    path : Path
-        Folder of the bag.
-    pose_topic : str
-        Topic of PoseStamped.
-    wrench_topic : str
-        Topic of WrenchStamped.
-
-    Raises
-    ------
-    UserError
-        For a bag that can't be read, and topics that it doesn't have or that are of another type.
+    path: folder of the bag; pose_topic: topic of PoseStamped; wrench_topic: topic of WrenchStamped. Raises UserError
+    for a bag that can't be read, and topics that it doesn't have or that are of another type.
     """
     pose_time, poses = _messages(path, pose_topic, POSE, 7)
     wrench_time, wrenches = _messages(path, wrench_topic, WRENCH, 6)
@@ -115,10 +98,7 @@ def in_pose_axes(stream: ToolStream) -> ToolStream:
 def in_organ_axes(stream: ToolStream, organ_pose: Sequence[float]) -> ToolStream:
     """Return a stream in the axes of an organ whose pose (7,), m and xyzw, is given in the stream's axes.
 
-    Raises
-    ------
-    UserError
-        For a pose that is none.
+    Raises UserError for a pose that is none.
     """
     try:
         pose = unit_pose(np.array(organ_pose, dtype=np.float64))

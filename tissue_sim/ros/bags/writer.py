@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rosbags.interfaces import Connection, Qos
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -46,7 +46,7 @@ class _Shelved:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._file: Any = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - it ends with this object
+        self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - it ends with this object
         self._count = 0
 
     def append(self, record: BytesIO) -> None:
@@ -83,25 +83,13 @@ class BagWriter(Writer):
         self._files: list[metadata.File] = []  # those before it
 
     def open(self) -> None:
-        """Make the folder and its first file.
-
-        Raises
-        ------
-        OSError
-            When that fails.
-        """
+        """Make the folder and its first file. Raises OSError when that fails."""
         self.path.mkdir(parents=True)
         metadata.sync_folder(self.path.parent)
         self._open_file()
 
     def add_topics(self, topics: Mapping[str, Topic]) -> dict[str, Connection]:
-        """Give the bag its topics, by name.
-
-        Parameters
-        ----------
-        topics : Mapping[str, Topic]
-            The topics.
-        """
+        """Give the bag its topics, by name."""
         store = get_typestore(Stores.ROS2_JAZZY)
         return {
             name: self.add_connection(name, topic.kind, typestore=store, offered_qos_profiles=topic.qos)
@@ -111,19 +99,7 @@ class BagWriter(Writer):
     def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
         """Write a message.
 
-        Parameters
-        ----------
-        connection : Connection
-            Its topic.
-        timestamp : int, ns
-            Its time; must not decrease.
-        data : bytes | memoryview
-            Its bytes.
-
-        Raises
-        ------
-        OSError
-            When that fails.
+        connection: its topic; timestamp: its time (must not decrease), ns. Raises OSError when that fails.
         """
         if self._is_full(timestamp):
             self._close_file()
@@ -134,22 +110,13 @@ class BagWriter(Writer):
     def end_chunk(self) -> None:
         """Compress the messages so far, which until then occupy several times their size.
 
-        Raises
-        ------
-        OSError
-            When that fails.
+        Raises OSError when that fails.
         """
         if self._file is not None and self._file.chunk.msgs:
             self._file.close_chunk()
 
     def flush(self) -> None:
-        """Write all messages so far to the disk.
-
-        Raises
-        ------
-        OSError
-            When that fails.
-        """
+        """Write all messages so far to the disk. Raises OSError when that fails."""
         self.end_chunk()
         file = self._file
         assert file is not None
@@ -159,13 +126,7 @@ class BagWriter(Writer):
             self._flushed = file.bio.tell()
 
     def close(self) -> None:
-        """Write the ends of the last file and of the bag.
-
-        Raises
-        ------
-        OSError
-            When that fails.
-        """
+        """Write the ends of the last file and of the bag. Raises OSError when that fails."""
         self._close_file()
         metadata.write(self.path, self._files, self.connections)
 
@@ -217,15 +178,7 @@ class BagWriter(Writer):
 def lock(descriptor: int) -> bool:
     """Lock an open file for as long as it is open.
 
-    Parameters
-    ----------
-    descriptor : int
-        Descriptor of the file.
-
-    Returns
-    -------
-    bool
-        False when another process has locked it
+    descriptor: descriptor of the file. Returns False when another process has locked it.
     """
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

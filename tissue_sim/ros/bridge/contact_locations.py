@@ -32,23 +32,14 @@ class Touch(NamedTuple):
     turn: Floats
 
     def at(self, depth: float) -> Floats:
-        """Return the tool's place (3,), m, deeper by some m.
-
-        Parameters
-        ----------
-        depth : float, m
-            The depth.
-        """
+        """Return the tool's place (3,), m, deeper by some m."""
         return self.place + depth * self.way
 
 
 def looking(way: Floats) -> Floats:
     """Return a tool's rotation (4,) when its z axis points a way: the tip looks ahead, the shaft lies behind.
 
-    Parameters
-    ----------
-    way : Floats, shape (3,)
-        The direction.
+    way (3,): the direction.
     """
     return np.asarray(Rotation.align_vectors([way], [UP])[0].as_quat())
 
@@ -56,14 +47,7 @@ def looking(way: Floats) -> Floats:
 class Surface:
     """A closed rest surface that balls meet; its methods raise UserError where the organ has no such place.
 
-    Parameters
-    ----------
-    vertices : Floats, shape (n, 3), m
-        Points of the surface.
-    triangles : Longs, shape (t, 3)
-        Its triangles.
-    radius : float, m
-        Radius of the balls.
+    vertices (n, 3) m: points of the surface; triangles (t, 3); radius: radius of the balls, m.
     """
 
     def __init__(self, vertices: Floats, triangles: Longs, radius: float) -> None:
@@ -86,19 +70,8 @@ class Surface:
     def touch(self, through: Floats, way: Floats, depth: float = 0.0) -> Touch | None:
         """Return where a ball that comes from outside along a line first reaches a depth, by sphere tracing.
 
-        Parameters
-        ----------
-        through : Floats, shape (3,), m
-            A point of the line.
-        way : Floats, shape (3,)
-            Its direction, of length 1.
-        depth : float, m, optional
-            The depth.
-
-        Returns
-        -------
-        Touch | None
-            None where the line misses the organ
+        through (3,) m: a point of the line; way (3,): its direction, of length 1; depth: m. Returns None where the line
+        misses the organ.
         """
         offset = through - self.ball.centre
         across = offset - (offset @ way) * way
@@ -114,13 +87,7 @@ class Surface:
         return Touch(place, way, looking(way))
 
     def normal(self, touch: Touch) -> Floats:
-        """Return the unit direction (3,) from the surface to a ball that touches it.
-
-        Parameters
-        ----------
-        touch : Touch
-            Where it touches.
-        """
+        """Return the unit direction (3,) from the surface to a ball that touches it there."""
         found = fcl.DistanceResult()
         probe = fcl.CollisionObject(fcl.Sphere(POINT), fcl.Transform(touch.place))
         fcl.distance(self._surface, probe, fcl.DistanceRequest(enable_nearest_points=True), found)
@@ -128,13 +95,7 @@ class Surface:
         return np.asarray(away / np.linalg.norm(away))
 
     def stroke_line(self, depth: float) -> list[Touch]:
-        """Return touches along the front, about STROKE_LENGTH m, all equally deep.
-
-        Parameters
-        ----------
-        depth : float, m
-            The depth.
-        """
+        """Return touches along the front, about STROKE_LENGTH m, all equally deep, m."""
         length = min(STROKE_LENGTH, 0.4 * self._length)
         line = np.linspace(-0.5, 0.5, STROKE_POINTS)[:, None] * length * self._along
         sideways = 0.1 * self._thinnest * np.cross(self._along, FRONT)
@@ -184,13 +145,7 @@ class Surface:
         return best
 
     def grasp(self, jaws: Jaws) -> Grasp:
-        """Return a grasp across the lower pole, which hangs free of an organ that is fixed along its back.
-
-        Parameters
-        ----------
-        jaws : Jaws
-            The jaws.
-        """
+        """Return a grasp across the lower pole, which hangs free of an organ that is fixed along its back."""
         try:
             return at_lower_pole(self._vertices, self._triangles, jaws, self.scale)
         except ValueError as error:

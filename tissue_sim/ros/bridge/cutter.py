@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -22,18 +23,8 @@ from tissue_sim.ros.shared.qos import RELIABLE
 class Cutter:
     """What cuts an organ of a running node.
 
-    Parameters
-    ----------
-    node : Node
-        The client's node.
-    target : str
-        Name of the other node.
-    below : str
-        What comes before the topics of the organ.
-    longest : float, s
-        Longest wait for each answer.
-    stop : client.Stop
-        Tells whether a signal has come.
+    node: the client's node; target: name of the other node; below: what comes before the topics of the organ; longest:
+    longest wait for each answer, s.
     """
 
     def __init__(self, node: Node, target: str, below: str, longest: float, stop: client.Stop) -> None:
@@ -49,21 +40,8 @@ class Cutter:
     def cut(self, polyline: Floats, direction: Floats, depth: float, frame_id: str) -> float:
         """Cut; return the depth that the node reports, m.
 
-        Parameters
-        ----------
-        polyline : Floats, shape (m, 3), m
-            Where the blade begins.
-        direction : Floats, shape (3,)
-            Unit direction of the blade.
-        depth : float, m
-            How far it is moved.
-        frame_id : str
-            Frame of both.
-
-        Raises
-        ------
-        UserError
-            Where the node doesn't answer, or refuses the cut.
+        polyline (m, 3) m: where the blade begins; direction (3,): unit direction of the blade; depth: how far it is
+        moved, m; frame_id: frame of both. Raises UserError where the node doesn't answer, or refuses the cut.
         """
         value = Parameter(name="cut_depth")
         value.value.type, value.value.double_value = ParameterType.PARAMETER_DOUBLE, depth
@@ -103,8 +81,8 @@ class Cutter:
 
         return self._wait(answer, name)
 
-    def _wait(self, ask: Any, name: str) -> Any:
+    def _wait[Answer](self, ask: Callable[[], Answer | None], name: str) -> Answer:
         found = client.wait_until(ask, self._longest, self._stop)
-        if found in (None, False):
+        if found is None or found is False:
             raise UserError(f"no answer from {self._below}{name} within {self._longest:g} s; choose --wait longer")
         return found

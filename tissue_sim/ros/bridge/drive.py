@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.bridge.served import served_by, write_missing
 from tissue_sim.ros.shared import client
 
@@ -141,7 +141,7 @@ def result_line(learned: Learned, goal: Goal, done: Done, step: float) -> str:
     return f"{learned.task}: {met}: {force:.3f} N{wanted}, {beside:.1f} mm beside the place, {after}"
 
 
-def link_of(values: Mapping[str, Any], args: argparse.Namespace, task: Task) -> ToolLink:
+def link_of(values: JsonObject, args: argparse.Namespace, task: Task) -> ToolLink:
     """Return the link of the tool that is chosen. Raises UserError where the node has none, or another than learned."""
     from tissue_sim.ros.bridge.driven_tool import check_tool
     from tissue_sim.ros.shared.tool_link import ToolLink

@@ -57,18 +57,8 @@ class Done(NamedTuple):
 class DrivenTool:
     """A tool, its wrench in the organ's frame, and the surface.
 
-    Parameters
-    ----------
-    node : Node
-        The client's node.
-    target : str
-        Name of the other node.
-    link : ToolLink
-        The tool.
-    below : str
-        What comes before the topics of the organ.
-    rest : tuple[Floats, Floats], shapes (n, 3) m and (n, 3)
-        Points of its surface at rest, and their normals.
+    node: the client's node; target: name of the other node; below: what comes before the topics of the organ; rest:
+    points of its surface at rest, and their normals, shapes (n, 3) m and (n, 3).
     """
 
     def __init__(self, node: Node, target: str, link: ToolLink, below: str, rest: tuple[Floats, Floats]) -> None:
@@ -96,18 +86,7 @@ class DrivenTool:
     def drive(self, learned: Learned, goal: Goal, start: Floats, steps: int, stop: client.Stop) -> Done:
         """Let an agent move the tool, until its goal is met as in its environment, or for so many steps.
 
-        Parameters
-        ----------
-        learned : Learned
-            The agent.
-        goal : Goal
-            What it is to do.
-        start : Floats, shape (3,), m
-            Where the tool is.
-        steps : int
-            Steps of 20 ms at most.
-        stop : client.Stop
-            Tells whether a signal has come.
+        learned: the agent; goal: what it is to do; start (3,) m: where the tool is; steps: steps of 20 ms at most.
         """
         task, tip, held, met, late, count = task_of(learned.task), start, 0, 0, 0, 0
         way = BladeWay(Line(goal.place, goal.half, goal.outward, goal.wanted)) if task.has_blade else None

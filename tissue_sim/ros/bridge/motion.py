@@ -46,12 +46,7 @@ class Ball(NamedTuple):
     def leave(self, start: Floats, way: Floats) -> Floats:
         """Return where a line leaves the ball; the start itself when that is outside already.
 
-        Parameters
-        ----------
-        start : Floats, shape (3,), m
-            Start of the line.
-        way : Floats, shape (3,)
-            Its direction, of length 1.
+        start (3,) m: start of the line; way (3,): its direction, of length 1.
         """
         offset = start - self.centre
         b, c = float(offset @ way), float(offset @ offset) - self.radius**2
@@ -60,12 +55,7 @@ class Ball(NamedTuple):
     def arc(self, start: Floats, end: Floats) -> Floats:
         """Return points (k, 3) m around the centre, the short way, between points at the same distance from it.
 
-        Parameters
-        ----------
-        start : Floats, shape (3,), m
-            First point.
-        end : Floats, shape (3,), m
-            Last point.
+        start (3,) m: first point; end (3,) m: last point.
         """
         turn = Rotation.align_vectors([end - self.centre], [start - self.centre])[0].as_rotvec()
         steps = Rotation.from_rotvec(np.linspace(0.0, 1.0, ARC_POINTS)[:, None] * turn)
@@ -137,16 +127,8 @@ class Path:
     def standing(cls, poses: Floats, rate: float, ball: Ball, reach: float) -> Path:
         """Return a path of one pose of each tool, with closed jaws.
 
-        Parameters
-        ----------
-        poses : Floats, shape (T, 7), m and quaternion xyzw
-            The poses.
-        rate : float, Hz
-            Poses per second.
-        ball : Ball
-            Ball around organ and tools.
-        reach : float, m
-            Distance from the hinge of jaws to their tips.
+        poses (T, 7) m and quaternion xyzw; rate: poses per second, Hz; ball: ball around organ and tools; reach:
+        distance from the hinge of jaws to their tips, m.
         """
         none = np.zeros((1, len(poses), 3))
         return cls(rate, ball, reach, np.array(["pause"]), poses[None], none[:, :, 0], none)
@@ -157,13 +139,7 @@ class Path:
         return len(self.poses) / self.rate
 
     def then(self, leg: Leg) -> Path:
-        """Return this path with one more leg.
-
-        Parameters
-        ----------
-        leg : Leg
-            The leg.
-        """
+        """Return this path with one more leg."""
         before, shut = self.poses[-1], self.angles[-1]
         ways = [np.vstack([pose[:3], leg.to.get(tool, pose[:3])]) for tool, pose in enumerate(before)]
         along = [np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))) for way in ways]
@@ -193,10 +169,7 @@ class Path:
     def retreat(self, index: int) -> Path:
         """Return a path from one of the poses straight out; jaws open first, or they would take along what they hold.
 
-        Parameters
-        ----------
-        index : int
-            Index of the pose.
+        index: index of the pose.
         """
         here = {name: getattr(self, name)[index : index + 1] for name in ("phases", "poses", "angles", "outward")}
         inside = {tool: way for tool, way in enumerate(self.outward[index]) if way.any()}

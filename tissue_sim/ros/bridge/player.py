@@ -6,7 +6,6 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from shape_msgs.msg import Mesh
@@ -14,6 +13,7 @@ from shape_msgs.msg import Mesh
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.gripper import Jaws
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.bridge.motion import Path
 from tissue_sim.ros.bridge.script import SCRIPT, check
 from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
@@ -28,20 +28,11 @@ LOOK_AGAIN = 1.0  # s between checks for another organ, or another bridge
 Cast = tuple[list[ToolLink], tuple[str, ...], dict[str, Jaws], float]
 
 
-def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
+def cast(values: JsonObject, args: argparse.Namespace) -> Cast:
     """Choose the tools and the script by a node's parameters; a node without them counts as one with the defaults.
 
-    Parameters
-    ----------
-    values : Mapping[str, Any]
-        Parameters of the node.
-    args : argparse.Namespace
-        Arguments of the command.
-
-    Raises
-    ------
-    UserError
-        When the node lacks a tool, or a gripper to grip with.
+    values: parameters of the node; args: arguments of the command. Raises UserError when the node lacks a tool, or a
+    gripper to grip with.
     """
     there = tuple(values.get("tools", ()))
     for name in args.tools or ():
@@ -90,21 +81,8 @@ class Player:
 
         Then the tools leave the tissue.
 
-        Parameters
-        ----------
-        path : Path
-            The path.
-        stop : client.Stop
-            Tells whether a signal has come.
-        meshes : client.Inbox
-            Receives the node's mesh.
-        organ : Floats, shape (n, 3), m
-            Points of the present organ's surface.
-
-        Returns
-        -------
-        tuple[Floats, Longs] | None
-            the other organ's vertices and triangles, or None
+        meshes: receives the node's mesh; organ (n, 3) m: points of the present organ's surface. Returns the other
+        organ's vertices and triangles, or None.
         """
         poses, angles = path.poses, path.angles
         start, next_look, tick, found = time.monotonic(), time.monotonic() + LOOK_AGAIN, 0, None

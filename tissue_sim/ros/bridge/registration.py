@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.node_parameters import NodeParameters
 
@@ -21,7 +19,7 @@ class Registration:
         self._reports = client.NewestMessage(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
         self._count: str | None = None  # of the newest report, how often the organ was registered
 
-    def poll(self) -> Mapping[str, Any] | None:
+    def poll(self) -> JsonObject | None:
         """Return the node's parameters once they have been read again, else None. Doesn't wait."""
         status = client.physics_status(self._reports.take_all(), self._target)
         if status is not None and status.get("registrations") != self._count:

@@ -11,17 +11,8 @@ SCRIPT = ACTIONS[:3]  # these need no gripper
 def check(script: Sequence[str], tools: Sequence[str] | None) -> None:
     """Check that a script's actions are known and that there are enough tools for them.
 
-    Parameters
-    ----------
-    script : Sequence[str]
-        The actions.
-    tools : Sequence[str] | None
-        Names of the tools, if known.
-
-    Raises
-    ------
-    UserError
-        When one is unknown, or the tools are too few.
+    script: the actions; tools: names of the tools, if known. Raises UserError when one is unknown, or the tools are too
+    few.
     """
     for action in script:
         if action not in ACTIONS:

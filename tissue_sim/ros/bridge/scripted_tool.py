@@ -36,28 +36,12 @@ class ScriptedTool:
         self._writer = PoseWriter(link)
 
     def publish(self, stamp: int, pose: Floats) -> None:
-        """Send a pose in the organ's frame.
-
-        Parameters
-        ----------
-        stamp : int, ns
-            Its time.
-        pose : Floats, shape (7,), m and quaternion xyzw
-            The pose.
-        """
+        """Send a pose (7,) in the organ's frame, m and quaternion xyzw, of a time in ns."""
         self._publisher.publish(self._writer.message(stamp, pose.tolist()))
         self.sent += 1
 
     def open(self, stamp: int, angle: float) -> None:
-        """Send the angle between the jaws; nothing for a tool without jaws.
-
-        Parameters
-        ----------
-        stamp : int, ns
-            Its time.
-        angle : float, rad
-            The angle.
-        """
+        """Send the angle between the jaws, rad, of a time in ns; nothing for a tool without jaws."""
         if self._jaws is None:
             return
         self._joint.header.stamp.sec, self._joint.header.stamp.nanosec = divmod(stamp, 1_000_000_000)

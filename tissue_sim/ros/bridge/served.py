@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from tissue_sim import progress
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.shared import client
 from tissue_sim.unexpected_errors import write_error
 
@@ -21,30 +21,18 @@ if TYPE_CHECKING:
 class Served(NamedTuple):
     """What a node serves: its parameters' values, the prefix of the organ's topics, and the organ's meshes."""
 
-    values: Mapping[str, Any]
+    values: JsonObject
     prefix: str
     meshes: client.NewestMessage
     mesh: Mesh
 
 
 def served_by(node: Node, args: argparse.Namespace, parameters: NodeParameters, stop: client.Stop) -> Served | None:
-    """Return what the node serves; None after a signal, or after a line on the standard error when it doesn't answer.
+    """Return what the node serves; None after a line on the standard error, when a signal came or it doesn't answer.
 
-    Parameters
-    ----------
-    node : Node
-        The rclpy node that asks.
-    args : argparse.Namespace
-        Arguments `node`, `organ` and `wait` of the command, and `command`, its name.
-    parameters : NodeParameters
-        Parameters of the node.
-    stop : client.Stop
-        Whether a signal has come.
-
-    Raises
-    ------
-    UserError
-        For an organ that the node doesn't have.
+    node: the rclpy node that asks; args: arguments `node`, `organ` and `wait` of the command, and `command`, its name;
+    parameters: parameters of the node; stop: whether a signal has come. Raises UserError for an organ that the node
+    doesn't have.
     """
     from shape_msgs.msg import Mesh
 
@@ -64,14 +52,15 @@ def served_by(node: Node, args: argparse.Namespace, parameters: NodeParameters, 
 
 
 def write_missing(args: argparse.Namespace, what: str, stop: client.Stop) -> None:
-    """Write a line about what the node hasn't sent within --wait; none after a signal."""
+    """Write a line about what the node hasn't sent within --wait, or until a signal came."""
     if stop:
-        return
-    line = f"no {what} within {args.wait:g} s; start tissue_node, or name yours with --node"
+        line = f"stopped; there was no {what} so far"
+    else:
+        line = f"no {what} within {args.wait:g} s; start tissue_node, or name yours with --node"
     write_error(f"tissue_sim {args.command}: {line}\n")
 
 
-def _organ_of(values: Mapping[str, Any], args: argparse.Namespace) -> str:
+def _organ_of(values: JsonObject, args: argparse.Namespace) -> str:
     """Return the prefix of the organ's topics below the node's name: in a scene its name."""
     from tissue_sim.ros.shared.parameter_specs import ORGANS
 

@@ -34,23 +34,9 @@ def plan(
 
     The first tool strokes and pokes; a nip takes the first two; a grip the first that has jaws.
 
-    Parameters
-    ----------
-    surface : Surface
-        The surface, and the radius of the spheres.
-    tools : Sequence[str], optional
-        Names of the tools.
-    script : Sequence[str], optional
-        The actions.
-    grippers : Mapping[str, Jaws] | None, optional
-        Jaws by the tools' names.
-    rate : float, Hz, optional
-        Poses per second.
-
-    Raises
-    ------
-    UserError
-        When a tool is missing, or the organ has no place for an action.
+    surface: the surface, and the radius of the spheres; tools: names of the tools; script: the actions; grippers: jaws
+    by the tools' names; rate: poses per second, Hz. Raises UserError when a tool is missing, or the organ has no place
+    for an action.
     """
     check(script, tools)
     holders = [(index, grippers[tool]) for index, tool in enumerate(tools) if grippers and tool in grippers]

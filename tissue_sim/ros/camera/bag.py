@@ -53,14 +53,7 @@ class CameraBag:
     def keep(self, topic: str, stamp: int, message: bytes) -> None:
         """Write a message of one of the topics, until the disk is full.
 
-        Parameters
-        ----------
-        topic : str
-            The topic.
-        stamp : int, ns
-            The message's own time, which may go back.
-        message : bytes
-            Its bytes.
+        stamp: the message's own time, which may go back, ns; message: its bytes.
         """
         if self.problem:
             return

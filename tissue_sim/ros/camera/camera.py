@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -14,6 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from tissue_sim.array_types import Floats
+from tissue_sim.json_types import JsonObject
 from tissue_sim.rendering.offscreen import Offscreen
 from tissue_sim.rendering.pinhole import beside
 from tissue_sim.ros.camera.bag import CameraBag
@@ -38,18 +37,8 @@ SECOND = 1_000_000_000  # ns
 class Camera:
     """A camera beside the node `target`; `update` is called for each picture.
 
-    Parameters
-    ----------
-    node : Node
-        The rclpy node that subscribes and publishes.
-    target : str
-        Name of the node that is seen.
-    settings : CameraSettings
-        The camera.
-    viewpoint : Viewpoint
-        Where it is.
-    bag : tuple[Path, frozenset[str]] | None
-        Folder of a bag, and those of TOPICS that it holds, of each eye.
+    node: the rclpy node that subscribes and publishes; target: name of the node that is seen; settings: the camera;
+    viewpoint: where it is; bag: folder of a bag, and those of TOPICS that it holds, of each eye.
     """
 
     def __init__(
@@ -76,7 +65,7 @@ class Camera:
         self._organs = [SeenOrgan(node, self.drawn, target, "", FIRST_ORGAN)]
         self._tools = SeenTools(node, self.drawn, target)
         self._ligaments = SeenLigaments(node, self.drawn, target)
-        self._broadcast: Any = None
+        self._broadcast: TfBroadcast | None = None
         if tf_installed():
             from tissue_sim.ros.node.output.tf_broadcast import TfBroadcast
 
@@ -134,7 +123,7 @@ class Camera:
         self._tools.take()
         self._ligaments.take()
 
-    def _use(self, values: Mapping[str, Any]) -> None:
+    def _use(self, values: JsonObject) -> None:
         names = tuple(values.get(ORGANS, ())) or ("",)
         if names != tuple(one.name for one in self._organs):
             for one in self._organs:
@@ -155,7 +144,7 @@ class Camera:
         if self.bag is not None:
             self.bag.keep(self._pose_topic, stamp, raw)
         if self._broadcast is not None:
-            self._broadcast.move(stamp, {self._settings.frame_id: (self._frame_id, pose)})
+            self._broadcast.move(stamp, {self._settings.frame_id: (self._frame_id, pose.tolist())})
 
     def _report(self, now: float) -> None:
         """Ask for the parameters again where the organ was registered again; publish how the pictures go."""

@@ -106,10 +106,7 @@ def run(args: argparse.Namespace) -> int:
 def stand_back(nice: int | None) -> None:
     """Let other processes go first, before any thread is made, as each has its own priority.
 
-    Parameters
-    ----------
-    nice : int | None
-        Niceness, 0 to 19; None for what is behind all of these: it runs while the processor has nothing else to do.
+    nice: niceness, 0 to 19, None for what is behind all of these: it runs while the processor has nothing else to do.
     """
     if nice is None:
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
@@ -120,10 +117,7 @@ def stand_back(nice: int | None) -> None:
 def settings_of(args: argparse.Namespace) -> CameraSettings:
     """Return the camera that the arguments describe.
 
-    Raises
-    ------
-    UserError
-        When they don't fit together, or nothing can be drawn.
+    Raises UserError when they don't fit together, or nothing can be drawn.
     """
     try:
         from tissue_sim.rendering.offscreen import Light

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import struct
-from typing import Any
 
 import numpy as np
 from PIL import Image as Pillow
@@ -23,14 +22,7 @@ JPEG = "rgb8; jpeg compressed bgr8"  # as image_transport names colours that wer
 class ImageTemplate:
     """A sensor_msgs/Image of one size and encoding.
 
-    Parameters
-    ----------
-    frame_id : str
-        Its frame.
-    lens : Pinhole
-        The camera, for the size.
-    encoding : str
-        COLOUR, DEPTH or LABELS.
+    lens: the camera, for the size; encoding: COLOUR, DEPTH or LABELS.
     """
 
     def __init__(self, frame_id: str, lens: Pinhole, encoding: str) -> None:
@@ -42,17 +34,8 @@ class ImageTemplate:
     def message(self, stamp: int, pixels: Array) -> bytes:
         """Return the message.
 
-        Parameters
-        ----------
-        stamp : int, ns
-            Its time.
-        pixels : NDArray, shape (height, width) or (height, width, 3)
-            Its pixels, of the encoding's type.
-
-        Raises
-        ------
-        ValueError
-            For pixels of another size.
+        stamp: its time, ns; pixels (height, width) or (height, width, 3): its pixels, of the encoding's type. Raises
+        ValueError for pixels of another size.
         """
         octets = np.ascontiguousarray(pixels).view(np.uint8).data
         if octets.nbytes != self._size:
@@ -61,15 +44,7 @@ class ImageTemplate:
 
 
 class JpegTemplate:
-    """A sensor_msgs/CompressedImage of colours.
-
-    Parameters
-    ----------
-    frame_id : str
-        Its frame.
-    quality : int
-        Quality of the JPEG, 1 to 100.
-    """
+    """A sensor_msgs/CompressedImage of colours. quality: quality of the JPEG, 1 to 100."""
 
     def __init__(self, frame_id: str, quality: int) -> None:
         message = CompressedImage(format=JPEG)
@@ -86,14 +61,8 @@ class JpegTemplate:
 class InfoTemplate:
     """A sensor_msgs/CameraInfo.
 
-    Parameters
-    ----------
-    frame_id : str
-        Its frame; of a stereo pair that of the left camera.
-    lens : Pinhole
-        The camera.
-    baseline : float, m, optional
-        How far right of the left camera it is.
+    frame_id: its frame (of a stereo pair that of the left camera); lens: the camera; baseline: how far right of the
+    left camera it is, m.
     """
 
     def __init__(self, frame_id: str, lens: Pinhole, baseline: float = 0.0) -> None:
@@ -109,7 +78,7 @@ class InfoTemplate:
         return bytes(self._bytes)
 
 
-def _before_octets(message: Any) -> bytearray:
+def _before_octets(message: Image | CompressedImage) -> bytearray:
     """Return the bytes of a message up to the octets that end it, and to their number."""
     marked = b"\x5e\xed\xf0\x0d" * 4
     message.data = marked

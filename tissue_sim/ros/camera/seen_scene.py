@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -31,18 +30,8 @@ SILENT_AFTER = 3.0  # s without markers, after which the tools' poses are unknow
 class SeenOrgan:
     """An organ whose topics lie below a node's name, or below its own there.
 
-    Parameters
-    ----------
-    node : Node
-        The node that subscribes.
-    drawn : Offscreen
-        What draws it.
-    target : str
-        Name of the node that serves it.
-    name : str
-        Its name in a scene; empty for a single organ.
-    label : int
-        Its label in a segmentation.
+    node: the node that subscribes; drawn: what draws it; target: name of the node that serves it; name: its name in a
+    scene (empty for a single organ); label: its label in a segmentation.
     """
 
     def __init__(self, node: Node, drawn: Offscreen, target: str, name: str, label: int) -> None:
@@ -108,14 +97,7 @@ class SeenOrgan:
 class SeenLigaments:
     """The ligaments of a node's scene, as its markers show them.
 
-    Parameters
-    ----------
-    node : Node
-        The node that subscribes.
-    drawn : Offscreen
-        What draws them.
-    target : str
-        Name of the node that serves them.
+    node: the node that subscribes; drawn: what draws them; target: name of the node that serves them.
     """
 
     def __init__(self, node: Node, drawn: Offscreen, target: str) -> None:
@@ -144,21 +126,14 @@ class SeenLigaments:
 class SeenTools:
     """The tools of a node, as its markers show them.
 
-    Parameters
-    ----------
-    node : Node
-        The node that subscribes.
-    drawn : Offscreen
-        What draws them.
-    target : str
-        Name of the node that serves them.
+    node: the node that subscribes; drawn: what draws them; target: name of the node that serves them.
     """
 
     def __init__(self, node: Node, drawn: Offscreen, target: str) -> None:
         self._markers = client.NewestMessage(node, MarkerArray, f"/{target}/tools", client.stream_qos())
         self._drawn = drawn
         self._names: tuple[str, ...] = ()  # of the tools, in order
-        self._shapes: dict[str, tuple[Any, ...]] = {}  # of each body
+        self._shapes: dict[str, tuple[float, ...]] = {}  # of each body
         self._last_message = -np.inf
 
     def use(self, names: Sequence[str]) -> None:
@@ -207,13 +182,7 @@ class SeenTools:
 
 
 def screen(colour: Colour) -> tuple[float, float, float]:
-    """Return a colour of 0 to 255 as one of 0 to 1.
-
-    Parameters
-    ----------
-    colour : Colour
-        Red, green and blue.
-    """
+    """Return red, green and blue of 0 to 255 as a colour of 0 to 1."""
     red, green, blue = colour
     return red / 255.0, green / 255.0, blue / 255.0
 
@@ -221,10 +190,7 @@ def screen(colour: Colour) -> tuple[float, float, float]:
 def shape_of(marker: Marker) -> tuple[Floats, Longs] | None:
     """Return vertices (n, 3) m and triangles (t, 3) of a marker; None for one that is no body.
 
-    Parameters
-    ----------
-    marker : Marker
-        A sphere, a cylinder or a list of triangles.
+    marker: a sphere, a cylinder or a list of triangles.
     """
     if marker.type == Marker.SPHERE:
         return ball(0.5 * marker.scale.x)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
+from tissue_sim.array_types import Array
 from tissue_sim.rendering.offscreen import Picture
 from tissue_sim.ros.camera.image_messages import COLOUR, DEPTH, LABELS, ImageTemplate, InfoTemplate, JpegTemplate
 from tissue_sim.ros.camera.settings import CameraSettings
@@ -21,18 +21,8 @@ Keep = Callable[[str, int, bytes], None]  # takes a topic, a time, ns, and a mes
 class EyeTopics:
     """Publishers of one camera, which make only what is subscribed to or recorded.
 
-    Parameters
-    ----------
-    node : Node
-        The node that publishes.
-    settings : CameraSettings
-        Size, lens and names.
-    eye : str
-        left or right of a stereo pair; empty for a single camera.
-    recorded : frozenset[str]
-        Those of TOPICS that are recorded.
-    keep : Keep
-        Records a message.
+    node: the node that publishes; settings: size, lens and names; eye: left or right of a stereo pair (empty for a
+    single camera); recorded: those of TOPICS that are recorded; keep: records a message.
     """
 
     def __init__(self, node: Node, settings: CameraSettings, eye: str, recorded: frozenset[str], keep: Keep) -> None:
@@ -63,14 +53,14 @@ class EyeTopics:
             (DEPTH_TOPICS, picture.depth),
             (LABEL_TOPICS, picture.labels),
         ):
-            for topic in topics if pixels is not None else ():
-                if self._is_wanted(topic):
+            for topic in topics:
+                if pixels is not None and self._is_wanted(topic):
                     self._send(topic, stamp, pixels)
 
     def _is_wanted(self, topic: str) -> bool:
         return topic in self._recorded or self._publishers[topic].get_subscription_count() > 0
 
-    def _send(self, topic: str, stamp: int, pixels: Any) -> None:
+    def _send(self, topic: str, stamp: int, pixels: Array) -> None:
         if topic.endswith("camera_info"):
             raw = self._info.message(stamp)
         elif topic.endswith("compressed"):

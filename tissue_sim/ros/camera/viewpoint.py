@@ -34,10 +34,7 @@ class Viewpoint(Protocol):
     def pose(self, points: Floats) -> Floats | None:
         """Return the pose (7,), m and quaternion xyzw, in the organ's frame; None while it is unknown.
 
-        Parameters
-        ----------
-        points : Floats, shape (n, 3), m
-            Points of the organs at rest.
+        points (n, 3) m: points of the organs at rest.
         """
 
 
@@ -58,16 +55,7 @@ class Fixed:
 class FromTopic:
     """The newest pose of a topic, in the organ's frame, in `base_frame`, or in one that tf knows.
 
-    Parameters
-    ----------
-    node : Node
-        The node that subscribes.
-    topic : str
-        Topic of a PoseStamped.
-    axes : Transform
-        Of AXES.
-    warn : Callable[[str], object]
-        Takes a line about a pose that can't be used.
+    node: the node that subscribes; topic: topic of a PoseStamped; warn: takes a line about a pose that can't be used.
     """
 
     def __init__(self, node: Node, topic: str, axes: Transform, warn: Callable[[str], object]) -> None:
@@ -99,22 +87,7 @@ class FromTopic:
 
 
 class FromTf:
-    """The pose of a frame in tf.
-
-    Parameters
-    ----------
-    node : Node
-        The node that subscribes.
-    frame_id : str
-        The frame.
-    axes : Transform
-        Of AXES.
-
-    Raises
-    ------
-    UserError
-        Where tf2_ros is not installed.
-    """
+    """The pose of a frame in tf. node: the node that subscribes. Raises UserError where tf2_ros is not installed."""
 
     def __init__(self, node: Node, frame_id: str, axes: Transform) -> None:
         if not tf_installed():

@@ -10,7 +10,6 @@ from __future__ import annotations
 import threading
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
@@ -20,13 +19,14 @@ from tissue_sim.contact.pressed_points import warm_up
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.jit import is_compiled
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.organ.tool_resolution import mean_edge, unresolved_tools_of
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.folder_bound import Bound
-from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.bags.recorder import NOT_KEPT, Recorder
 from tissue_sim.ros.bags.writer import Split
 from tissue_sim.ros.node.contact.contact_search import ContactSearch, OrganContactSearch
 from tissue_sim.ros.node.contact.contact_worker import ContactWorker
@@ -72,10 +72,7 @@ BAG_PATIENCE = 0.4  # s for writing the bag's queue at the end; the rest of it i
 class TissueNode(GuardedNode):
     """The node: connects parameters, simulation, tools and topics.
 
-    Raises
-    ------
-    UserError
-        When a parameter or file can't be used.
+    Raises UserError when a parameter or file can't be used.
     """
 
     def __init__(self) -> None:
@@ -232,6 +229,8 @@ class TissueNode(GuardedNode):
         path = self.recorder.stop(BAG_PATIENCE)
         if path is not None and self.recorder.error:
             self.get_logger().error(self.recorder.error)
+        elif path is not None and not self.recorder.kept:
+            self.get_logger().warning(NOT_KEPT)
         elif path is not None:
             lost = f", without {self.recorder.lost} messages" if self.recorder.lost else ""
             self.get_logger().info(f"bag closed: {path}{lost}")
@@ -282,7 +281,7 @@ class TissueNode(GuardedNode):
     def _finder(self, organ: Organ, tools: ToolSet) -> ContactFinder:
         return ContactFinder(organ, tools)
 
-    def _config(self) -> dict[str, Any]:
+    def _config(self) -> JsonObject:
         scene = self.scene
         organs = [{"name": organ.name, "digest": organ.digest()} for organ in scene.organs]
         of_scene = {"scene": scene.title, "organs": dict(zip(scene.names, organs, strict=True))}
@@ -307,7 +306,8 @@ class TissueNode(GuardedNode):
             if request.data:
                 response.success, response.message = True, str(self._start_recording())
             else:
-                path, error = self.recorder.stop(), self.recorder.error
+                path = self.recorder.stop()
+                error = self.recorder.error or ("" if self.recorder.kept else NOT_KEPT)
                 response.success = path is not None and not error
                 response.message = error or (str(path) if path is not None else "nothing was being recorded")
         except UserError as error:

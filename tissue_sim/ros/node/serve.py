@@ -37,17 +37,7 @@ class LoopEnded(Exception):
 def serve(arguments: list[str], ending: ShutdownHandler) -> int:
     """Run the node until SIGINT or SIGTERM; to be called in the main thread.
 
-    Parameters
-    ----------
-    arguments : list[str]
-        The program's name, and behind it ROS's arguments.
-    ending : Ending
-        Tells when it is asked to end.
-
-    Returns
-    -------
-    int
-        the exit code
+    arguments: the program's name, and behind it ROS's arguments; ending: tells when it is asked to end.
     """
     asked = {"-h": usage, "--help": usage, "--version": lambda: f"{PROGRAM} {__version__}"}
     for answer in (asked[word] for word in arguments[1:] if word in asked):

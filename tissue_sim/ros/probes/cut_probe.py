@@ -55,14 +55,7 @@ class Window(NamedTuple):
 class CutProbe(Hand):
     """A hand that sends each pose when the last was answered, but no more than a rate; it calls the node's services.
 
-    Parameters
-    ----------
-    node : Node
-        The rclpy node that sends.
-    organ : Organ
-        The node's organ.
-    rate : float, Hz
-        Poses per second, at most.
+    organ: the node's organ; rate: poses per second, at most, Hz.
     """
 
     def __init__(self, node: Node, organ: Organ, rate: float) -> None:
@@ -81,53 +74,27 @@ class CutProbe(Hand):
         self._executor.add_node(node)
 
     def meet(self) -> None:
-        """Wait until the node hears the hand.
-
-        Raises
-        ------
-        UserError
-            When it doesn't.
-        """
+        """Wait until the node hears the hand. Raises UserError when it doesn't."""
         super().meet()
         first_within(self._path.get_subscription_count, START_TIME, "the node was not found over DDS")
         for name, service in self._services.items():
             first_within(service.service_is_ready, START_TIME, f"the node's service {name} was not found over DDS")
 
     def press(self, place: CutPlace) -> None:
-        """Reset the organ, which heals it, and press beside where it will be cut.
-
-        Parameters
-        ----------
-        place : CutPlace
-            The cut.
-        """
+        """Reset the organ, which heals it, and press beside where it will be cut."""
         self._call("reset", Trigger.Request())
         self._touch, self._way = place.touch - RADIUS * place.inward, place.inward
         for depth in np.linspace(-FROM, DEPTH, 400):
             self._delay(float(depth))
 
     def hold(self, seconds: float) -> Window:
-        """Press for some time.
-
-        Parameters
-        ----------
-        seconds : float, s
-            That time.
-        """
+        """Press for some time, s."""
         return self._window(seconds, None)
 
     def cut(self, place: CutPlace) -> Window:
         """Press from a while before the service is called until a while after its answer.
 
-        Parameters
-        ----------
-        place : CutPlace
-            The cut.
-
-        Raises
-        ------
-        UserError
-            When the node doesn't cut.
+        Raises UserError when the node doesn't cut.
         """
         value = Parameter(name="cut_depth")
         value.value.type, value.value.double_value = ParameterType.PARAMETER_DOUBLE, place.depth

@@ -8,12 +8,15 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
 from tissue_sim.ros.shared.children import Child
 from tissue_sim.ros.shared.domains import claim_domain
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
 NODE = "tissue_sim"
 START_TIME = 240.0  # s for the node to start, with kernels to compile
@@ -28,19 +31,8 @@ def check_rclpy() -> None:
 def first_within[Found](find: Callable[[], Found], seconds: float, problem: str) -> Found:
     """Return the first answer that is true.
 
-    Parameters
-    ----------
-    find : Callable[[], Found]
-        Gives an answer.
-    seconds : float, s
-        Time for it.
-    problem : str
-        What is wrong without one.
-
-    Raises
-    ------
-    UserError
-        When there is none in time.
+    find: gives an answer; seconds: time for it, s; problem: what is wrong without one. Raises UserError when there is
+    none in time.
     """
     end = time.monotonic() + seconds
     while not (found := find()):
@@ -55,15 +47,7 @@ class Graph(ExitStack):
 
     The children end with it.
 
-    Parameters
-    ----------
-    reach : str, optional
-        Range of discovery, LOCALHOST or SUBNET.
-
-    Raises
-    ------
-    UserError
-        When rclpy is not installed or no domain is free.
+    reach: range of discovery, LOCALHOST or SUBNET. Raises UserError when rclpy is not installed or no domain is free.
     """
 
     def __init__(self, reach: str = "LOCALHOST") -> None:
@@ -86,30 +70,14 @@ class Graph(ExitStack):
     ) -> Child:
         """Start a module of tissue_sim.ros as a program.
 
-        Parameters
-        ----------
-        module : str
-            Its name below tissue_sim.ros.
-        within : Sequence[str], optional
-            The command, if any, that runs it.
-        environment : Mapping[str, str] | None, optional
-            Its environment variables.
-        words : str
-            Its arguments.
+        module: its name below tissue_sim.ros; within: the command, if any, that runs it; environment: its environment
+        variables.
         """
         command = [*within, sys.executable, "-m", f"tissue_sim.ros.{module}", *words]
         return self._begin(module.rpartition(".")[2], command, environment)
 
     def start_command(self, name: str, *words: str) -> Child:
-        """Start a command of tissue_sim.
-
-        Parameters
-        ----------
-        name : str
-            The command.
-        words : str
-            Its arguments.
-        """
+        """Start a command of tissue_sim."""
         return self._begin(name, [sys.executable, "-m", "tissue_sim", name, *words])
 
     def _begin(self, name: str, command: Sequence[str], environment: Mapping[str, str] | None = None) -> Child:
@@ -126,50 +94,29 @@ class Graph(ExitStack):
     ) -> Child:
         """Start the node with an organ and parameters like `rate:=500.0`.
 
-        Parameters
-        ----------
-        organ_file : str
-            File of the organ.
-        within : Sequence[str], optional
-            The command, if any, that runs it.
-        environment : Mapping[str, str] | None, optional
-            Its environment variables.
-        parameters : str
-            The parameters.
+        within: the command, if any, that runs it; environment: its environment variables.
         """
         return self.serve(f"organ_file:={organ_file}", *parameters, within=within, environment=environment)
+
+    def client(self, name: str) -> Node:
+        """Return an rclpy node of this process, of that name, in the namespace of the node."""
+        from tissue_sim.ros.shared.client import client_node
+
+        return self.enter_context(client_node(name, NODE))
 
     def serve(
         self, *parameters: str, within: Sequence[str] = (), environment: Mapping[str, str] | None = None
     ) -> Child:
         """Start the node with parameters, of which one names its organ or scene.
 
-        Parameters
-        ----------
-        within : Sequence[str], optional
-            The command, if any, that runs it.
-        environment : Mapping[str, str] | None, optional
-            Its environment variables.
-        parameters : str
-            The parameters.
+        within: the command, if any, that runs it; environment: its environment variables.
         """
         words = [word for parameter in parameters for word in ("-p", parameter)]
         return self.start("node.program", "--ros-args", *words, within=within, environment=environment)
 
 
 def ticks(node: Child) -> None:
-    """Return when the node has done its first tick.
-
-    Parameters
-    ----------
-    node : Child
-        The node.
-
-    Raises
-    ------
-    UserError
-        When it ends, or has not for START_TIME.
-    """
+    """Return when the node has done its first tick. Raises UserError when it ends, or has not for START_TIME."""
 
     def tells() -> bool:
         if node.exit_code is not None:
@@ -180,18 +127,7 @@ def ticks(node: Child) -> None:
 
 
 def last_line(child: Child) -> str:
-    """Return the last line that a process has printed, when it has ended.
-
-    Parameters
-    ----------
-    child : Child
-        The process.
-
-    Raises
-    ------
-    UserError
-        When it failed.
-    """
+    """Return the last line that a process has printed, when it has ended. Raises UserError when it failed."""
     first_within(lambda: child.exit_code is not None, START_TIME, f"the {child.name} did not end")
     words = child.last_words()
     if child.exit_code:

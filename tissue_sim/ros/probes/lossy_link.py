@@ -48,22 +48,8 @@ def run(*words: str) -> None:
 def lossy_link(loss: float, delay: float) -> Iterator[tuple[str, str]]:
     """Join two namespaces by a link that loses and delays frames, each way.
 
-    Parameters
-    ----------
-    loss : float
-        Fraction of the frames that are lost.
-    delay : float, s
-        Delay of the others.
-
-    Yields
-    ------
-    Iterator[tuple[str, str]]
-        names of the two namespaces
-
-    Raises
-    ------
-    Unavailable
-        When there can't be one on this machine.
+    loss: fraction of the frames that are lost; delay: delay of the others, s. Yields names of the two namespaces.
+    Raises Unavailable when there can't be one on this machine.
     """
     tag = f"tissue{os.getpid()}"
     sides, middle = (f"{tag}a", f"{tag}b"), f"{tag}m"
@@ -116,13 +102,7 @@ def lossy_link(loss: float, delay: float) -> Iterator[tuple[str, str]]:
 
 @contextmanager
 def inside(namespace: str) -> Iterator[None]:
-    """Move this thread, and what it starts meanwhile, to a network namespace.
-
-    Parameters
-    ----------
-    namespace : str
-        Its name.
-    """
+    """Move this thread, and what it starts meanwhile, to a network namespace. namespace: its name."""
     with open("/proc/thread-self/ns/net") as own, open(f"/run/netns/{namespace}") as other:
         os.setns(other.fileno(), os.CLONE_NEWNET)
         try:

@@ -56,18 +56,7 @@ def depth_after(seconds: float) -> float:
 class PokeProbe(Hand):
     """A hand that pokes; like a haptic bridge it sends the present pose, and none for a moment that it missed.
 
-    Parameters
-    ----------
-    node : Node
-        The rclpy node that sends.
-    target : str
-        Name of the node that is poked.
-    organ : Organ
-        Its organ.
-    rate : float, Hz, optional
-        Poses per second.
-    priority : int, optional
-        Real-time priority of the hand.
+    target: name of the node that is poked; rate: poses per second, Hz; priority: real-time priority of the hand.
     """
 
     def __init__(self, node: Node, target: str, organ: Organ, *, rate: float = 1000.0, priority: int = 0) -> None:
@@ -79,17 +68,7 @@ class PokeProbe(Hand):
     def poke(self, seconds: float, watch: Callable[[], object] = lambda: None) -> PokeFigures:
         """Poke for some time, SHORTEST at least.
 
-        Parameters
-        ----------
-        seconds : float, s
-            That time.
-        watch : Callable[[], object], optional
-            Called after each poke.
-
-        Raises
-        ------
-        UserError
-            When the node sends no report meanwhile.
+        seconds: that time, s; watch: called after each poke. Raises UserError when the node sends no report meanwhile.
         """
         self._wrenches.take()
         self._reports.take_all()
@@ -101,17 +80,7 @@ class PokeProbe(Hand):
     def poke_until_whole(self, seconds: float, watch: Callable[[], object] = lambda: None) -> float:
         """Poke until the node gives nothing up, but not much longer than a limit.
 
-        Parameters
-        ----------
-        seconds : float, s
-            The limit.
-        watch : Callable[[], object], optional
-            Called after each poke.
-
-        Returns
-        -------
-        float
-            how long that took, s
+        seconds: the limit, s; watch: called after each poke. Returns how long that took, s.
         """
         began = time.monotonic()
         while (took := time.monotonic() - began) < seconds:
@@ -148,15 +117,7 @@ class PokeProbe(Hand):
 
 
 def node_report_of(stamp: Time, values: Mapping[str, str]) -> NodeReport:
-    """Return a report of the node's physics.
-
-    Parameters
-    ----------
-    stamp : Time
-        Its stamp.
-    values : Mapping[str, str]
-        Its values.
-    """
+    """Return a report of the node's physics."""
     return NodeReport(
         stamp.sec + 1e-9 * stamp.nanosec,
         int(values["tick"]),

@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
+from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -42,6 +42,8 @@ class PressProbe(Hand):
         self._reset = node.create_client(Trigger, f"{target}/reset")
         self._last, self._rate = np.zeros(7), 1.0  # pose of the end of the last press, and its rate, Hz
         self.gap = 0.0  # s, longest between two poses of the last press: the machine's delay of the hand
+        self.state = ""  # of the tool, when the node reported it last
+        self._since = 0  # ns, from which wrenches count
         self._executor = make_executor()
         self._executor.add_node(node)
 
@@ -55,11 +57,15 @@ class PressProbe(Hand):
 
         The first pose is repeated until the node has answered it. Raises UserError when it doesn't.
         """
-        self.reset()
-        self._wrenches.take_all()
-        self._answers.clear()
-        self._angles.publish(JointState(name=["jaw"], position=[0.0]))
         each = list(poses)
+        # A pose inside that arrives after the reset would begin the tool's new life there, and it would be held off.
+        for _ in range(ANSWERED):
+            self.send_pose(each[0])
+            time.sleep(1.0 / rate)
+        self.reset()
+        self._answers.clear()
+        self._since = time.time_ns()  # on a busy machine, wrenches of the press before may still be under way
+        self._angles.publish(JointState(name=["jaw"], position=[0.0]))
 
         def is_answered() -> bool:
             self._send_and_feel(each[0])
@@ -92,6 +98,7 @@ class PressProbe(Hand):
             values = client.physics_status(self._reports.take_all(), self._target)
             if values is not None:
                 done.append(int(values["tick"]))
+                self.state = values.get("left.state", "")
             return len(done) > 0 and done[-1] >= done[0] + ticks
 
         first_within(is_over, START_TIME, f"the loop did not do {ticks} ticks")
@@ -101,7 +108,7 @@ class PressProbe(Hand):
         """Send a pose (7,), and note the newest wrench that came."""
         self.send_pose(pose)
         message = self._wrenches.take()
-        if message is not None:
+        if message is not None and Time.from_msg(message.header.stamp).nanoseconds >= self._since:
             force = message.wrench.force
             self._answers.append((time.monotonic(), np.array([force.x, force.y, force.z])))
 
@@ -131,29 +138,11 @@ def force_in_the_end(answers: Sequence[tuple[float, Floats]]) -> Floats:
 def pressing(organ_file: str, organ: Organ, parameters: Sequence[str]) -> Iterator[PressProbe]:
     """Start a node with an organ of a file and parameters, and a hand at it.
 
-    Parameters
-    ----------
-    organ_file : str
-        The file.
-    organ : Organ
-        The same organ.
-    parameters : Sequence[str]
-        Parameters of the node.
-
-    Yields
-    ------
-    Iterator[Presser]
-        the hand
-
-    Raises
-    ------
-    UserError
-        When the node doesn't start.
+    organ: the same organ; parameters: parameters of the node. Raises UserError when the node doesn't start.
     """
     with Graph() as graph:
         served = graph.start_node(organ_file, *parameters)
         ticks(served)
-        own: Any = graph.enter_context(client.client_node("presser", NODE))
-        presser = PressProbe(own, NODE, organ)
+        presser = PressProbe(graph.client("presser"), NODE, organ)
         presser.meet()
         yield presser

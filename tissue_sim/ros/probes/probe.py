@@ -44,13 +44,7 @@ class Trip(NamedTuple):
 
 
 def together(trips: list[Trip]) -> Trip:
-    """Return the trips of all turns as one.
-
-    Parameters
-    ----------
-    trips : list[Trip]
-        The trips of each turn.
-    """
+    """Return the trips of all turns as one."""
     return Trip(np.concatenate([trip.seconds for trip in trips]), sum(trip.lost for trip in trips))
 
 
@@ -79,16 +73,7 @@ def swinging(seconds: float) -> float:
 class Probe(Hand):
     """A hand that sends each pose when the last was answered, and measures the times; to the node or to the echo.
 
-    Parameters
-    ----------
-    node : Node
-        The rclpy node that sends.
-    target : str
-        Name of the node that is measured.
-    organ : Organ
-        Its organ.
-    rate : float, Hz
-        Poses per second.
+    target: name of the node that is measured; rate: poses per second, Hz.
     """
 
     def __init__(self, node: Node, target: str, organ: Organ, rate: float) -> None:
@@ -107,25 +92,14 @@ class Probe(Hand):
         self._executor.add_node(node)
 
     def meet(self) -> None:
-        """Wait until everybody hears everybody.
-
-        Raises
-        ------
-        UserError
-            When they don't.
-        """
+        """Wait until everybody hears everybody. Raises UserError when they don't."""
         super().meet()
         first_within(self._to_echo.get_subscription_count, 20.0, "the echo was not found over DDS")
 
     def changes(self, seconds: float, rate: float) -> Trip:
         """Measure from a pose to the first wrench that was computed with it, by steps in contact.
 
-        Parameters
-        ----------
-        seconds : float, s
-            Duration.
-        rate : float, Hz
-            Poses per second.
+        seconds: duration, s; rate: poses per second, Hz.
         """
         took, lost, before, after = [], 0, DEPTH, DEPTH + STEP
         end = time.monotonic() + seconds
@@ -156,22 +130,14 @@ class Probe(Hand):
     def echoes(self, seconds: float, rate: float) -> Trip:
         """Measure from a pose to the same bytes from the echo; the node gets no poses, and its force fades.
 
-        Parameters
-        ----------
-        seconds : float, s
-            Duration.
-        rate : float, Hz
-            Poses per second.
+        seconds: duration, s; rate: poses per second, Hz.
         """
         return self._exchange(self._to_echo, seconds, 1.0 / rate, swinging)
 
     def wakes(self, seconds: float) -> tuple[Trip, Trip]:
         """Measure from pose to wrench and from pose to echo after a pause in which the node, at rest, has begun to nap.
 
-        Parameters
-        ----------
-        seconds : float, s
-            Duration of each.
+        seconds: duration of each, s.
         """
         self.send(FAR)
         self._spin(SETTLING)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,15 +38,7 @@ def resident(process: int) -> tuple[float, float]:
 
     Mapped files, such as libraries, count for neither.
 
-    Parameters
-    ----------
-    process : int
-        Number of the process.
-
-    Raises
-    ------
-    UserError
-        When it has ended.
+    process: number of the process. Raises UserError when it has ended.
     """
     try:
         lines = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace").splitlines()
@@ -60,14 +52,7 @@ def resident(process: int) -> tuple[float, float]:
 class Watch:
     """Observer of a node from a rclpy node of this process that nothing spins.
 
-    Parameters
-    ----------
-    node : Node
-        That rclpy node.
-    target : str
-        Name of the monitored node.
-    process : int
-        Number of its process.
+    node: that rclpy node; target: name of the monitored node; process: number of its process.
     """
 
     def __init__(self, node: Node, target: str, process: int) -> None:
@@ -98,13 +83,7 @@ class Watch:
         return bool(reports)
 
     def sample(self) -> Sample:
-        """Take a sample of the node.
-
-        Raises
-        ------
-        UserError
-            When it has ended or sends no report.
-        """
+        """Take a sample of the node. Raises UserError when it has ended or sends no report."""
         self.hear()
         memory = resident(self._process)
         first_within(lambda: self.values or (self.hear() and self.values), PATIENCE, "the node sent no diagnostics")
@@ -128,18 +107,7 @@ class Watch:
         return {name: count for name, count in counts.items() if count}
 
     def at_rest(self) -> NDArray[np.float32]:
-        """Return the surface once the organ sleeps.
-
-        Returns
-        -------
-        NDArray[np.float32]
-            shape (n, 3), m
-
-        Raises
-        ------
-        UserError
-            When it does not come to rest.
-        """
+        """Return the surface once the organ sleeps, (n, 3) m. Raises UserError when it does not come to rest."""
         self.values = {}
         first_within(
             lambda: self.hear() and self.values.get("region") == "asleep", PATIENCE, "the organ did not come to rest"
@@ -148,31 +116,20 @@ class Watch:
         return self.surface()
 
     def surface(self) -> NDArray[np.float32]:
-        """Return the next surface.
-
-        Returns
-        -------
-        NDArray[np.float32]
-            shape (n, 3), m
-
-        Raises
-        ------
-        UserError
-            When none comes.
-        """
+        """Return the next surface, (n, 3) m. Raises UserError when none comes."""
         from tissue_sim.ros.shared import client
 
-        found: Any = first_within(self._surfaces.take, PATIENCE, "the node sent no surface")
-        return client.cloud_array(found)[:, :3]
+        return client.cloud_array(first_within(self._surfaces.take, PATIENCE, "the node sent no surface"))[:, :3]
+
+    def force_clamp(self) -> float:
+        """Return the largest force, N, that the node may publish. Raises UserError when it does not answer."""
+        from tissue_sim.ros.shared.node_parameters import NodeParameters
+
+        values = first_within(NodeParameters(self._node, self._target).poll, PATIENCE, "the node sent no parameters")
+        return float((values or {})["force_clamp"])
 
     def close_bag(self) -> Path:
-        """End the recording; return the bag's folder.
-
-        Raises
-        ------
-        UserError
-            When the node does not, or can't.
-        """
+        """End the recording; return the bag's folder. Raises UserError when the node does not, or can't."""
         import rclpy
         from std_srvs.srv import SetBool
 

@@ -37,13 +37,7 @@ class Hand:
         self._touch: Floats = points[np.argmax(points[:, 0])] - RADIUS * self._way
 
     def meet(self) -> None:
-        """Wait until the node hears the hand.
-
-        Raises
-        ------
-        UserError
-            When it doesn't.
-        """
+        """Wait until the node hears the hand. Raises UserError when it doesn't."""
         first_within(self._to_node.get_subscription_count, 20.0, "the node was not found over DDS")
 
     def approach(self) -> None:
@@ -53,13 +47,7 @@ class Hand:
             time.sleep(self._period)
 
     def wait_for_answer(self) -> None:
-        """Send poses far from the organ until the first is answered.
-
-        Raises
-        ------
-        UserError
-            When none is.
-        """
+        """Send poses far from the organ until the first is answered. Raises UserError when none is."""
         answers = client.NewestMessage(self._node, WrenchStamped, "left/servo_cf", client.stream_qos(), raw=True)
 
         def answered() -> bool:
@@ -70,27 +58,11 @@ class Hand:
         answers.close()
 
     def send(self, depth: float, publisher: Publisher | None = None) -> None:
-        """Send a pose at a depth in the organ; to the node, or by another publisher.
-
-        Parameters
-        ----------
-        depth : float, m
-            The depth.
-        publisher : Publisher | None, optional
-            The other publisher.
-        """
+        """Send a pose at a depth in the organ, m; to the node, or by another publisher."""
         self.send_pose(np.concatenate([self._touch + depth * self._way, UNTURNED]), publisher)
 
     def send_pose(self, pose: Floats, publisher: Publisher | None = None) -> None:
-        """Send a pose; to the node, or by another publisher.
-
-        Parameters
-        ----------
-        pose : Floats, shape (7,), m and a unit quaternion xyzw
-            The pose.
-        publisher : Publisher | None, optional
-            The other publisher.
-        """
+        """Send a pose (7,), m and a unit quaternion xyzw, to the node, or by another publisher."""
         message = self._message
         position, turn = message.pose.position, message.pose.orientation
         position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w = pose.tolist()

@@ -56,13 +56,7 @@ class Viewer:
             inbox.close()
 
     def look(self, seconds: float) -> None:
-        """Take messages for some time, counted from zero.
-
-        Parameters
-        ----------
-        seconds : float, s
-            That time.
-        """
+        """Take messages for some time, s, counted from zero."""
         self.count = dict.fromkeys(self._inboxes, 0)
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -72,15 +66,7 @@ class Viewer:
     def wait(self) -> float:
         """Wait until a message of every topic has come.
 
-        Returns
-        -------
-        float
-            how long that took, s
-
-        Raises
-        ------
-        UserError
-            When one doesn't come within 40 s.
+        Returns how long that took, s. Raises UserError when one doesn't come within 40 s.
         """
         began = time.monotonic()
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.probes.graph import START_TIME, first_within
 from tissue_sim.unexpected_errors import catch_all
 
@@ -43,7 +44,7 @@ def pictures(message: bytes) -> Iterator[str]:
             yield one["name"].rpartition("/")[0]
 
 
-def watch(address: str, seconds: float) -> dict[str, Any]:
+def watch(address: str, seconds: float) -> JsonObject:
     """Return when pictures come, monotonic s, by organ, and how many bytes, for some s from when it began.
 
     address: of the page, as the viewer prints it.

@@ -18,14 +18,7 @@ SECONDS_TO_TERMINATE = 2.0
 class Child:
     """A program that runs beside this one, in a session of its own: Ctrl-C in the terminal reaches only the parent.
 
-    Parameters
-    ----------
-    name : str
-        Its name for messages.
-    command : Sequence[str]
-        Its command line.
-    environment : Mapping[str, str]
-        Its environment variables.
+    name: its name for messages; command: its command line; environment: its environment variables.
     """
 
     def __init__(self, name: str, command: Sequence[str], environment: Mapping[str, str]) -> None:
@@ -91,22 +84,13 @@ class Child:
 
 
 def stop_all(children: Sequence[Child]) -> list[str]:
-    """Stop children one after the other; return the names of those that had to be killed.
-
-    Parameters
-    ----------
-    children : Sequence[Child]
-        The children.
-    """
+    """Stop children one after the other; return the names of those that had to be killed."""
     return [child.name for child in children if not child.stop()]
 
 
 def wait_a_little(deadline: float) -> None:
     """Sleep until a deadline, but only for a short time, so that signals are noticed.
 
-    Parameters
-    ----------
-    deadline : float, s
-        The deadline, monotonic.
+    deadline: the deadline, monotonic, s.
     """
     time.sleep(max(0.0, min(0.05, deadline - time.monotonic())))

@@ -27,17 +27,7 @@ WANTED = "expected letters, digits and _, not beginning with a digit"
 
 # arguments -------------------------------------------------------------------------------------
 def number(low: float, high: float, unit: str) -> Callable[[str], float]:
-    """Return an argparse type: a number within bounds.
-
-    Parameters
-    ----------
-    low : float
-        Lower bound.
-    high : float
-        Upper bound.
-    unit : str
-        Unit for messages.
-    """
+    """Return an argparse type: a number from `low` to `high`; the unit is for messages."""
 
     def convert(text: str) -> float:
         try:
@@ -52,26 +42,14 @@ def number(low: float, high: float, unit: str) -> Callable[[str], float]:
 
 
 def port_number(text: str) -> int:
-    """Convert an argument to a TCP port.
-
-    Parameters
-    ----------
-    text : str
-        The argument.
-    """
+    """Convert an argument to a TCP port."""
     if not text.isdecimal() or not 1 <= int(text) <= 65535:
         raise argparse.ArgumentTypeError(f"'{text}' is not a port; choose one in 1..65535")
     return int(text)
 
 
 def names(text: str) -> tuple[str, ...]:
-    """Convert an argument to names of tools, separated by commas.
-
-    Parameters
-    ----------
-    text : str
-        The argument.
-    """
+    """Convert an argument to names of tools, separated by commas."""
     found = tuple(word.strip() for word in text.split(","))
     for name in found:
         if not (name.isidentifier() and name.isascii()) or found.count(name) > 1:
@@ -80,13 +58,7 @@ def names(text: str) -> tuple[str, ...]:
 
 
 def node_name(text: str) -> str:
-    """Convert an argument to a node's name, with its namespace if it has one.
-
-    Parameters
-    ----------
-    text : str
-        The argument.
-    """
+    """Convert an argument to a node's name, with its namespace if it has one."""
     for part in text.strip("/").split("/"):
         if not (part.isidentifier() and part.isascii()):
             raise argparse.ArgumentTypeError(f"'{text}' is not a node name ({WANTED})")
@@ -111,7 +83,7 @@ class Stop:
         for asked_by, handler in self._before.items():
             signal.signal(asked_by, handler)
 
-    def _ask(self, *_: Any) -> None:
+    def _ask(self, *_: object) -> None:
         self._asked = True
 
     def __bool__(self) -> bool:
@@ -123,17 +95,7 @@ class Stop:
 def client_node(name: str, target: str) -> Iterator[Node]:
     """Provide a node beside the node `target`, in the same namespace; rclpy is running meanwhile.
 
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    target : str
-        Name of the other node.
-
-    Yields
-    ------
-    Iterator[Node]
-        the node
+    target: name of the other node.
     """
     import rclpy
     from rclpy.signals import SignalHandlerOptions
@@ -158,12 +120,7 @@ def client_node(name: str, target: str) -> Iterator[Node]:
 def node_beside(node: Node, what: str) -> Node:
     """Return another node of a program, in the same namespace and with its name before `what`.
 
-    Parameters
-    ----------
-    node : Node
-        Node of the program.
-    what : str
-        End of the name.
+    node: node of the program; what: end of the name.
     """
     import rclpy
 
@@ -178,19 +135,7 @@ def node_beside(node: Node, what: str) -> Node:
 def wait_until[Answer](ask: Callable[[], Answer], longest: float, stop: object = False) -> Answer:
     """Ask until the answer is neither None nor False, a condition is true, or time is over.
 
-    Parameters
-    ----------
-    ask : Callable[[], Answer]
-        Gives an answer.
-    longest : float, s
-        That time.
-    stop : object, optional
-        That condition.
-
-    Returns
-    -------
-    Answer
-        the last answer
+    ask: gives an answer; longest: that time, s; stop: that condition. Returns the last answer.
     """
     end = time.monotonic() + longest
     while (answer := ask()) in (None, False) and not stop and time.monotonic() < end:
@@ -201,12 +146,8 @@ def wait_until[Answer](ask: Callable[[], Answer], longest: float, stop: object =
 def repeat(stop: Stop, turn: Callable[[], float]) -> None:
     """Call a function periodically until a signal comes.
 
-    Parameters
-    ----------
-    stop : Stop
-        Whether it has come.
-    turn : Callable[[], float]
-        The function; it returns the time, s, from the time when it was due until the next call.
+    stop: whether it has come; turn: the function (it returns the time, s, from the time when it was due until the next
+    call).
     """
     due = time.monotonic()
     while not stop:
@@ -235,18 +176,8 @@ class NewestMessage:
 
     No callback runs for the messages in between: a 1 kHz stream costs as little as its reader's rate.
 
-    Parameters
-    ----------
-    node : Node
-        The rclpy node that subscribes.
-    kind : type
-        Type of the messages.
-    topic : str
-        The topic.
-    qos : QoSProfile
-        How it is subscribed.
-    raw : bool, optional
-        Whether messages are returned as bytes.
+    node: the rclpy node that subscribes; kind: type of the messages; qos: how it is subscribed; raw: whether messages
+    are returned as bytes.
     """
 
     def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile, raw: bool = False) -> None:
@@ -270,44 +201,27 @@ class NewestMessage:
         self._node.destroy_subscription(self._subscription)
 
 
-def _unused(_: Any) -> None:
+def _unused(_: object) -> None:
     """Do nothing: it is never called, since nothing spins the node."""
 
 
 # messages --------------------------------------------------------------------------------------
 def mesh_arrays(message: Mesh) -> tuple[Floats, Longs]:
-    """Return vertices (n, 3), m, and triangles (t, 3) of a mesh.
-
-    Parameters
-    ----------
-    message : Mesh
-        The message.
-    """
+    """Return vertices (n, 3), m, and triangles (t, 3) of a mesh."""
     vertices = np.array([(p.x, p.y, p.z) for p in message.vertices], dtype=np.float64).reshape(-1, 3)
     triangles = np.array([t.vertex_indices for t in message.triangles], dtype=np.int64).reshape(-1, 3)
     return vertices, triangles
 
 
 def cloud_array(message: PointCloud2) -> Singles:
-    """Return the columns (n, k) of a PointCloud2 of little-endian float32 only.
-
-    Parameters
-    ----------
-    message : PointCloud2
-        The message.
-    """
+    """Return the columns (n, k) of a PointCloud2 of little-endian float32 only."""
     return np.frombuffer(message.data, dtype="<f4").reshape(-1, message.point_step // 4)
 
 
 def newest_status(reports: Sequence[DiagnosticArray], target: str) -> DiagnosticStatus | None:
     """Return a node's newest physics DiagnosticStatus, or None without one.
 
-    Parameters
-    ----------
-    reports : Sequence[DiagnosticArray]
-        Diagnostics.
-    target : str
-        Name of the node.
+    reports: diagnostics; target: name of the node.
     """
     name = f"{target.strip('/')}: physics"
     for report in reversed(reports):
@@ -320,12 +234,7 @@ def newest_status(reports: Sequence[DiagnosticArray], target: str) -> Diagnostic
 def physics_status(reports: Sequence[DiagnosticArray], target: str) -> dict[str, str] | None:
     """Return the values of a node's newest physics status, or None without one.
 
-    Parameters
-    ----------
-    reports : Sequence[DiagnosticArray]
-        Diagnostics.
-    target : str
-        Name of the node.
+    reports: diagnostics; target: name of the node.
     """
     status = newest_status(reports, target)
     return None if status is None else {item.key: item.value for item in status.values}

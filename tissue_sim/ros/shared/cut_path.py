@@ -12,14 +12,7 @@ from tissue_sim.array_types import Floats
 def cut_path(polyline: Floats, direction: Floats, frame_id: str) -> Path:
     """Return the path of a cut, whose poses' z axes point where the blade is moved.
 
-    Parameters
-    ----------
-    polyline : Floats, shape (m, 3), m
-        Its points.
-    direction : Floats, shape (3,)
-        Unit direction of the blade.
-    frame_id : str
-        Frame of both.
+    polyline (m, 3) m: its points; direction (3,): unit direction of the blade; frame_id: frame of both.
     """
     turn = (*np.cross([0.0, 0.0, 1.0], direction), 1.0 + direction[2])
     if np.linalg.norm(turn) < 1e-6:  # straight down, half a turn about any axis

@@ -25,15 +25,7 @@ PROFILE, LOCAL_PROFILE = "config/fastdds.xml", "config/fastdds_local.xml"
 def prepare(environment: MutableMapping[str, str] = os.environ) -> None:
     """Limit the reach to this machine and allow large organs, unless the user chose otherwise; before rclpy.init.
 
-    Parameters
-    ----------
-    environment : MutableMapping[str, str], optional
-        The environment variables; updated.
-
-    Raises
-    ------
-    UserError
-        For a domain that can't exist.
+    environment: the environment variables (updated). Raises UserError for a domain that can't exist.
     """
     check_domain(environment)
     limit_to_this_machine(environment)
@@ -53,10 +45,7 @@ def check_domain(environment: Mapping[str, str] = os.environ) -> None:
 def limit_to_this_machine(environment: MutableMapping[str, str] = os.environ) -> None:
     """Set the discovery range to LOCALHOST, unless the user has set one of the variables for it.
 
-    Parameters
-    ----------
-    environment : MutableMapping[str, str], optional
-        The environment variables; updated.
+    environment: the environment variables (updated).
     """
     if not any(environment.get(name) for name in (REACH, ONLY_HERE, PEERS, SERVER)):
         environment[REACH] = "LOCALHOST"
@@ -86,10 +75,7 @@ def use_shipped_profile(environment: MutableMapping[str, str] = os.environ) -> N
 def describe_discovery(environment: Mapping[str, str] = os.environ) -> str:
     """Return where a program with this environment is discoverable, for a log.
 
-    Parameters
-    ----------
-    environment : Mapping[str, str], optional
-        The environment variables.
+    environment: the environment variables.
     """
     reach = environment.get(REACH) or "SUBNET"  # the default of ROS
     if is_local(environment):

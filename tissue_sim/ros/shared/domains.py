@@ -18,10 +18,7 @@ def claim_domain() -> tuple[int, socket.socket]:
 
     Participants come and go in a domain that is in use, so their ports alone don't tell.
 
-    Raises
-    ------
-    UserError
-        When none is free.
+    Raises UserError when none is free.
     """
     for domain in random.sample(DOMAINS, len(DOMAINS)):
         # Ports of a domain (DDSI-RTPS 9.6.1): its first two and those from the tenth on are for participants, the

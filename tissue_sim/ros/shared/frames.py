@@ -12,23 +12,14 @@ IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def tip_frame(tool: str) -> str:
-    """Return the frame at a tool's tip, its origin, along the tool's own axes.
-
-    Parameters
-    ----------
-    tool : str
-        Name of the tool.
-    """
+    """Return the frame at a tool's tip, its origin, along the tool's own axes."""
     return f"{tool}_tip"
 
 
 def wrench_frame(tool: str) -> str:
     """Return the frame of a tool's wrench where `wrench_rotation` turns that away from every other frame.
 
-    Parameters
-    ----------
-    tool : str
-        Name of the tool.
+    tool: name of the tool.
     """
     return f"{tool}_wrench"
 
@@ -60,15 +51,8 @@ class Transform(NamedTuple):
     def of_pose(cls, pose: Sequence[float]) -> Transform:
         """Return the transform of a pose: from the axes at that pose to the frame it is given in.
 
-        Parameters
-        ----------
-        pose : Sequence[float], shape (7,), m and quaternion xyzw
-            The pose.
-
-        Raises
-        ------
-        ValueError
-            When it isn't seven finite numbers with a quaternion that isn't zero.
+        pose (7,) m and quaternion xyzw. Raises ValueError when it isn't seven finite numbers with a quaternion that
+        isn't zero.
         """
         if len(pose) != 7 or not all(map(math.isfinite, pose)):
             raise ValueError("must be seven finite numbers: x, y, z (m) and a quaternion x, y, z, w")
@@ -88,35 +72,17 @@ class Transform(NamedTuple):
         return Transform((-tx, -ty, -tz), back)
 
     def after(self, first: Transform) -> Transform:
-        """Return this transform after another one; only the first one may have a scale.
-
-        Parameters
-        ----------
-        first : Transform
-            The other one.
-        """
+        """Return this transform after another one; only the first one may have a scale."""
         x, y, z = rotate(self.rotation, first.translation)
         tx, ty, tz = self.translation
         return Transform((tx + x, ty + y, tz + z), multiply(self.rotation, first.rotation), first.scale)
 
     def scaled(self, scale: float) -> Transform:
-        """Return this transform, with positions scaled before it.
-
-        Parameters
-        ----------
-        scale : float
-            The factor.
-        """
+        """Return this transform, with positions scaled by a factor before it."""
         return Transform(self.translation, self.rotation, scale)
 
     def of(self, pose: Sequence[float]) -> tuple[float, ...]:
-        """Return a transformed pose; a quaternion keeps its length.
-
-        Parameters
-        ----------
-        pose : Sequence[float], shape (7,), m and quaternion xyzw
-            The pose.
-        """
+        """Return a transformed pose (7,), m and quaternion xyzw; a quaternion keeps its length."""
         px, py, pz, qx, qy, qz, qw = pose
         scale = self.scale
         x, y, z = rotate(self.rotation, (scale * px, scale * py, scale * pz))
@@ -134,14 +100,8 @@ Placed = dict[str, tuple[str, Sequence[float]]]
 class Frames:
     """Transforms to the organ from the frames that a tool's poses may come in.
 
-    Parameters
-    ----------
-    known : dict[str, Transform]
-        From each frame to the organ's.
-    scale : float, optional
-        Factor on positions.
-    lookup : Callable[[str], Transform] | None, optional
-        Called for any other frame, raises UnknownFrame; None without tf.
+    known: from each frame to the organ's; scale: factor on positions; lookup: called for any other frame, raises
+    UnknownFrame, None without tf.
     """
 
     def __init__(
@@ -151,28 +111,11 @@ class Frames:
         self._scale, self._lookup = scale, lookup
 
     def become(self, other: Frames) -> None:
-        """Take over the transforms of other frames.
-
-        Parameters
-        ----------
-        other : Frames
-            The other frames.
-        """
+        """Take over the transforms of other frames."""
         self._known, self._scale, self._lookup = other._known, other._scale, other._lookup
 
     def to_organ(self, frame_id: str) -> Transform:
-        """Return the transform from a frame to the organ's.
-
-        Parameters
-        ----------
-        frame_id : str
-            The frame.
-
-        Raises
-        ------
-        UnknownFrame
-            When there is none.
-        """
+        """Return the transform from a frame to the organ's. Raises UnknownFrame when there is none."""
         transform = self._known.get(frame_id)
         if transform is not None:
             return transform

@@ -23,7 +23,7 @@ from tissue_sim.model.runtime import mailboxes as mb
 from tissue_sim.model.runtime.exchange import boxes_after, make_exchange, take_exchange
 from tissue_sim.model.runtime.joined_box import make_joined_box
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.stepping.organ_contact import OrganContactSet, used_words
+from tissue_sim.model.stepping.contact_pairs import OrganContactSet, used_words
 from tissue_sim.ros.shared.pause_control import PauseControl
 from tissue_sim.ros.shared.priority import prefer
 
@@ -89,13 +89,7 @@ class Loop:
             time.sleep(0.01)
 
     def prefer(self, priority: int) -> None:
-        """Give the running loop a priority, see `priority.prefer`.
-
-        Parameters
-        ----------
-        priority : int
-            The priority.
-        """
+        """Give the running loop a priority, see `priority.prefer`."""
         prefer(priority, self._thread.native_id or 0)
 
     @property
@@ -121,10 +115,7 @@ class Loop:
 
         A loop that waits for /clock wakes less often.
 
-        Parameters
-        ----------
-        age : int, ns
-            Largest age of its last post.
+        age: largest age of its last post, ns.
         """
         if self.ended:
             return False
@@ -178,44 +169,24 @@ class Loop:
         return int(self.words.control.resets)
 
     def post_respiration(self, fraction: float) -> int:
-        """Post where the breath is to be; return its sequence number.
-
-        Parameters
-        ----------
-        fraction : float
-            Fraction of its way.
-        """
+        """Post where the breath is to be, as a fraction of its way; return its sequence number."""
         return int(mb.put(self._respiration, 0, np.array([fraction]).view(np.int64)))
 
     def post_organ_contacts(self, found: OrganContactSet) -> int:
-        """Post where joined organs touch each other; return its sequence number.
-
-        Parameters
-        ----------
-        found : OrganContactSet
-            The pairs.
-        """
-        return int(mb.put(self._pairs, 0, used_words(found)))
+        """Post the pairs in which joined organs touch each other; return its sequence number."""
+        words = used_words(found)
+        return int(mb.put(self._pairs, 0, words if found.points[0] else np.append(words, 0)))
 
     def follow_posted_time(self, follow: bool) -> None:
         """Let ticks follow the times of `post_time` instead of the monotonic clock, or no longer.
 
-        Parameters
-        ----------
-        follow : bool
-            Whether they do.
+        follow: whether they do.
         """
         self.words.control.sim_time = follow
         self._ring()
 
     def post_time(self, nanoseconds: int) -> None:
-        """Post the newest time of /clock: ticks up to it are due.
-
-        Parameters
-        ----------
-        nanoseconds : int, ns
-            That time.
-        """
+        """Post the newest time of /clock, ns: ticks up to it are due."""
         self.words.control.posted_time = nanoseconds
         self._ring()
 
@@ -226,28 +197,10 @@ class Loop:
 
         A held loop takes it up at once.
 
-        Parameters
-        ----------
-        organ : int
-            Index of the organ.
-        made : Simulation
-            The simulation, whose `carry_plan` fits the one in use.
-        plan : ExchangePlan | None, optional
-            What changes for all organs; None for an organ alone.
-        patience : float | None, s, optional
-            How long to wait for the tick; None: as long as a running loop may take.
-
-        Returns
-        -------
-        int
-            the tick
-
-        Raises
-        ------
-        UserError
-            When the clock that ticks follow stands.
-        TimeoutError
-            When the loop doesn't answer.
+        organ: index of the organ; made: the simulation, whose `carry_plan` fits the one in use; plan: what changes for
+        all organs, None for an organ alone; patience: how long to wait for the tick, None: as long as a running loop
+        may take, s. Raises UserError when the clock that ticks follow stands; TimeoutError when the loop doesn't
+        answer.
         """
         if self.clock_stands and patience is None:
             raise UserError("the clock that ticks follow stands, so that no tick takes up the cut; publish /clock")
@@ -259,7 +212,7 @@ class Loop:
             exchange.next_world[0], exchange.next_box[0] = place_of(world_handle), place_of(box_handle)
             words.organ = organ
             if plan is not None:
-                words.coarse_square, words.added = plan.coarse_square, plan.added
+                words.coarse_square, words.added, words.version = plan.coarse_square, plan.added, plan.version
                 exchange.lightness[:] = plan.lightness
             words.asked += 1
             if is_held:
@@ -276,13 +229,7 @@ class Loop:
 
     # out ---------------------------------------------------------------------------------------
     def wait_for_answer(self, longest: float) -> bool:
-        """Wait for the end of a requested tick; return whether there was one.
-
-        Parameters
-        ----------
-        longest : float, s
-            The longest time.
-        """
+        """Wait for the end of a requested tick, at most so many s; return whether there was one."""
         end = time.monotonic_ns() + round(1e9 * longest)
         timespec = (ctypes.c_long * 2)(*divmod(end, 1_000_000_000))
         return bool(_waiting_libc.sem_clockwait(self._answered, rt.CLOCK_MONOTONIC, timespec) == 0)
@@ -291,15 +238,7 @@ class Loop:
     def snapshots(self, timeout: float = 1.0) -> Iterator[None]:
         """Provide the whole state after one tick in the boxes of all organs, whether or not another thread requests it.
 
-        Parameters
-        ----------
-        timeout : float, s, optional
-            The longest time.
-
-        Raises
-        ------
-        TimeoutError
-            When the loop doesn't answer.
+        timeout: the longest time, s. Raises TimeoutError when the loop doesn't answer.
         """
         with self._snapshot_lock:
             self.take_snapshots(timeout)
@@ -308,15 +247,7 @@ class Loop:
     def take_snapshots(self, timeout: float = 1.0) -> None:
         """Copy the whole state after one tick to the boxes of all organs.
 
-        Parameters
-        ----------
-        timeout : float, s, optional
-            The longest time.
-
-        Raises
-        ------
-        TimeoutError
-            When the loop doesn't answer.
+        timeout: the longest time, s. Raises TimeoutError when the loop doesn't answer.
         """
         control = self.words.control
         control.snapshot_asked += 1

@@ -19,14 +19,8 @@ from tissue_sim.ros.shared.shown_organ import ShownOrgan
 class NumbersTemplate:
     """A message that ends in doubles, ready to be patched: a wrench or a pose, with or without a header.
 
-    Parameters
-    ----------
-    message : Any
-        A PoseStamped, WrenchStamped, Wrench or Float64MultiArray (empty layout), whose numbers are replaced.
-    n_numbers : int
-        Number of the doubles.
-    frame_id : str, optional
-        Its frame.
+    message: a PoseStamped, WrenchStamped, Wrench or Float64MultiArray (empty layout), whose numbers are replaced;
+    n_numbers: number of the doubles.
     """
 
     def __init__(self, message: Any, n_numbers: int, frame_id: str = "") -> None:
@@ -40,12 +34,7 @@ class NumbersTemplate:
     def message(self, stamp: int, numbers: Sequence[float] | Floats) -> bytes:
         """Return the message with as many of the numbers as it holds; the rest are zero.
 
-        Parameters
-        ----------
-        stamp : int, ns
-            Its time, if it has one.
-        numbers : Sequence[float] | Floats
-            The numbers.
+        stamp: its time, if it has one, ns.
         """
         if self._stamped:
             struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
@@ -76,36 +65,18 @@ class CloudTemplate:
         self.points = np.frombuffer(self._bytes, dtype="<f4", offset=start, count=block.size).reshape(block.shape)
 
     def message(self, stamp: int) -> bytes:
-        """Return the message with the present `points`.
-
-        Parameters
-        ----------
-        stamp : int, ns
-            Its time.
-        """
+        """Return the message with the present `points`, of a time in ns."""
         struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
         return bytes(self._bytes)
 
 
 def rest_mesh(shown: ShownOrgan) -> bytes:
-    """Return the rest surface as a shape_msgs/Mesh.
-
-    Parameters
-    ----------
-    shown : ShownOrgan
-        What is shown of the organ.
-    """
+    """Return the rest surface of what is shown of an organ as a shape_msgs/Mesh."""
     return _mesh(shown.points(shown.rest), shown.triangles)
 
 
 def inclusion_mesh(organ: Organ) -> bytes:
-    """Return the surfaces of all inclusions at rest as one shape_msgs/Mesh.
-
-    Parameters
-    ----------
-    organ : Organ
-        The organ.
-    """
+    """Return the surfaces of all inclusions at rest as one shape_msgs/Mesh."""
     return _mesh(organ.inclusion_positions, organ.inclusion_triangles)
 
 

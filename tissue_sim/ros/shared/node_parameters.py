@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
 
+from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
+from rclpy.task import Future
 
+from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.shared.client import client_node, node_beside, wait_until
 from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, ORGANS, TOOL_SPECS
 
@@ -23,12 +25,7 @@ class NodeParameters:
 
     It has a node of its own, for an executor that handles nothing but the answers.
 
-    Parameters
-    ----------
-    client : Node
-        The client's node.
-    target : str
-        Name of the other node.
+    client: the client's node; target: name of the other node.
     """
 
     def __init__(self, client: Node, target: str) -> None:
@@ -36,9 +33,9 @@ class NodeParameters:
         self._client = self._node.create_client(GetParameters, f"/{target}/get_parameters")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._values: dict[str, Any] = {}
+        self._values: JsonObject = {}
         self._to_ask: list[Sequence[str]] = []
-        self._pending: Any = None
+        self._pending: Future | None = None
         self._asked = 0.0  # monotonic s
         self.ask()
 
@@ -47,7 +44,7 @@ class NodeParameters:
         self._values, self._to_ask = {}, [NODE_NAMES]
         self._forget()
 
-    def poll(self) -> dict[str, Any] | None:
+    def poll(self) -> JsonObject | None:
         """Return all of them by name, once they have come after `ask`; before and afterwards None."""
         if not self._to_ask:
             return None
@@ -65,7 +62,7 @@ class NodeParameters:
                 self._asked = time.monotonic()
         return None
 
-    def _take(self, names: Sequence[str], values: Sequence[Any]) -> None:
+    def _take(self, names: Sequence[str], values: Sequence[ParameterValue]) -> None:
         # A node that lacks one of them returns none: then nothing is known about it.
         found = dict(zip(names, map(parameter_value_to_python, values), strict=False))
         self._values |= found
@@ -78,17 +75,10 @@ class NodeParameters:
             self._pending = None
 
 
-def parameters_of(target: str, asker: str, longest: float) -> dict[str, Any] | None:
+def parameters_of(target: str, asker: str, longest: float) -> JsonObject | None:
     """Return the parameters of a node; None where it doesn't answer in time.
 
-    Parameters
-    ----------
-    target : str
-        Name of that node.
-    asker : str
-        Name of the asking node.
-    longest : float, s
-        That time.
+    target: name of that node; asker: name of the asking node; longest: that time, s.
     """
     with client_node(asker, target) as own:
         return wait_until(NodeParameters(own, target).poll, longest) or None

@@ -10,6 +10,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.handles import handle
+from tissue_sim.model.contact.tool_motion import ONCE
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.runtime import mailboxes as mb
 from tissue_sim.ros.shared.loop import Loop
@@ -45,19 +46,8 @@ class Organs:
 
         The tick is requested after all of them, as in between it would move one jaw of a gripper.
 
-        Parameters
-        ----------
-        bodies : Sequence[int], shape (b,)
-            Indices of the bodies.
-        poses : Floats, shape (b, 7), m and quaternion xyzw
-            Their poses.
-        stamp : int, ns, optional
-            Their time.
-
-        Returns
-        -------
-        int
-            the last one's sequence number, the same for all organs
+        bodies (b,): indices of the bodies; poses (b, 7) m and quaternion xyzw; stamp: their time, ns. Returns the last
+        one's sequence number, the same for all organs.
         """
         for body, pose in zip(bodies, poses, strict=True):
             sequence = max([one.post_pose(body, pose, stamp) for one in self.each])
@@ -67,12 +57,7 @@ class Organs:
     def post_force(self, body: int, force: Floats) -> int:
         """Post the newest external force at the tip of a body; return its sequence number, the same for all.
 
-        Parameters
-        ----------
-        body : int
-            Index of the body.
-        force : Floats, shape (3,), N
-            The force.
+        body: index of the body; force (3,) N.
         """
         sequence = max([one.post_force(body, force) for one in self.each])
         self.loop.wake()
@@ -130,12 +115,20 @@ class Organs:
     def hold_off(self, bodies: Sequence[int]) -> bool:
         """Return whether any organ doesn't resist one of the bodies, which appeared inside it.
 
-        Parameters
-        ----------
-        bodies : Sequence[int]
-            Indices of the bodies.
+        bodies: indices of the bodies.
         """
         return any(one.results().bodies.held_off[list(bodies)].any() for one in self.each)
+
+    def bearable_force(self, bodies: Sequence[int]) -> float:
+        """Return the least force, N, up to which organs let bodies be pressed that slipped into them twice.
+
+        It is infinite where none has. bodies: indices of the bodies.
+        """
+        every = [one.results().bodies for one in self.each]
+        return min(
+            float(np.min(some.bearable[list(bodies)], where=some.slips[list(bodies)] > ONCE, initial=np.inf))
+            for some in every
+        )
 
     @property
     def surface_sequences(self) -> tuple[int, ...]:

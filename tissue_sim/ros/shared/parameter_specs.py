@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,11 +34,11 @@ class Spec:
     check: Callable[[Any], object] | None = None  # raises ValueError with the reason
 
 
-def _check_pose(value: Any) -> None:
+def _check_pose(value: Sequence[float]) -> None:
     Transform.of_pose(value)
 
 
-def _check_gravity(value: Any) -> None:
+def _check_gravity(value: Sequence[float]) -> None:
     try:
         acceleration_of(list(value), "of")
     except UserError as error:

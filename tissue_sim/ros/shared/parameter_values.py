@@ -21,15 +21,7 @@ class Values(Protocol):
 
 
 def tool_of(values: Values, name: str) -> Tool:
-    """Return the tool of a name as its parameters describe it.
-
-    Parameters
-    ----------
-    values : Values
-        The parameters.
-    name : str
-        Name of the tool.
-    """
+    """Return the tool of a name as its parameters describe it."""
     keys = ["shape", "radius", "length", "mesh", "smoothing", "tip_link", "jaw_joint", "height"]
     keys += ["cautery_speed", "cautery_stiffening", "cautery_spread"]
     links = tuple(link for link in values[f"{name}.links"] if link)
@@ -42,25 +34,14 @@ def usual_topics(tool: str) -> dict[str, str]:
     External forces have none: in CRTK a device publishes its own force as measured_cf, which must not return as one on
     the tissue.
 
-    Parameters
-    ----------
-    tool : str
-        Name of the tool.
+    tool: name of the tool.
     """
     names = {topic: f"{tool}/{topic}" for topic in TOOL_TOPICS}
     return names | {"external_cf": "", "measured_js": f"{tool}/gripper/measured_js"}
 
 
 def topics_of(values: Values, tool: str) -> ToolTopics:
-    """Return the topics and message types of a tool's bridge.
-
-    Parameters
-    ----------
-    values : Values
-        The parameters.
-    tool : str
-        Name of the tool.
-    """
+    """Return the topics and message types of a tool's bridge."""
     words = ["pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable"]
     words += ["allow_empty_frame", "allow_zero_stamp"]
     return ToolTopics(
@@ -74,14 +55,7 @@ def topics_of(values: Values, tool: str) -> ToolTopics:
 def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | None) -> Frames:
     """Return the frames that a tool's poses may come in.
 
-    Parameters
-    ----------
-    values : Values
-        The parameters.
-    tool : str
-        Name of the tool.
-    lookup : Callable[[str], Transform] | None
-        Transforms other frames to the node's `tf_target`; None without tf.
+    tool: name of the tool; lookup: transforms other frames to the node's `tf_target`, None without tf.
     """
     known, led, to_organ = _known(values, lookup)
     known.setdefault(_frame_of(values, tool), to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"])))
@@ -91,12 +65,7 @@ def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | No
 def frames_of_node(values: Values, lookup: Callable[[str], Transform] | None) -> Frames:
     """Return the frames that poses of something else than a tool may come in.
 
-    Parameters
-    ----------
-    values : Values
-        The parameters.
-    lookup : Callable[[str], Transform] | None
-        Transforms other frames to the node's `tf_target`; None without tf.
+    lookup: transforms other frames to the node's `tf_target`, None without tf.
     """
     known, led, _ = _known(values, lookup)
     return Frames(known, 1.0, led)
@@ -159,12 +128,7 @@ def placed_frames(values: Values, tools: Sequence[str]) -> Placed:
 
     A tool's frame without a base_pose is left to its driver.
 
-    Parameters
-    ----------
-    values : Values
-        The parameters.
-    tools : Sequence[str]
-        Names of the tools.
+    tools: names of the tools.
     """
     organ_id, base_id = _organ_and_base(values)
     poses = {_frame_of(values, tool): Transform.of_pose(values[f"{tool}.base_pose"]) for tool in tools}

@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, OF_RCLPY, OFF, ORGANS, RENAMED, TOOL_SPECS, Spec
 from tissue_sim.ros.shared.parameter_values import check_frames, check_organ_pose
@@ -24,15 +25,7 @@ from tissue_sim.ros.shared.parameter_values import check_frames, check_organ_pos
 class Parameters:
     """The parameters of a node: declared here, and read by name.
 
-    Parameters
-    ----------
-    node : Node
-        The node.
-
-    Raises
-    ------
-    UserError
-        When a value is out of range or of the wrong type; the message names the parameter.
+    Raises UserError when a value is out of range or of the wrong type; the message names the parameter.
     """
 
     def __init__(self, node: Node) -> None:
@@ -65,46 +58,26 @@ class Parameters:
         return self["base_frame"] or self["frame_id"]
 
     def apply(self, settings: Settings) -> None:
-        """Write the parameters that are settings of the simulation.
-
-        Parameters
-        ----------
-        settings : Settings
-            The settings; updated.
-        """
+        """Write the parameters that are settings of the simulation into them."""
         for spec in NODE_SPECS:
             if spec.setting:
                 setattr(settings, spec.setting, self[spec.name])
         settings.gravity_x, settings.gravity_y, settings.gravity_z = self["gravity"]
 
-    def prefer(self, name: str, value: Any) -> None:
-        """Give a live parameter another default; a parameter file may contain the old one.
-
-        Parameters
-        ----------
-        name : str
-            Name of the parameter.
-        value : Any
-            The other default.
-        """
+    def prefer(self, name: str, value: object) -> None:
+        """Give a live parameter another default; a parameter file may contain the old one."""
         if _plain(self[name]) == self._specs[name].default:
             self._node.set_parameters([Parameter(name, value=value)])
 
     def report_organs(self, names: Sequence[str]) -> None:
-        """Declare the read-only parameter with the names of a scene's organs; none for a single one.
-
-        Parameters
-        ----------
-        names : Sequence[str]
-            The names.
-        """
+        """Declare the read-only parameter with the names of a scene's organs; none for a single one."""
         text = "names of a scene's organs, with which their topics begin; empty for a single organ"
         # Dynamic: rclpy takes an empty list for one of bytes.
         descriptor = ParameterDescriptor(description=text, dynamic_typing=True, read_only=True)
         self._node.declare_parameter(ORGANS, list(names), descriptor, ignore_override=True)
         self._specs[ORGANS] = Spec(ORGANS, list(names), text)
 
-    def values(self) -> dict[str, Any]:
+    def values(self) -> JsonObject:
         """Return all parameters by name, as plain values."""
         return {name: _plain(self[name]) for name in self._specs}
 
@@ -176,11 +149,6 @@ class Parameters:
         """Return the result of setting a parameter that is fixed; None for one that isn't.
 
         Its present value is accepted, as in a dump of the node's own that is loaded again; rclpy would refuse it.
-
-        Parameters
-        ----------
-        parameter : Parameter
-            The parameter.
         """
         spec = self._specs.get(parameter.name)
         if spec is None or spec.live:
@@ -227,12 +195,12 @@ def _problem(name: str, spec: Spec, value: Any) -> str:
     return ""
 
 
-def _is_decimals(value: Any) -> bool:
+def _is_decimals(value: object) -> bool:
     """Return whether it is a list of numbers that need not be whole."""
     return isinstance(value, list) and bool(value) and isinstance(value[0], float)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     if isinstance(value, Path):
         return str(value)
     return list(value) if isinstance(value, (list, tuple, array.array)) else value

@@ -42,11 +42,6 @@ class PauseControl:
 
     A held loop follows a time of its own, as others follow /clock: that stands, and advances by a tick at a time, so
     that exactly those ticks are due.
-
-    Parameters
-    ----------
-    loop : Loop
-        The loop.
     """
 
     def __init__(self, loop: Holdable) -> None:
@@ -62,23 +57,14 @@ class PauseControl:
         return self._frozen is not None
 
     def now(self) -> float:
-        """Return the monotonic time, without that for which the loop was held, and with the ticks in it.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Return the monotonic time, without that for which the loop was held, and with the ticks in it, s."""
         frozen = self._frozen
         return time.monotonic() - self._lost if frozen is None else frozen
 
     def begin(self) -> None:
         """Hold the loop; return when its last tick is done.
 
-        Raises
-        ------
-        TimeoutError
-            When the loop doesn't answer; it is held as soon as it does.
+        Raises TimeoutError when the loop doesn't answer; it is held as soon as it does.
         """
         with self._lock:
             if self.active:
@@ -93,10 +79,7 @@ class PauseControl:
     def end(self) -> None:
         """Let the loop follow the monotonic clock again; return when it has done a tick.
 
-        Raises
-        ------
-        TimeoutError
-            When the loop doesn't answer.
+        Raises TimeoutError when the loop doesn't answer.
         """
         with self._lock:
             if self._frozen is None:
@@ -118,10 +101,7 @@ class PauseControl:
     def step(self) -> bool:
         """Have one tick done; return whether it was: False where the loop is no longer held.
 
-        Raises
-        ------
-        TimeoutError
-            When the loop doesn't answer.
+        Raises TimeoutError when the loop doesn't answer.
         """
         with self._lock:
             if self._frozen is None:

@@ -32,12 +32,7 @@ class Physics:
 
     Everything that is posted is applied by the next tick; the journal says which.
 
-    Parameters
-    ----------
-    loop : Loop
-        The loop.
-    organ : int, optional
-        Number of the organ in the loop.
+    organ: number of the organ in the loop.
     """
 
     def __init__(self, loop: Loop, organ: int = 0) -> None:
@@ -80,14 +75,7 @@ class Physics:
 
         The next tick applies it; `Loop.wake` requests one, once everything that belongs together has been posted.
 
-        Parameters
-        ----------
-        body : int
-            Index of the body.
-        pose : Floats, shape (7,), m and quaternion xyzw
-            The pose.
-        stamp : int, ns, optional
-            Its time.
+        body: index of the body; pose (7,) m and quaternion xyzw; stamp: its time, ns.
         """
         words = np.empty(mb.POSE_WORDS, dtype=np.int64)
         words[:7], words[7] = pose.view(np.int64), stamp
@@ -96,33 +84,16 @@ class Physics:
     def post_force(self, body: int, force: Floats) -> int:
         """Post the newest external force at the tip of a body; return its sequence number.
 
-        Parameters
-        ----------
-        body : int
-            Index of the body.
-        force : Floats, shape (3,), N
-            The force.
+        body: index of the body; force (3,) N.
         """
         return int(mb.put(self._force, body, force.view(np.int64)))
 
     def post_contacts(self, found: ContactSet) -> int:
-        """Post the newest contact set; return its sequence number.
-
-        Parameters
-        ----------
-        found : ContactSet
-            The contact set.
-        """
+        """Post the newest contact set; return its sequence number."""
         return int(mb.put(self._contacts, 0, found.words))
 
     def post_settings(self, settings: Settings) -> int:
-        """Post new settings; return their sequence number.
-
-        Parameters
-        ----------
-        settings : Settings
-            The settings.
-        """
+        """Post new settings; return their sequence number."""
         with self._settings_lock:
             self.stale_time, self.ramp_time = float(settings.stale_time), float(settings.ramp_time)
             self.tick_time = float(settings.tick_time)
@@ -139,18 +110,12 @@ class Physics:
     def exchange(self, made: Simulation, plan: ExchangePlan | None = None, patience: float | None = None) -> int:
         """Go on with a simulation that continues this organ's, see Loop.exchange; return the first tick with it.
 
-        Parameters
-        ----------
-        made : Simulation
-            The simulation.
-        plan : ExchangePlan | None, optional
-            What changes for all organs; None for an organ alone.
-        patience : float | None, s, optional
-            How long to wait for that tick; None: as long as a running loop may take.
+        plan: what changes for all organs, None for an organ alone; patience: how long to wait for that tick, None: as
+        long as a running loop may take, s.
         """
         tick = self.loop.exchange(self._number, made, plan, patience)
+        self.version += 1  # before others can read the new positions
         self._shape = handle(self.box.shape), len(made.state.shape)
-        self.version += 1
         return tick
 
     # out ---------------------------------------------------------------------------------------
@@ -188,12 +153,7 @@ class Physics:
         With a modal region the loop computes them for this, after its next tick; when it doesn't in time, they are the
         last ones that it computed. Of an organ that was cut meanwhile, `out` gets the nodes that it has room for.
 
-        Parameters
-        ----------
-        out : Floats, shape (n, 3), m
-            The positions; updated.
-        timeout : float, s, optional
-            That time.
+        out (n, 3) m: the positions (updated); timeout: that time, s.
         """
         demand = self.box.demand
         if demand.on_demand:
@@ -213,13 +173,7 @@ class Physics:
 
     # For colours only: they are read beside the running loop, so that a tick may write in between.
     def contact_forces(self) -> Floats:
-        """Return the size of the contact force on each node in the last substep.
-
-        Returns
-        -------
-        Floats
-            shape (n,), N
-        """
+        """Return the size of the contact force on each node in the last substep, (n,) N."""
         state, contacts = self.simulation.state, self.simulation.state.contacts
         status = self.results().status  # of a whole tick: the running one has counted no contact so far
         forces = np.zeros(len(state.position))
@@ -234,13 +188,7 @@ class Physics:
         return forces * (max(status.substeps, 1) / self.tick_time)
 
     def moving(self) -> Mask:
-        """Return which nodes the last tick integrated.
-
-        Returns
-        -------
-        Mask
-            shape (n,)
-        """
+        """Return which nodes the last tick integrated, (n,)."""
         state = self.simulation.state
         if state.status.asleep:
             return np.zeros(len(state.position), dtype=bool)
@@ -251,15 +199,7 @@ class Physics:
     def snapshot(self, timeout: float = 1.0) -> Longs:
         """Return a copy of the words of the whole state after a tick.
 
-        Parameters
-        ----------
-        timeout : float, s, optional
-            The longest time.
-
-        Raises
-        ------
-        TimeoutError
-            When the loop doesn't answer.
+        timeout: the longest time, s. Raises TimeoutError when the loop doesn't answer.
         """
         with self.loop.snapshots(timeout):
             return self.box.snapshot.copy()

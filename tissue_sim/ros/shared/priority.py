@@ -14,30 +14,15 @@ def prefer(priority: int, thread: int = 0) -> None:
 
     Threads that it starts later don't inherit it.
 
-    Parameters
-    ----------
-    priority : int
-        The priority; 0 changes nothing.
-    thread : int, optional
-        Number of the thread.
-
-    Raises
-    ------
-    PermissionError
-        Where the system doesn't allow it.
+    priority: the priority (0 changes nothing); thread: number of the thread. Raises PermissionError where the system
+    doesn't allow it.
     """
     if priority:
         os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
 
 def is_allowed(priority: int) -> bool:
-    """Return whether a thread of this process may have a priority.
-
-    Parameters
-    ----------
-    priority : int
-        The priority.
-    """
+    """Return whether a thread of this process may have a priority."""
     try:
         with_priority(lambda: None, priority)
     except OSError:
@@ -50,17 +35,7 @@ def with_priority[Result](work: Callable[[], Result], priority: int) -> Result:
 
     It raises what work raises, too.
 
-    Parameters
-    ----------
-    work : Callable[[], Result]
-        The work.
-    priority : int
-        The priority.
-
-    Raises
-    ------
-    PermissionError
-        Where the system doesn't allow it, see `prefer`.
+    Raises PermissionError where the system doesn't allow it, see `prefer`.
     """
 
     def preferred() -> Result:
@@ -72,11 +47,5 @@ def with_priority[Result](work: Callable[[], Result], priority: int) -> Result:
 
 
 def below(priority: int) -> int:
-    """Return the priority right below: of the thread that answers poses, after the loop.
-
-    Parameters
-    ----------
-    priority : int
-        The priority.
-    """
+    """Return the priority right below: of the thread that answers poses, after the loop."""
     return max(priority - 1, min(priority, 1))

@@ -7,8 +7,9 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
+from tissue_sim.json_types import JsonObject
 from tissue_sim.unexpected_errors import described, place_of
 
 MOST_LINES = 8  # lines kept about one part's troubles
@@ -21,7 +22,7 @@ class Report:
 
     Attributes
     ----------
-    values : dict[str, Any]
+    values : JsonObject
         Values to report, by name.
     problems : dict[str, int]
         Counters that are a warning when they have grown since the last report.
@@ -37,7 +38,7 @@ class Report:
         State in a word, where nothing is wrong.
     """
 
-    values: dict[str, Any] = field(default_factory=dict)
+    values: JsonObject = field(default_factory=dict)
     problems: dict[str, int] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
@@ -48,12 +49,7 @@ class Report:
     def part(self, called: str, before: str) -> Report:
         """Return the report of a tool or an organ, which is a status of its own, and in the whole as well.
 
-        Parameters
-        ----------
-        called : str
-            Name of the tool or organ.
-        before : str
-            Prefix of its names in the whole.
+        called: name of the tool or organ; before: prefix of its names in the whole.
         """
         return self.parts.setdefault(called, Report(before=before))
 
@@ -72,24 +68,13 @@ class Reports(Protocol):
     """A part of the node that reports."""
 
     def report(self, report: Report) -> None:
-        """Add to the report.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add to the report."""
 
 
 class UnexpectedErrors:
     """Unforeseen errors while the node goes on: logged once for each place, and counted.
 
-    Parameters
-    ----------
-    part : str
-        What fails, in words.
-    warn : Callable[[str], object]
-        Takes the line.
+    part: what fails, in words; warn: takes the line.
     """
 
     def __init__(self, part: str, warn: Callable[[str], object]) -> None:
@@ -107,13 +92,7 @@ class UnexpectedErrors:
             self.note(error)
 
     def note(self, error: BaseException) -> str:
-        """Note an error; return its line.
-
-        Parameters
-        ----------
-        error : BaseException
-            The error.
-        """
+        """Note an error; return its line."""
         place, line = place_of(error), f"{self._part} failed: {described(error)}"
         with self._lock:
             self._counts[place] += 1
@@ -123,13 +102,7 @@ class UnexpectedErrors:
         return line
 
     def report(self, report: Report) -> None:
-        """Add the number of failures, and where they occurred.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add the number of failures, and where they occurred."""
         with self._lock:
             counts = dict(self._counts)
         report.problems[self._key] = sum(counts.values())
@@ -155,13 +128,7 @@ class RepeatedFailure(UnexpectedErrors):
             self._lately.clear()
 
     def report(self, report: Report) -> None:
-        """Add the counts, and what is wrong at present.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add the counts, and what is wrong at present."""
         super().report(report)
         with self._lock:
             report.failures += list(self._lines.values())[-MOST_LINES:]

@@ -24,13 +24,7 @@ class ShownOrgan:
 
     @classmethod
     def of(cls, simulation: Simulation) -> ShownOrgan:
-        """Return what is shown of a simulation's organ.
-
-        Parameters
-        ----------
-        simulation : Simulation
-            The simulation.
-        """
+        """Return what is shown of a simulation's organ."""
         cut = simulation.cut_organ
         return cls(simulation.organ, None if cut is None else cut.surface)
 
@@ -66,12 +60,7 @@ class ShownOrgan:
     def fill(self, rows: Floats, nodes: Floats) -> None:
         """Write what the rows have of something that nodes have: positions, or places on a colour scale.
 
-        Parameters
-        ----------
-        rows : Floats, shape (r, ...)
-            The rows; updated.
-        nodes : Floats, shape (n, ...)
-            Of all nodes.
+        rows (r, ...): the rows (updated); nodes (n, ...): of all nodes.
         """
         own, surface = self.organ.n_uncut, self.surface
         rows[:own] = nodes[:own]
@@ -80,13 +69,7 @@ class ShownOrgan:
             rows[own:] = np.einsum("pk,pk...->p...", surface.weights[first:], nodes[surface.nodes[first:]])
 
     def points(self, rows: Floats) -> Floats:
-        """Return the surface's points (p, 3) of the rows (r, 3), as the triangles count them.
-
-        Parameters
-        ----------
-        rows : Floats, shape (r, 3)
-            The rows.
-        """
+        """Return the surface's points (p, 3) of the rows (r, 3), as the triangles count them."""
         first = self.organ.n_surface
         if self.surface is None:
             return rows[:first]

@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from types import FrameType
-from typing import Any
 
 from tissue_sim.unexpected_errors import write_error
 
@@ -67,7 +66,7 @@ class ShutdownHandler:
             self._raised = True
             raise Interrupted
 
-    def _on_unraisable(self, unraisable: Any) -> None:
+    def _on_unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
         """Ignore the error: Interrupted is lost in a callback from C, and its half-made state fails once more.
 
         The process ends nevertheless.

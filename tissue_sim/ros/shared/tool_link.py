@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from rclpy.qos import QoSProfile
 
 from tissue_sim.contact.tools import Tool
+from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.shared.frames import Transform
 from tissue_sim.ros.shared.messages import NumbersTemplate
 from tissue_sim.ros.shared.parameter_values import frames_of, tool_of, topics_of, usual_topics
@@ -38,28 +38,13 @@ class ToolLink:
     def by_default(cls, name: str, frame_id: str) -> ToolLink:
         """Return the link of a tool with unknown parameters: poses in the organ's frame, on the usual topics.
 
-        Parameters
-        ----------
-        name : str
-            Name of the tool.
-        frame_id : str
-            Frame of the organ.
+        frame_id: frame of the organ.
         """
         return cls(ToolTopics(usual_topics(name), frame_id), Transform(), Tool(name))
 
     @classmethod
-    def from_parameters(cls, values: Mapping[str, Any], name: str, target: str) -> ToolLink | None:
-        """Return the link by a node's parameters; None when it has no tool of that name.
-
-        Parameters
-        ----------
-        values : Mapping[str, Any]
-            The parameters.
-        name : str
-            Name of the tool.
-        target : str
-            Name of the node.
-        """
+    def from_parameters(cls, values: JsonObject, name: str, target: str) -> ToolLink | None:
+        """Return the link by a node's parameters; None when it has no tool of that name."""
         if name not in values.get("tools", ()):
             return None
         topics = topics_of(values, name)
@@ -91,14 +76,6 @@ class PoseWriter:
         self._from_organ = link.to_organ.scaled(1.0).inverse()
 
     def message(self, stamp: int, pose: Sequence[float]) -> bytes:
-        """Return the message of a pose in the organ's frame.
-
-        Parameters
-        ----------
-        stamp : int, ns
-            Its time.
-        pose : Sequence[float], shape (7,), m and quaternion xyzw
-            The pose.
-        """
+        """Return the message of a pose (7,) in the organ's frame, m and quaternion xyzw, of a time in ns."""
         x, y, z, *turn = self._from_organ.of(pose)
         return self._template.message(stamp, (x / self._scale, y / self._scale, z / self._scale, *turn))

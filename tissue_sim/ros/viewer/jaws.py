@@ -24,14 +24,7 @@ class JawSlider:
 
     It shows the present angle, whoever moves the jaws, and publishes only the requests of somebody in a browser.
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The viser server.
-    node : Node
-        The rclpy node that publishes.
-    view : ToolView
-        View of the tool.
+    server: the viser server; node: the rclpy node that publishes; view: view of the tool.
     """
 
     def __init__(self, server: viser.ViserServer, node: Node, view: ToolView) -> None:
@@ -45,13 +38,7 @@ class JawSlider:
         self._slider.on_update(self._on_slider)
 
     def use(self, link: ToolLink) -> None:
-        """Use a link to the tool from now on.
-
-        Parameters
-        ----------
-        link : ToolLink
-            The link.
-        """
+        """Use a link to the tool from now on."""
         if self._jaws is not None and self._jaws.link == link:
             return
         self.close()
@@ -61,13 +48,7 @@ class JawSlider:
         self._slider.visible = self._jaws is not None
 
     def update(self, now: float) -> None:
-        """Show how the jaws are open, unless somebody moves the slider.
-
-        Parameters
-        ----------
-        now : float, s
-            The present time.
-        """
+        """Show how the jaws are open at a time, s, unless somebody moves the slider."""
         opening = self._view.opening
         if self._jaws is None or self._jaws.moving or opening is None or now - self._touched < UNTOUCHED:
             return
@@ -90,7 +71,7 @@ class JawSlider:
         self.close()
         self._slider.remove()
 
-    async def _on_slider(self, event: Any) -> None:
+    async def _on_slider(self, event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
         jaws = self._jaws
         if event.client_id is None or jaws is None:  # our own change
             return

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Any
 
+from tissue_sim import progress
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.shipped import shipped_file
 
 LAYOUTS = {"rviz": "config/tissue_sim.rviz", "foxglove": "config/foxglove.json"}
@@ -23,23 +24,9 @@ def fitted(
 ) -> str:
     """Return the text of a layout, of LAYOUTS, for a node.
 
-    Parameters
-    ----------
-    kind : str
-        Name of the layout.
-    node : str
-        Its name with its namespace.
-    frame_id : str, optional
-        Frame of the organ.
-    tools : Mapping[str, str], optional
-        Absolute topic of each tool's wrenches.
-    organs : Sequence[str], optional
-        Names of a scene's organs; empty for a single one.
-
-    Raises
-    ------
-    UserError
-        When the layout isn't installed.
+    kind: name of the layout; node: its name with its namespace; frame_id: frame of the organ; tools: absolute topic of
+    each tool's wrenches; organs: names of a scene's organs (empty for a single one). Raises UserError when the layout
+    isn't installed.
     """
     path = shipped_file(LAYOUTS[kind])
     if path is None:
@@ -52,16 +39,12 @@ def fitted(
 def write(kind: str, node: str) -> int:
     """Print a layout that fits a node as it answers now, or with its defaults; return 0.
 
-    Parameters
-    ----------
-    kind : str
-        Name of the layout, of LAYOUTS.
-    node : str
-        Name of the node.
+    kind: name of the layout, of LAYOUTS; node: name of the node.
     """
     from tissue_sim.ros.shared.node_parameters import parameters_of
 
-    values = parameters_of(node, "layout", WAIT)
+    with progress.task(f"waiting for /{node}"):
+        values = parameters_of(node, "layout", WAIT)
     namespace = f"/{node}".rpartition("/")[0]
     if values is None:
         sys.stderr.write(f"/{node} doesn't answer: frame {FRAME} and tools {', '.join(TOOLS)} are assumed\n")
@@ -73,7 +56,7 @@ def write(kind: str, node: str) -> int:
     return 0
 
 
-def _link_line(values: dict[str, Any], tool: str, node: str) -> str:
+def _link_line(values: JsonObject, tool: str, node: str) -> str:
     """Return the topic of a tool's wrenches."""
     from tissue_sim.ros.shared.tool_link import ToolLink
 

@@ -28,18 +28,8 @@ from tissue_sim.ros.viewer.viewed_organ import ViewedOrgan
 class Viewer:
     """Viewer of a node; `update` is called for each picture.
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The viser server.
-    node : Node
-        The rclpy node that subscribes.
-    target : str
-        Name of the viewed node.
-    tools : tuple[str, ...] | None
-        Names of the tools, or None for those of the node.
-    patience : float, s, optional
-        As in `Poke`.
+    server: the viser server; node: the rclpy node that subscribes; target: name of the viewed node; tools: names of the
+    tools, or None for those of the node; patience: as in `Poke`, s.
     """
 
     def __init__(

@@ -62,14 +62,7 @@ def status_text(values: Mapping[str, str]) -> str:
 def headline(target: str, level: int, message: str) -> str:
     """Return the node's name, and level and the first part of the message of its DiagnosticStatus, as HTML.
 
-    Parameters
-    ----------
-    target : str
-        Name of the node.
-    level : int
-        Level of the status.
-    message : str
-        Message of the status.
+    target: name of the node; level: level of the status; message: message of the status.
     """
     first, *others = message.split(";")
     if level == 0:
@@ -81,12 +74,7 @@ def headline(target: str, level: int, message: str) -> str:
 def detail(level: int, message: str) -> str:
     """Return the whole message of a DiagnosticStatus, a line for each part of it, as HTML.
 
-    Parameters
-    ----------
-    level : int
-        Level of the status.
-    message : str
-        Message of the status.
+    level: level of the status; message: message of the status.
     """
     colour = "inherit" if level == 0 else "#c92a2a"
     lines = "<br>".join(html.escape(part.strip()) for part in message.split(";"))
@@ -147,13 +135,7 @@ class Panel:
         self._said: tuple[str, Mapping[str, str], str] = ("", {}, "")
 
     def name(self, organs: Sequence[str]) -> None:
-        """Name the organs of a scene beside their colours; none for a single organ.
-
-        Parameters
-        ----------
-        organs : Sequence[str]
-            Names of the organs.
-        """
+        """Name the organs of a scene beside their colours; none for a single organ."""
         self._organs.content, self._organs.visible = organs_html(organs), bool(organs)
 
     def say(self, headline: str, values: Mapping[str, str], detail: str = "") -> None:
@@ -161,14 +143,7 @@ class Panel:
 
         Parts of varying length come last, where they move nothing.
 
-        Parameters
-        ----------
-        headline : str
-            The headline.
-        values : Mapping[str, str]
-            Values of the status.
-        detail : str, optional
-            The details.
+        values: values of the status.
         """
         if (headline, values, detail) == self._said:
             return

@@ -61,14 +61,7 @@ class ForcePlot:
     def update(self, now: float, forces: Mapping[str, float | None], visible: bool) -> None:
         """Note forces of a moment, and draw when it is time and a page is open.
 
-        Parameters
-        ----------
-        now : float, s
-            The moment.
-        forces : Mapping[str, float | None], N
-            Force of each tool.
-        visible : bool
-            Whether a page is open.
+        now: the moment, s; forces: force of each tool, N; visible: whether a page is open.
         """
         self._history.add(now, forces)
         if not visible or now - self._drawn < DRAW_EVERY:

@@ -49,18 +49,8 @@ def pointing(inward: Floats) -> Floats:
 class Poke:
     """A tool that one browser at a time may hold: its checkbox, its gizmo, its poses.
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The viser server.
-    node : Node
-        The rclpy node that publishes.
-    view : ToolView
-        View of the tool.
-    index : int
-        Index of the tool.
-    patience : float, s
-        Time without an answer after which a page loses the tool.
+    server: the viser server; node: the rclpy node that publishes; view: view of the tool; index: index of the tool;
+    patience: time without an answer after which a page loses the tool, s.
     """
 
     def __init__(self, server: viser.ViserServer, node: Node, view: ToolView, index: int, patience: float) -> None:
@@ -69,7 +59,7 @@ class Poke:
         self._tool = PokedTool(node, self.name)
         self._ready = False  # the link to the tool is known
         self._holder: int | None = None
-        self._gizmo: Any = None
+        self._gizmo: viser.TransformControlsHandle | None = None
         self._offset = np.zeros(3)  # m, from where the mouse grabbed the tool to its goal
         self._asked: queue.SimpleQueue[tuple[bool, int | None]] = queue.SimpleQueue()
         self._gone = threading.Event()  # of the hand that holds it now
@@ -89,36 +79,22 @@ class Poke:
         return f"Take control of the tool: drag it, or one of its arrows. Publishes {self._tool.topic}"
 
     def use(self, link: ToolLink | None) -> None:
-        """Use a link to the tool; None: the default one.
-
-        Parameters
-        ----------
-        link : ToolLink | None
-            The link.
-        """
+        """Use a link to the tool; None: the default one."""
         self._ready = True
         if link is not None:
             self._tool.use(link)
             self.jaws.use(link)
             self._box.hint = self._hint()
 
-    def _on_box(self, event: Any) -> None:
+    def _on_box(self, event: viser.GuiEvent[viser.GuiCheckboxHandle]) -> None:
         if event.client_id is not None:  # not our own change
             self._asked.put((self._box.value, event.client_id))
 
     def update(self, now: float, watchers: Collection[int], points: Floats | None, frame_id: str) -> None:
         """Apply the requests of the checkbox.
 
-        Parameters
-        ----------
-        now : float, s
-            The present time.
-        watchers : Collection[int]
-            Ids of the browsers that look.
-        points : Floats | None, shape (n, 3), m
-            Points of the organ in a frame, or None without one.
-        frame_id : str
-            That frame.
+        now: the present time, s; watchers: ids of the browsers that look; points (n, 3) m: points of the organ in a
+        frame, or None without one.
         """
         self._box.disabled = points is None or self._view.reach == 0.0 or not self._ready
         self.jaws.update(now)
@@ -205,10 +181,10 @@ class Poke:
             except RuntimeError:  # disconnected, which `update` sees; or a browser without storage, which answers
                 continue
 
-    async def _on_gizmo(self, event: Any) -> None:
+    async def _on_gizmo(self, event: viser.TransformControlsEvent) -> None:
         self._tool.goal = np.array(event.target.position, dtype=np.float64)
 
-    async def _on_drag(self, event: Any) -> None:
+    async def _on_drag(self, event: viser.SceneNodeDragEvent) -> None:
         gizmo = self._gizmo
         if event.client_id != self._holder or gizmo is None:
             return

@@ -24,12 +24,7 @@ class PokedJaws:
 
     Their tips move like a held tool: no faster, and without a jump in speed.
 
-    Parameters
-    ----------
-    node : Node
-        The rclpy node that publishes.
-    link : ToolLink
-        Link of the tool.
+    node: the rclpy node that publishes; link: link of the tool.
     """
 
     def __init__(self, node: Node, link: ToolLink) -> None:
@@ -55,12 +50,7 @@ class PokedJaws:
     def turn(self, goal: float, start: float) -> None:
         """Move the jaws to an angle; from `start`, unless they are being moved already.
 
-        Parameters
-        ----------
-        goal : float, rad
-            The angle.
-        start : float, rad
-            The present angle.
+        goal: the angle, rad; start: the present angle, rad.
         """
         with self._lock:
             self._goal, self._touched = goal, time.monotonic()

@@ -24,16 +24,7 @@ def follow(position: Floats, velocity: Floats, goal: Floats, step: float) -> tup
 
     No faster than TOP_SPEED, without a jump in speed, and without overshooting a goal that stands still.
 
-    Parameters
-    ----------
-    position : Floats, shape (3,), m
-        The position.
-    velocity : Floats, shape (3,), m/s
-        The velocity.
-    goal : Floats, shape (3,), m
-        The goal.
-    step : float, s
-        Duration of the step.
+    position (3,) m; velocity (3,) m/s; goal (3,) m; step: duration of the step, s.
     """
     wanted = (goal - position) / max(RISE_TIME, 2.0 * step)
     velocity = velocity + limited(limited(wanted, TOP_SPEED) - velocity, ACCELERATION * step)
@@ -51,12 +42,7 @@ class PokedTool:
 
     The thread keeps publishing while the viewer is busy with a picture, so that no pose gets stale.
 
-    Parameters
-    ----------
-    node : Node
-        The rclpy node that publishes.
-    name : str
-        Name of the tool.
+    node: the rclpy node that publishes.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -68,13 +54,7 @@ class PokedTool:
         self.goal: Floats = np.zeros(3)  # m in the organ's frame; replaced as a whole, from any thread
 
     def use(self, link: ToolLink) -> None:
-        """Use a link to the tool from now on; a tool that is held by another one is released.
-
-        Parameters
-        ----------
-        link : ToolLink
-            The link.
-        """
+        """Use a link to the tool from now on; a tool that is held by another one is released."""
         if link != self._link:
             self.release()
             self._link = link
@@ -96,14 +76,8 @@ class PokedTool:
     def take(self, position: Floats, quaternion: Floats, frame_id: str) -> None:
         """Hold the tool at a pose until `release`.
 
-        Parameters
-        ----------
-        position : Floats, shape (3,), m
-            Its position in the organ's frame.
-        quaternion : Floats, shape (4,)
-            Its rotation xyzw.
-        frame_id : str
-            Frame of the organ.
+        position (3,) m: its position in the organ's frame; quaternion (4,): its rotation xyzw; frame_id: frame of the
+        organ.
         """
         self.release()
         self.goal = np.array(position, dtype=np.float64)

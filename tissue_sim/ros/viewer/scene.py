@@ -20,18 +20,8 @@ SKELETON: Colour = (20, 30, 60)
 class InclusionView:
     """Surfaces of inclusions within an organ's, which move along with it; seen while the organ is translucent.
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The viser server.
-    vertices : Floats, shape (p, 3), m
-        Positions at rest.
-    triangles : Longs, shape (t, 3)
-        Their triangles.
-    organ : OrganView
-        View of the organ.
-    name : str, optional
-        Name of the organ in a scene.
+    server: the viser server; vertices (p, 3) m: positions at rest; triangles (t, 3); organ: view of the organ; name:
+    name of the organ in a scene.
     """
 
     def __init__(
@@ -48,13 +38,7 @@ class InclusionView:
         )
 
     def show(self, surface: Floats) -> None:
-        """Draw them within the organ's surface.
-
-        Parameters
-        ----------
-        surface : Floats, shape (n, 3), m
-            Positions of the surface.
-        """
+        """Draw them within the organ's surface (n, 3) m."""
         self._mesh.vertices = (self._weights @ surface).astype(np.float32)
 
     def remove(self) -> None:
@@ -70,13 +54,7 @@ class LigamentView:
         self._lines: Any = None
 
     def show(self, ends: Floats) -> None:
-        """Draw lines between their ends; a different number of them is created again.
-
-        Parameters
-        ----------
-        ends : Floats, shape (l, 2, 3), m
-            The ends.
-        """
+        """Draw lines between their ends (l, 2, 3) m; a different number of them is created again."""
         if self._lines is not None and len(self._lines.points) == len(ends):
             self._lines.points = ends
             return
@@ -103,12 +81,7 @@ class SkeletonView:
     def show(self, atoms: Floats, parent: Longs) -> None:
         """Draw atoms, each joined with its parent; a different skeleton is created again.
 
-        Parameters
-        ----------
-        atoms : Floats, shape (n, 3), m
-            Positions of the atoms.
-        parent : Longs, shape (n,)
-            Parent of each, -1 at a root.
+        atoms (n, 3) m: positions of the atoms; parent (n,): parent of each, -1 at a root.
         """
         child = np.flatnonzero(parent >= 0)
         bones = np.stack([atoms[parent[child]], atoms[child]], axis=1)

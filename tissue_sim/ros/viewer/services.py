@@ -5,10 +5,11 @@ from __future__ import annotations
 import queue
 import time
 from collections.abc import Callable
-from typing import Any
 
+from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from tissue_sim.ros.shared.client import node_beside
@@ -22,12 +23,7 @@ class Services:
 
     They have a node of their own, for an executor that handles nothing but their answers.
 
-    Parameters
-    ----------
-    viewer : Node
-        The rclpy node of the viewer.
-    target : str
-        Name of the node.
+    viewer: the rclpy node of the viewer; target: name of the node.
     """
 
     def __init__(self, viewer: Node, target: str) -> None:
@@ -36,17 +32,12 @@ class Services:
         self._record = self._node.create_client(SetBool, f"/{target}/record")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._pending: list[tuple[Any, Any, Wish, float]] = []
+        self._pending: list[tuple[Client, Future, Wish, float]] = []
 
     def poll(self, wishes: queue.SimpleQueue[Wish], tell: Callable[[str, bool], None]) -> None:
         """Send new requests and report the answers that have come.
 
-        Parameters
-        ----------
-        wishes : queue.SimpleQueue[Wish]
-            The requests.
-        tell : Callable[[str, bool], None]
-            Takes a text, and whether it was done.
+        wishes: the requests; tell: takes a text, and whether it was done.
         """
         while not wishes.empty():
             wish = wishes.get()

@@ -23,17 +23,7 @@ def is_loopback(host: str) -> bool:
 def chosen_token(given: str | None, host: str) -> str | None:
     """Return the token that the page at a host needs: the user's, else a new one; none on loopback.
 
-    Parameters
-    ----------
-    given : str | None
-        The user's token.
-    host : str
-        The host.
-
-    Raises
-    ------
-    UserError
-        When the token could be guessed, or does not fit into an address.
+    given: the user's token. Raises UserError when the token could be guessed, or does not fit into an address.
     """
     if given:
         if not _TOKEN.fullmatch(given):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from tissue_sim.ros.node.output.markers import ARROW_LENGTH
 TOOL_COLOURS: tuple[Colour, ...] = ((120, 150, 190), (130, 175, 150), (170, 150, 190), (180, 170, 140))
 FORCE: Colour = (0, 60, 220)
 LEAST_FORCE = 0.01  # N, least force with an arrow
+Dragged = Callable[[viser.SceneNodeDragEvent], Coroutine]  # is called when a user drags a part of a tool
 
 
 def arrow(position: Floats, force: Floats, radius: float) -> NDArray[np.float32]:
@@ -33,10 +34,10 @@ class ToolView:
         self.name = name
         self.force: float | None = None  # N; None while it isn't moved
         self._scene, self._colour = server.scene, TOOL_COLOURS[index % len(TOOL_COLOURS)]
-        self._shapes: dict[int, tuple[Any, ...]] = {}
+        self._shapes: dict[int, tuple[float, ...]] = {}
         self._reaches: dict[int, float] = {}
-        self._parts: dict[int, Any] = {}
-        self._on_drag: Callable[[Any], Any] | None = None
+        self._parts: dict[int, viser.MeshHandle | viser.IcosphereHandle | viser.CylinderHandle] = {}
+        self._on_drag: Dragged | None = None
         self._arrow = self._scene.add_arrows(
             f"/forces/{name}",
             np.zeros((1, 2, 3)),
@@ -62,13 +63,7 @@ class ToolView:
         return max(self._reaches.values(), default=0.0)
 
     def show(self, markers: Sequence[Marker]) -> None:
-        """Draw the tool's markers as they came.
-
-        Parameters
-        ----------
-        markers : Sequence[Marker]
-            The markers.
-        """
+        """Draw the tool's markers as they came."""
         for marker in markers:
             if marker.type == Marker.ARROW:
                 self._show_force(marker)
@@ -101,14 +96,8 @@ class ToolView:
             self._label.position = self._arrow.points[0, 1]
             self._label.text = f"{self.name} {self.force:.2f} N"
 
-    def drag(self, callback: Callable[[Any], Any] | None) -> None:
-        """Call back when a user drags the tool with the mouse.
-
-        Parameters
-        ----------
-        callback : Callable[[Any], Any] | None
-            The callback; None: it can't be dragged.
-        """
+    def drag(self, callback: Dragged | None) -> None:
+        """Call back when a user drags the tool with the mouse; None: it can't be dragged."""
         for part in self._parts.values():
             if self._on_drag is not None:
                 part.remove_drag_callback("all")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from typing import Any
+from collections.abc import Collection
 
 import numpy as np
 import viser
@@ -11,6 +10,7 @@ from rclpy.node import Node
 from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.array_types import Floats
+from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.shared.tool_link import ToolLink
 from tissue_sim.ros.viewer.plot import ForcePlot
 from tissue_sim.ros.viewer.poke import Poke
@@ -57,21 +57,13 @@ class ToolsView:
         self.views: list[ToolView] = []
         self.pokes: list[Poke] = []
         self._plot: ForcePlot | None = None
-        self._parameters: Mapping[str, Any] | None = None
+        self._parameters: JsonObject | None = None
         self._last_message = -np.inf
         if names is not None:
             self._make(names)
 
     def take(self, message: MarkerArray | None, now: float) -> None:
-        """Show the node's newest markers, if there are new ones.
-
-        Parameters
-        ----------
-        message : MarkerArray | None
-            The markers.
-        now : float, s
-            The present time.
-        """
+        """Show the node's newest markers at a time, s, if there are new ones."""
         if message is None:
             if now - self._last_message > SILENT_AFTER:
                 for view in self.views:
@@ -84,14 +76,8 @@ class ToolsView:
         for view in self.views:
             view.show([marker for marker in message.markers if marker.ns == view.name])
 
-    def use(self, parameters: Mapping[str, Any]) -> None:
-        """Use the links to the tools in the node's parameters.
-
-        Parameters
-        ----------
-        parameters : Mapping[str, Any]
-            The parameters.
-        """
+    def use(self, parameters: JsonObject) -> None:
+        """Use the links to the tools in the node's parameters."""
         self._parameters = parameters
         for poke in self.pokes:
             poke.use(ToolLink.from_parameters(parameters, poke.name, self._target))
@@ -99,16 +85,8 @@ class ToolsView:
     def update(self, now: float, watchers: Collection[int], points: Floats | None, frame_id: str) -> None:
         """Apply the requests of the page.
 
-        Parameters
-        ----------
-        now : float, s
-            The present time.
-        watchers : Collection[int]
-            Ids of the browsers that look.
-        points : Floats | None, shape (n, 3), m
-            Points of the organ in a frame, or None without one.
-        frame_id : str
-            That frame.
+        now: the present time, s; watchers: ids of the browsers that look; points (n, 3) m: points of the organ in a
+        frame, or None without one.
         """
         for poke in self.pokes:
             poke.update(now, watchers, points, frame_id)

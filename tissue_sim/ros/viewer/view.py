@@ -37,13 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_page_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of every command that serves the page.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        The command's parser.
-    """
+    """Add the arguments of every command that serves the page."""
     parser.add_argument(
         "--host",
         default="127.0.0.1",
@@ -91,17 +85,7 @@ def run(args: argparse.Namespace) -> int:
 def check_port(host: str, port: int) -> None:
     """Check that a page can be served at a host and port.
 
-    Parameters
-    ----------
-    host : str
-        The host.
-    port : int
-        The port.
-
-    Raises
-    ------
-    UserError
-        When it can't; the message has the remedy.
+    Raises UserError when it can't; the message has the remedy.
     """
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
@@ -124,15 +108,7 @@ def check_port(host: str, port: int) -> None:
 def page_token(args: argparse.Namespace) -> str | None:
     """Return the token that the page needs, or None.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Arguments of the command.
-
-    Raises
-    ------
-    UserError
-        When it is invalid.
+    args: arguments of the command. Raises UserError when it is invalid.
     """
     return chosen_token(args.token or os.environ.get(TOKEN_VARIABLE), args.host)
 
@@ -140,14 +116,7 @@ def page_token(args: argparse.Namespace) -> str | None:
 def address(host: str, port: int, token: str | None) -> str:
     """Return the address to open in a browser on this machine.
 
-    Parameters
-    ----------
-    host : str
-        Host of the page.
-    port : int
-        Port of the page.
-    token : str | None
-        Token of the page.
+    host: host of the page; port: port of the page; token: token of the page.
     """
     page = f"http://{shown_host(host)}:{port}"
     return page if token is None else f"{page}/?token={token}"

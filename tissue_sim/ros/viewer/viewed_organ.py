@@ -76,12 +76,7 @@ class ViewedOrgan:
     def draw(self, eye: Floats | None, opacity: float) -> None:
         """Draw what has changed; surfaces only while a page is open.
 
-        Parameters
-        ----------
-        eye : Floats | None, shape (3,), m
-            The viewpoint.
-        opacity : float
-            1 hides what is within.
+        eye (3,) m: the viewpoint; opacity: 1 hides what is within.
         """
         if self.view is not None:
             self.view.turn()

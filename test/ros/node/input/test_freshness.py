@@ -1,5 +1,6 @@
 """How fresh input is, by the clock that ticks follow."""
 
+import itertools
 import math
 from types import SimpleNamespace
 
@@ -8,6 +9,7 @@ import pytest
 from helpers.scenes import ball
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.ros.node.input import freshness
 from tissue_sim.ros.node.input.freshness import Freshness
 from tissue_sim.ros.shared.cdr import UNSTAMPED
 from tissue_sim.ros.shared.loop import Loop
@@ -24,14 +26,14 @@ def scene():
     organs = SimpleNamespace(
         loop=SimpleNamespace(standing=False, clock_stands=False), stale_time=made.stale_time, ramp_time=made.ramp_time
     )
-    return SimpleNamespace(clock=clock, organs=organs, freshness=Freshness(clock, organs))
+    return SimpleNamespace(clock=clock, organs=organs, freshness=Freshness(clock, organs), stamps=itertools.count(1))
 
 
 def states(scene, *ages):
     """Whether a message that came so many s ago is fresh, and whether it counts."""
     found = []
     for age in ages:
-        scene.freshness.came(1)
+        scene.freshness.came(next(scene.stamps))
         scene.clock.time += age
         found.append((scene.freshness.is_fresh, scene.freshness.counts))
     return found
@@ -80,7 +82,7 @@ def test_the_period_is_that_of_the_times_at_which_messages_come(scene):
     for _ in range(400):
         scene.clock.time += 0.01
         for _ in range(3):
-            scene.freshness.came(1)
+            scene.freshness.came(next(scene.stamps))
     scene.clock.time += 5.0
     scene.freshness.came(1)
     assert 0.0099 < scene.freshness.period <= 0.0125
@@ -123,3 +125,29 @@ def test_poses_that_are_stale_before_the_next_are_reported_by_their_gap(scene):
     assert scene.freshness.too_slow == pytest.approx(0.3)
     scene.clock.time += 2.0
     assert scene.freshness.too_slow == 0.0, "one that has ended"
+
+
+def test_a_stamp_that_stands_keeps_nothing_fresh(scene):
+    """A driver whose device has gone may repeat its last message for ever."""
+    for _ in range(10):
+        scene.clock.time += 0.01
+        scene.freshness.came(7_000)
+    assert not scene.freshness.is_fresh
+    assert scene.freshness.stands_at(7_000)
+    assert not scene.freshness.stands_at(7_001)
+    scene.freshness.came(7_001)
+    assert scene.freshness.is_fresh
+    assert not scene.freshness.stands_at(7_001), "not before it is stale"
+
+
+def test_a_stamp_may_advance_by_the_time_that_has_passed_and_a_second(scene, monkeypatch):
+    wall = SimpleNamespace(now=100.0)
+    monkeypatch.setattr(freshness.time, "monotonic", lambda: wall.now)
+    assert scene.freshness.latest_stamp == math.inf, "of the first message"
+    scene.freshness.came(5_000_000_000)
+    scene.clock.time += 0.03
+    assert scene.freshness.latest_stamp == pytest.approx(6.03e9)
+    wall.now += 0.04
+    assert scene.freshness.latest_stamp == pytest.approx(6.04e9), "also where the simulation's clock is slower"
+    scene.clock.time += 0.1
+    assert scene.freshness.latest_stamp == math.inf, "of a stream that begins again"

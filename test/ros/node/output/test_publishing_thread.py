@@ -1,5 +1,6 @@
 """The thread that lets forces fade and shows the organ, where showing fails."""
 
+import math
 import time
 from types import SimpleNamespace
 
@@ -60,7 +61,7 @@ def scene(request, monkeypatch):
     """An outlet that isn't started, with what it serves; the reports it made."""
     monkeypatch.setattr(outlet, "REPORT_EVERY", 0.1)
     parts = SimpleNamespace(output=Output(), presenter=Presenter(), logger=Logger(), reports=[])
-    live = SimpleNamespace(marker_rate=request.param, helps=lambda _: False, level=0)
+    live = SimpleNamespace(marker_rate=request.param, helps=lambda _: False, level=0, ease=lambda _: math.inf)
 
     def tell():
         report = Report()

@@ -1,6 +1,7 @@
 """A blade at a node: it cuts the organ as it is moved, its cut is published, and its bag repeats."""
 
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from helpers.ros.clients import LATCHED, Client
 from helpers.ros.processes import UNHURRIED, running_node, shipped
 from tissue_sim.cli import main
+from tissue_sim.ros.bags.recording import Recording
 
 LIMIT = 600.0  # s, as the cut is made at a low priority, which waits long for a turn on a busy machine
 STEP = 1e-4  # m
@@ -45,7 +47,7 @@ def test_a_blade_cuts_as_it_is_moved_and_its_bag_repeats(tmp_path, capsys, heat)
     with running_node(tmp_path, "tools:=[left]", *BLADE, *heat, UNHURRIED, f"record_folder:={tmp_path / 'bags'}"):
         client = Surgeon()
         assert client.spin_until(lambda: client.pose.get_subscription_count() > 0 and client.surface().size > 0)
-        bag = client.record(True).message
+        bags = [client.record(True).message]
         deep, end = -0.004, time.monotonic() + LIMIT
         forces = []
         while not (client.cuts and client.report()["cuts"] == "1" and deep > 0.014):
@@ -59,6 +61,12 @@ def test_a_blade_cuts_as_it_is_moved_and_its_bag_repeats(tmp_path, capsys, heat)
         values = {item.key: float(item.value) for item in status.values}
         assert values["area_m2"] > 5e-6  # of the newest stage that was opened
         assert bool(values["stiffer_cells"]) == bool(heat)
+        # Another bag begins in the cut organ; whether the blade sticks at that moment depends on the machine.
+        assert client.record(False).success
+        bags.append(client.record(True).message)
+        while deep < 0.018:
+            deep += STEP
+            client.hold(deep)
         while deep > -0.006:
             deep -= 4.0 * STEP
             client.hold(deep)
@@ -68,5 +76,11 @@ def test_a_blade_cuts_as_it_is_moved_and_its_bag_repeats(tmp_path, capsys, heat)
         assert client.reset().success
         assert client.spin_until(lambda: not client.cuts)
         client.close()
-    assert main(["replay", bag, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0, capsys.readouterr().err
-    assert "repeats" in capsys.readouterr().out
+    for bag in bags:
+        assert main(["replay", bag, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0, (
+            capsys.readouterr().err
+        )
+        assert "repeats" in capsys.readouterr().out
+    (organ,) = Recording.read(Path(bags[1])).organs
+    assert organ.cuts[0].tick == -1, "it was cut before"
+    assert (organ.cuts[0].organ.cell_mu.max() > 2.0 * shipped().cell_mu.max()) == bool(heat)

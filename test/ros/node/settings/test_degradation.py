@@ -1,5 +1,6 @@
 """What is given up when the machine is too slow, in which order, and how it comes back."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from helpers.scenes import ball, ball_of_cells
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node.settings import degradation as degrade
+from tissue_sim.ros.node.settings.coupling_ramp import RIGID
 from tissue_sim.ros.node.settings.degradation import (
     HOLD,
     LOOK_EVERY,
@@ -147,6 +149,47 @@ def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
     return made, posted
 
 
+def eased(made):
+    """Stiffnesses on the way to the one that is wanted, N/m."""
+    now, found = 0.0, []
+    while (wait := made.ease(now)) < math.inf:
+        found.append(made.coupling_stiffness)
+        now += wait
+    return found
+
+
+@pytest.mark.parametrize(("before", "after"), [(200.0, 2000.0), (2000.0, 200.0), (200.0, 0.0), (0.0, 200.0)])
+def test_a_coupling_changes_in_small_steps_and_rigid_is_the_stiffest(before, after):
+    made, posted = live(coupling_stiffness=before)
+    made.update()
+    assert made.coupling_stiffness == before, "at the start at once"
+    made._parameters["coupling_stiffness"] = after
+    made.update()
+    assert made.coupling_stiffness == before
+    count = len(posted)
+    way = eased(made)
+    assert [one.coupling_stiffness for _, one in posted[count:]] == way
+    assert way[-1] == after == made.coupling_stiffness
+    stiff = np.array([k or RIGID for k in (before, *way)])
+    factors = stiff[1:] / stiff[:-1]
+    assert np.maximum(factors, 1.0 / factors).max() < 1.0471
+    assert all(factors > 1.0) or all(factors < 1.0)
+    assert made.ease(1e9) == math.inf
+
+
+def test_a_coupling_that_is_changed_on_its_way_turns_round():
+    made, _ = live(coupling_stiffness=200.0)
+    made.update()
+    made._parameters["coupling_stiffness"] = 2000.0
+    made.update()
+    for step in range(5):
+        made.ease(float(step))
+    made._parameters["coupling_stiffness"] = 200.0
+    made.update()
+    assert max(eased(made)) < 400.0
+    assert made.coupling_stiffness == 200.0
+
+
 def test_coupling_is_no_stiffer_than_the_devices_bear():
     made, posted = live(coupling_stiffness=2000.0)
     made.update()
@@ -206,9 +249,11 @@ def test_bound_follows_rate_and_delay_and_not_their_noise():
     assert len(posted) == count, "nothing is posted while it only trembles"
     poses.period, poses.delay = 10e-3, 0.0
     made.update()
+    eased(made)
     assert made.coupling_stiffness == pytest.approx(0.9 * allowed(10e-3, 0.0))
     poses.period = 1e-3
     made.update()
+    eased(made)
     assert made.coupling_stiffness == pytest.approx(before), "and back"
 
 

@@ -71,5 +71,5 @@ def _parts(path: Path) -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    catch_all("suite")
+    catch_all("suite", "scenes that were recorded stay in their folders; the summary is as it was")
     sys.exit(main())

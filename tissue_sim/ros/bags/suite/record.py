@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -42,26 +41,8 @@ RATES = {"marker_rate": "2.0", "contact_rate": "250.0"}
 def record(scene: Scene, organ: Organ, organ_file: Path, target: Path) -> dict[str, int]:
     """Record a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    organ : Organ
-        The organ.
-    organ_file : Path
-        Its file.
-    target : Path
-        Folder of the bag.
-
-    Returns
-    -------
-    dict[str, int]
-        how many inputs the node refused, by kind
-
-    Raises
-    ------
-    UserError
-        When the node ends, or doesn't answer.
+    target: folder of the bag. Returns how many inputs the node refused, by kind. Raises UserError when the node ends,
+    or doesn't answer.
     """
     folder = target.with_name(f"{target.name}.new")
     shutil.rmtree(folder, ignore_errors=True)
@@ -149,7 +130,7 @@ class _Sender:
             one.get_subscription_count() for one in publishers
         )
 
-    def _wait_for(self, ask: Callable[[], Any]) -> Any:
+    def _wait_for[Answer](self, ask: Callable[[], Answer | None]) -> Answer:
         end = time.monotonic() + PATIENCE
         while not (found := ask()):
             if self._child.exit_code is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -43,12 +42,7 @@ class _Watch:
 def figures(recording: Recording, refused: Mapping[str, int]) -> JsonObject:
     """Replay a bag and sum it up: N, N s, mm, percent of the volume, ticks.
 
-    Parameters
-    ----------
-    recording : Recording
-        The bag.
-    refused : Mapping[str, int]
-        Number of inputs that the node refused and the bag therefore lacks, by kind.
+    refused: number of inputs that the node refused and the bag therefore lacks, by kind.
     """
     (organ,) = (one.organ() for one in recording.organs)
     player = Player(recording, [organ])
@@ -73,14 +67,8 @@ def figures(recording: Recording, refused: Mapping[str, int]) -> JsonObject:
     return found
 
 
-def as_text(scenes: Mapping[str, tuple[str, Mapping[str, Any]]]) -> str:
-    """Return the summary as text.
-
-    Parameters
-    ----------
-    scenes : Mapping[str, tuple[str, Mapping[str, Any]]]
-        Description and figures of each scene, by its name.
-    """
+def as_text(scenes: Mapping[str, tuple[str, JsonObject]]) -> str:
+    """Return the summary, of a description and figures of each scene, by its name, as text."""
     parts = []
     for name, (what, found) in scenes.items():
         rows = "".join(f"  {key + ':':<24} {value}\n" for key, value in found.items())

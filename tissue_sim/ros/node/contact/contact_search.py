@@ -31,13 +31,7 @@ class ToolsNow(NamedTuple):
 
     @classmethod
     def of(cls, ports: Sequence[ToolPort]) -> ToolsNow:
-        """Return them as the ports have them.
-
-        Parameters
-        ----------
-        ports : Sequence[ToolPort]
-            The tools' ports.
-        """
+        """Return them as the tools' ports have them."""
         newest = [port.newest for port in ports]
         fresh = [counts for port in ports for counts in [port.pose_freshness.counts] * len(port.bodies)]
         pushing = np.zeros(len(fresh), dtype=np.int64)
@@ -77,23 +71,11 @@ class ContactSearch:
         self._next: tuple[ContactFinder, int] | None = None  # on the surface after a cut, with its number of nodes
 
     def finder_of(self, surface: TouchedSurface) -> ContactFinder:
-        """Return a finder on another surface of the organ; this takes a while.
-
-        Parameters
-        ----------
-        surface : TouchedSurface
-            The surface.
-        """
+        """Return a finder on another surface of the organ; this takes a while."""
         return ContactFinder(surface, self.finder.tools)
 
     def exchange(self, finder: ContactFinder) -> None:
-        """Search with another finder from the next search on, after the loop has gone on with its organ.
-
-        Parameters
-        ----------
-        finder : ContactFinder
-            The finder.
-        """
+        """Search with another finder from the next search on, after the loop has gone on with its organ."""
         self._next = finder, self._physics.simulation.organ.n_nodes
 
     def _take_finder(self) -> None:
@@ -109,13 +91,7 @@ class ContactSearch:
             self._recorder.searched(int(self._physics.box.contacts.sequence[0]) + 1)
 
     def is_idle(self, now: ToolsNow) -> bool:
-        """Return whether no tool comes, and none is left in touch.
-
-        Parameters
-        ----------
-        now : ToolsNow
-            The newest inputs.
-        """
+        """Return whether no tool comes by the newest inputs, and none is left in touch."""
         if any(now.fresh) or now.pushing.any() or not self._last_empty:
             return False
         self.is_behind = False
@@ -124,19 +100,8 @@ class ContactSearch:
     def refresh(self, now: ToolsNow, begun: float, rate: float) -> bool:
         """Find a contact set, where anything has moved.
 
-        Parameters
-        ----------
-        now : ToolsNow
-            The newest inputs.
-        begun : float, s
-            When this search began, monotonic.
-        rate : float, Hz
-            Rate of contact sets.
-
-        Returns
-        -------
-        bool
-            whether it found one
+        now: the newest inputs; begun: when this search began, monotonic, s; rate: rate of contact sets, Hz. Returns
+        whether it found one.
         """
         self._take_finder()
         results, surface = self._physics.results(), self._physics.surface_sequence
@@ -198,14 +163,7 @@ class OrganContactSearch:
     def exchange(self, organ: int, surface: TouchedSurface, number: int) -> None:
         """Search on another surface of an organ from the next search on, after the loop has gone on with it.
 
-        Parameters
-        ----------
-        organ : int
-            Index of the organ.
-        surface : TouchedSurface
-            The surface.
-        number : int
-            Number of the cut.
+        organ: index of the organ; number: number of the cut.
         """
         self._next[organ] = surface, number
 
@@ -213,10 +171,11 @@ class OrganContactSearch:
         """Take the newest surfaces, where there are any."""
         while self._next:
             organ, (surface, number) = self._next.popitem()
-            self.finder.exchange(organ, surface)
+            self.finder.exchange(organ, surface, number)
+            self._positions[organ] = np.zeros((surface.organ.n_nodes, 3))
             self._last_key = self._last_key[:1]
             with self._recorder.together:
-                self._recorder.surface(organ, number)
+                self._recorder.surface(organ, number, surface.is_cut)
 
     def refresh(self) -> bool:
         """Find pairs, where any organ has moved; return whether one has."""
@@ -227,12 +186,10 @@ class OrganContactSearch:
             return False
         if key[0] != self._last_key[0]:  # the organs have jumped
             self.finder.forget()
+        ticks = self._read_positions()
+        if ticks is None:
+            return True
         self._last_key = key
-        ticks = []
-        for one, positions in zip(self._organs.each, self._positions, strict=True):
-            tick, carried = one.positions(positions)
-            np.add(positions, carried, out=positions)
-            ticks.append(tick)
         found = self.finder.find(self._positions, [not one.results().status.asleep for one in self._organs.each])
         is_empty = bool(found.found[0] == 0)
         if not (is_empty and self._last_empty):
@@ -240,3 +197,17 @@ class OrganContactSearch:
                 self._recorder.pairs(self._organs.loop.post_organ_contacts(found), ticks, found)
         self._last_empty = is_empty
         return True
+
+    def _read_positions(self) -> list[int] | None:
+        """Read where the organs are; return the ticks, or None where one was cut since its surface was taken.
+
+        Its positions are those of other nodes then, and a replay would read them as they are.
+        """
+        ticks = []
+        for one, positions, version in zip(self._organs.each, self._positions, self.finder.versions, strict=True):
+            tick, carried = one.positions(positions)
+            if one.version != version:
+                return None
+            np.add(positions, carried, out=positions)
+            ticks.append(tick)
+        return ticks

@@ -46,28 +46,13 @@ class ContactWorker:
         return self._searches[0].finder.tools
 
     def finder_of(self, organ: int, surface: TouchedSurface) -> ContactFinder:
-        """Return a finder on another surface of an organ; this takes a while.
-
-        Parameters
-        ----------
-        organ : int
-            Index of the organ.
-        surface : TouchedSurface
-            The surface.
-        """
+        """Return a finder on another surface of the organ of an index; this takes a while."""
         return self._searches[organ].finder_of(surface)
 
     def exchange(self, organ: int, finder: ContactFinder, number: int) -> None:
         """Search on another surface of an organ from the next search on, after the loop has gone on with it.
 
-        Parameters
-        ----------
-        organ : int
-            Index of the organ.
-        finder : ContactFinder
-            The finder on that surface.
-        number : int
-            Number of the cut.
+        organ: index of the organ; finder: the finder on that surface; number: number of the cut.
         """
         self._searches[organ].exchange(finder)
         if self._pairs is not None:
@@ -87,15 +72,7 @@ class ContactWorker:
     def catch_up(self, timeout: float) -> bool:
         """Wait for a whole search that begins after this call, so that its sets are posted.
 
-        Parameters
-        ----------
-        timeout : float, s
-            How long to wait at most.
-
-        Returns
-        -------
-        bool
-            whether it ended in time
+        timeout: how long to wait at most, s. Returns whether it ended in time.
         """
         with self._pass_ended:
             wanted = self._passes_begun + 1
@@ -103,13 +80,7 @@ class ContactWorker:
             return self._pass_ended.wait_for(lambda: self._passes_ended >= wanted, timeout)
 
     def report(self, report: Report) -> None:
-        """Add what was found, what was skipped, and how long it took.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add what was found, what was skipped, and how long it took."""
         durations = self.durations[-250:]
         counters = [one.finder.counters for one in self._searches]
         report.values |= {

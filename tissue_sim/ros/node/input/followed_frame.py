@@ -22,23 +22,8 @@ class FollowedFrame:
     A transform counts once, by its stamp: where no newer one comes, the tool's pose becomes stale, as without messages
     of a bridge.
 
-    Parameters
-    ----------
-    node : Node
-        The node, whose executor asks.
-    lookup : TfLookup | None
-        Lookup of frames; None without tf2_ros.
-    frame_id : str
-        The frame.
-    followed_by : ToolInput
-        Input of the tool.
-    period : float, s
-        Time between two questions.
-
-    Raises
-    ------
-    UserError
-        Where tf2_ros is not installed.
+    node: the node, whose executor asks; lookup: lookup of frames, None without tf2_ros; followed_by: input of the tool;
+    period: time between two questions, s. Raises UserError where tf2_ros is not installed.
     """
 
     def __init__(

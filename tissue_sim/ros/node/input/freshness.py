@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 
 from tissue_sim.ros.node.shared.sim_clock import SimClock
@@ -12,6 +13,7 @@ FIRST_PERIOD = 1e-3  # s between two messages, until they come
 LONGEST_PERIOD = 0.1  # s between two messages of a stream
 LONGEST_DELAY = 0.1  # s; a larger age means that clocks differ
 NEW = 0.02  # weight of the newest message in averages
+LONGEST_JUMP = 1.0  # s, that stamps of one stream may advance by more than the clock
 LONGEST_GAP, GAPS = 1.0, 8  # s between messages of one stream, at most; number of gaps by which a stream counts as slow
 
 
@@ -26,18 +28,18 @@ class Freshness:
     def __init__(self, clock: SimClock, organs: Organs) -> None:
         self.clock, self._organs = clock, organs
         self._came, self._stamp = -math.inf, 0  # s, ns
+        self._arrived = -math.inf  # s of the monotonic clock, which goes on while the loop is held
         self._period, self._delay = FIRST_PERIOD, 0.0  # s, on average
         self._gaps: deque[float] = deque(maxlen=GAPS)  # s
         clock.jumped.append(self._forget)
 
     def came(self, stamp: int) -> None:
-        """Note that a message was applied.
+        """Note that a message was applied. stamp: its time, or UNSTAMPED, ns.
 
-        Parameters
-        ----------
-        stamp : int, ns
-            Its time, or UNSTAMPED.
+        One with the stamp of the last one is no newer, and keeps nothing fresh.
         """
+        if self._repeats(stamp):
+            return
         now = self.clock.now()
         if 0.0 < (gap := now - self._came) < LONGEST_PERIOD:  # several at one time of /clock count once for the ticks
             self._period += NEW * (gap - self._period)
@@ -47,7 +49,7 @@ class Freshness:
             self._gaps.clear()
         age = self.clock.age_of(stamp) if stamp > 0 else 0.0
         self._delay += NEW * ((age if 0.0 <= age <= LONGEST_DELAY else 0.0) - self._delay)
-        self._came, self._stamp = now, stamp
+        self._came, self._stamp, self._arrived = now, stamp, time.monotonic()
 
     @property
     def age(self) -> float:
@@ -63,6 +65,21 @@ class Freshness:
     def counts(self) -> bool:
         """Whether a stale input has not yet faded, which takes a `ramp_time` more."""
         return not self._organs.loop.clock_stands and self.age < self._organs.stale_time + self._organs.ramp_time
+
+    def stands_at(self, stamp: int) -> bool:
+        """Return whether a stream repeats a message that is stale, as a driver does whose device has gone.
+
+        stamp: stamp of the newest message, ns.
+        """
+        return self._repeats(stamp) and not self._organs.loop.standing and self.age > self._organs.stale_time
+
+    @property
+    def latest_stamp(self) -> float:
+        """Latest stamp, ns, of the next message; infinite for a stream that begins again."""
+        last = self.last_stamp
+        if last <= 0:
+            return math.inf
+        return last + 1e9 * (max(self.age, time.monotonic() - self._arrived) + LONGEST_JUMP)
 
     @property
     def last_stamp(self) -> int:
@@ -88,6 +105,10 @@ class Freshness:
         It is 0 for messages without a stamp, or from a machine whose clock is ahead, or far behind.
         """
         return self._delay
+
+    def _repeats(self, stamp: int) -> bool:
+        """Return whether a stamp, ns, is that of the newest message."""
+        return 0 < stamp == self._stamp
 
     def _forget(self) -> None:
         self._came, self._stamp = -math.inf, 0

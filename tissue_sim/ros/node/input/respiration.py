@@ -34,13 +34,7 @@ class RespirationInput:
         self._subscription = node.create_subscription(JointState, "~/respiration", self._on_fraction, STREAM)
 
     def report(self, report: Report) -> None:
-        """Add where the breath is to be, and what was refused.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add where the breath is to be, and what was refused."""
         report.values |= {"respiration": self.fraction, "respirations": self.taken}
         report.problems |= {f"respiration.refused.{why}": count for why, count in sorted(self.refused.items())}
 
@@ -64,7 +58,9 @@ class RespirationInput:
         if not message.position:
             return "no_position", "it contains no position"
         fraction = message.position[0]
-        if not math.isfinite(fraction) or not 0.0 <= fraction <= 1.0:
+        if not math.isfinite(fraction):
+            return "nan_position", "it contains a value that is not finite"
+        if not 0.0 <= fraction <= 1.0:
             return "no_share", f"its position is {fraction:g}; expected: 0, exhaled, to 1, inhaled"
         if stamp == 0:
             return "no_stamp", "its stamp is 0, which marks invalid data; set header.stamp to the time of measurement"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 from rclpy.node import Node
 from rclpy.time import Time
@@ -32,8 +31,8 @@ class TfLookup:
 
     def __init__(self, node: Node, target: str) -> None:
         self._node, self.target = node, target
-        self._buffer: Any = None
-        self._listener: Any = None
+        self._buffer: tf2_ros.Buffer | None = None
+        self._listener: tf2_ros.TransformListener | None = None
         self._answers: dict[str, tuple[float, Transform]] = {}
 
     def __call__(self, frame_id: str) -> Transform:

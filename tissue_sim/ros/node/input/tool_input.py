@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -20,7 +20,7 @@ from tissue_sim.ros.node.input.freshness import Freshness
 from tissue_sim.ros.node.shared.backlog import InputThrottle
 from tissue_sim.ros.node.shared.served_tool import NewestPose, ServedTool, turned
 from tissue_sim.ros.node.shared.shared_parts import SharedParts
-from tissue_sim.ros.shared.cdr import UNSTAMPED, Stamped, check_force, check_position, unit_pose
+from tissue_sim.ros.shared.cdr import UNSTAMPED, BadQuaternion, Stamped, check_force, check_position, unit_pose
 from tissue_sim.ros.shared.frames import Transform, UnknownFrame
 from tissue_sim.ros.shared.messages import NumbersTemplate
 from tissue_sim.ros.shared.qos import RELIABLE, STREAM
@@ -43,18 +43,8 @@ class ToolInput:
     It posts messages to the loop and the bag. Inside, and in a bag, a pose is a PoseStamped and a force a
     WrenchStamped, both in the organ's frame. While the executor is behind by its backlog, some of them are skipped.
 
-    Parameters
-    ----------
-    parts : SharedParts
-        The node and its parts.
-    tool : ServedTool
-        The tool.
-    freshness : tuple[Freshness, Freshness]
-        Freshness of poses and of forces.
-    pose_came : Callable[[], None]
-        Called after each pose that was applied.
-    force_came : Callable[[], None]
-        Called after each force that was applied.
+    parts: the node and its parts; freshness: freshness of poses and of forces; pose_came: called after each pose that
+    was applied; force_came: called after each force that was applied.
     """
 
     def __init__(
@@ -123,24 +113,15 @@ class ToolInput:
 
         Raises Refused where it can't be used.
 
-        Parameters
-        ----------
-        values : x, y, z in m and a quaternion xyzw
-        frame_id, to_organ
-            The frame that it was given in, and the transform from that.
+        values: y, z in m and a quaternion xyzw; frame_id, to_organ: the frame that it was given in, and the transform
+        from that.
         """
-        if not all(map(math.isfinite, values)):
-            raise Refused("nan_pose", "it contains a value that is not finite")
+        _check_finite(values, "nan_pose")
         self._take(Stamped(UNSTAMPED, "", values), frame_id, to_organ, b"")
 
     def follow(self, message: Stamped) -> None:
-        """Take up a pose that tf brought, in the frame that tf was asked for. Raises Refused.
-
-        Parameters
-        ----------
-        message : Stamped
-            The pose.
-        """
+        """Take up a pose that tf brought, in the frame that tf was asked for. Raises Refused."""
+        _check_finite(message.values, "nan_pose")
         self._check_order(message.stamp)
         to_organ = self._tool.frames.to_organ(message.frame_id)
         self._take(message._replace(values=to_organ.of(message.values)), message.frame_id, to_organ, b"")
@@ -175,7 +156,7 @@ class ToolInput:
             if self.follows:
                 name = self._tool.name
                 raise Refused("not_followed", f"the tool follows '{self.follows}' (parameter {name}.tf_frame)")
-            message, frame_id, to_organ = self._read(raw, self._pose_type, N_POSE, "pose", self._pose_freshness)
+            message, frame_id, to_organ = self._read(raw, self._pose_type, N_POSE, "nan_pose", self._pose_freshness)
             if not to_organ.is_identity:
                 message = message._replace(values=to_organ.of(message.values))
             is_as_bagged = self._is_as_bagged(message, to_organ) and self._pose_type is POSE_TYPES["PoseStamped"]
@@ -187,8 +168,10 @@ class ToolInput:
         Raises Refused.
         """
         tool = self._tool
-        with self._as("zero_quaternion"):
+        try:
             pose = unit_pose(np.array(message.values))
+        except BadQuaternion as error:
+            raise Refused(error.counted, str(error)) from None
         with self._as("far_pose"):
             check_position(pose[:3])
         stamp = self._stamp(message)
@@ -215,15 +198,14 @@ class ToolInput:
                 if wanted not in message.name[: len(message.position)]:
                     raise Refused("no_joint", f"it contains no position of the joint '{wanted}'")
                 at = message.name.index(wanted)
-            if not math.isfinite(message.position[at]):
-                raise Refused("nan_angle", "it contains a value that is not finite")
+            _check_finite(message.position[at : at + 1], "nan_angle")
             self._angle = float(message.position[at])
 
     def _on_force(self, raw: bytes) -> None:
         if not self.enabled or not self._force_gate.passes():
             return
         with self.refusing("force"):
-            message, _, to_organ = self._read(raw, self._force_type, N_WRENCH, "force", self._force_freshness)
+            message, _, to_organ = self._read(raw, self._force_type, N_WRENCH, "nan_force", self._force_freshness)
             self._force_freshness.came(message.stamp)
             if not self._is_as_bagged(message, to_organ) or self._force_type is not FORCE_TYPES["WrenchStamped"]:
                 message = message._replace(values=turned(message.values, lambda v: rotate(to_organ.rotation, v)))
@@ -236,15 +218,17 @@ class ToolInput:
             self._force_came()
 
     def _read(
-        self, raw: bytes, kind: Incoming, n_values: int, what: str, freshness: Freshness
+        self, raw: bytes, kind: Incoming, n_values: int, not_finite: str, freshness: Freshness
     ) -> tuple[Stamped, str, Transform]:
-        """Return a message whose values can be used, their frame, and the transform from it to the organ's."""
+        """Return a message whose values can be used, their frame, and the transform from it to the organ's.
+
+        not_finite: name of the refusal of values that are not finite.
+        """
         tool = self._tool
         usual = tool.topics.frame_id
         with self._as("malformed"):
             message = kind.parse(raw, n_values)
-        if not all(map(math.isfinite, message.values)):
-            raise Refused(f"nan_{what}", "it contains a value that is not finite")
+        _check_finite(message.values, not_finite)
         if message.stamp == UNSTAMPED:  # it has no frame either; later arrival is newer
             return message, usual, tool.frames.to_organ(usual)
         try:
@@ -267,10 +251,18 @@ class ToolInput:
         return message, frame_id, to_organ
 
     def _check_order(self, stamp: int, freshness: Freshness | None = None) -> None:
-        """Raise Refused for a stamp before the last one of poses, or of others."""
-        last = (self._pose_freshness if freshness is None else freshness).last_stamp
+        """Raise Refused for a stamp before the last one of poses, or of others, far ahead of it, or still the same."""
+        stream = self._pose_freshness if freshness is None else freshness
+        last = stream.last_stamp
         if (before := last - stamp) > 0:
             raise Refused("backward_stamp", f"its stamp is {1e-9 * before:.3f} s before the last one")
+        if stamp > stream.latest_stamp:
+            late = f"its stamp is {1e-9 * (stamp - last):.3f} s after the last one, which came {stream.age:.3f} s ago"
+            raise Refused("forward_stamp", f"{late}; the bridge's clock has jumped")
+        if stream.stands_at(stamp):
+            raise Refused(
+                "same_stamp", f"its stamp has been the same for {stream.age:.3f} s; the bridge repeats an old message"
+            )
 
     def _is_as_bagged(self, message: Stamped, to_organ: Transform) -> bool:
         """Return whether a bag may hold it as it came; there everything has the organ's frame."""
@@ -290,18 +282,7 @@ class ToolInput:
 
     @contextmanager
     def refusing(self, what: str) -> Iterator[None]:
-        """Count what is refused in here, and log it now and then.
-
-        Parameters
-        ----------
-        what : str
-            Name of what came.
-
-        Yields
-        ------
-        Iterator[None]
-            Nothing.
-        """
+        """Count what is refused in here, and log it now and then. what: name of what came."""
         try:
             yield
         except Refused as refused:
@@ -310,3 +291,9 @@ class ToolInput:
             if now - self._warned.get(refused.name, -math.inf) > WARN_EVERY:
                 self._warned[refused.name] = now
                 self._log.warning(f"tool '{self._tool.name}': {what} refused: {refused}")
+
+
+def _check_finite(values: Iterable[float], name: str) -> None:
+    """Raise Refused, under a name, where a value is no number."""
+    if not all(map(math.isfinite, values)):
+        raise Refused(name, "it contains a value that is not finite")

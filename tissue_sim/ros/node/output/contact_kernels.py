@@ -19,13 +19,7 @@ from tissue_sim.unexpected_errors import catch_all
 
 
 def compile_beside(organ_file: Path) -> Child:
-    """Start it as a process that ends with this one. Where it fails, the node compiles for itself.
-
-    Parameters
-    ----------
-    organ_file : Path
-        File of the organ.
-    """
+    """Start it as a process that ends with this one. Where it fails, the node compiles for itself."""
     return Child("contact kernels", [sys.executable, "-m", __name__, str(organ_file)], os.environ)
 
 

@@ -65,13 +65,7 @@ class ContactPoints:
                 self.published[tool] += 1
 
     def report(self, report: Report) -> None:
-        """Add how many clouds of each tool were published, and how often the loop was asked for its state.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add how many clouds of each tool were published, and how often the loop was asked for its state."""
         report.values["contacts_gathered"] = self.gathered
         for tool, count in zip(self._tools.tools, self.published, strict=True):
             report.part(f"tool {tool.name}", f"{tool.name}.").values["contact_clouds"] = count

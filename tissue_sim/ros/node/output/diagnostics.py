@@ -29,13 +29,7 @@ class Diagnostics:
         self._last_problems: dict[str, dict[str, int]] = {}  # by the name of the status
 
     def publish(self, report: Report) -> None:
-        """Publish a report as the status "physics", and its parts as one each.
-
-        Parameters
-        ----------
-        report : Report
-            The report.
-        """
+        """Publish a report as the status "physics", and its parts as one each."""
         statuses = [self._status("physics", report.whole())]
         statuses += [self._status(called, part) for called, part in report.parts.items()]
         message = DiagnosticArray(status=statuses)
@@ -61,14 +55,7 @@ class Diagnostics:
 class LoopReport:
     """Report of how the physics loop keeps time, and what it did.
 
-    Parameters
-    ----------
-    organs : Organs
-        The organs.
-    names : Sequence[str]
-        Names of the organs, or a single empty one.
-    titles : Sequence[str]
-        Titles of the organs.
+    names: names of the organs, or a single empty one; titles: titles of the organs.
     """
 
     def __init__(self, organs: Organs, names: Sequence[str], titles: Sequence[str]) -> None:
@@ -76,13 +63,7 @@ class LoopReport:
         self._timing = TimingReader(organs)
 
     def report(self, report: Report) -> None:
-        """Add the loop's times and counters since the last report.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add the loop's times and counters since the last report."""
         timing, results = self._timing.read(), [one.results() for one in self._organs.each]
         busy, late = (
             1e6 * np.percentile(times, [50.0, 99.0, 100.0]) if timing.ticks else np.zeros(3)

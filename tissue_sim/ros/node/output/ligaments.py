@@ -23,14 +23,8 @@ class Ligaments:
     def __init__(self, frame_id: str, joined: Joined, first: Sequence[int]) -> None:
         """Make the marker.
 
-        Parameters
-        ----------
-        frame_id : str
-            Frame of the organs' positions.
-        joined : Joined
-            The scene's links and its breath.
-        first : Sequence[int], shape (organs,)
-            Row of each organ's first node in the stacked nodes of all.
+        frame_id: frame of the organs' positions; joined: the scene's links and its breath; first (organs,): row of each
+        organ's first node in the stacked nodes of all.
         """
         links = joined.links
         of_organ = (links.organ != POINT).ravel()
@@ -47,12 +41,7 @@ class Ligaments:
     def message(self, stamp: int, positions: Floats) -> bytes:
         """Return the MarkerArray for a time and positions.
 
-        Parameters
-        ----------
-        stamp : int, ns
-            The time.
-        positions : Floats, shape (n, 3), m
-            Positions of all organs' nodes.
+        stamp: the time, ns; positions (n, 3) m: positions of all organs' nodes.
         """
         breath, points = self._breath, self._bytes.points[0]
         points[self._ends] = positions[self._nodes]

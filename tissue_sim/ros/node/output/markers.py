@@ -113,38 +113,17 @@ class MarkerBytes:
         words[template.actions] = ADD
 
     def stamp(self, stamp: int) -> None:
-        """Set the stamp of every marker, ns.
-
-        Parameters
-        ----------
-        stamp : int, ns
-            The stamp.
-        """
+        """Set the stamp of every marker, ns."""
         write_stamp(self.template, stamp)
 
     def show(self, index: int, is_shown: bool) -> None:
-        """Add a marker, or delete it.
-
-        Parameters
-        ----------
-        index : int
-            Index of the marker.
-        is_shown : bool
-            Whether to add it.
-        """
+        """Add a marker of an index, or delete it."""
         self.template.words[self.template.actions[index]] = ADD if is_shown else DELETE
 
     def draw_force(self, index: int, start: Floats, force: Floats) -> None:
         """Show a force as an arrow; without a force the arrow is deleted.
 
-        Parameters
-        ----------
-        index : int
-            Index of its marker.
-        start : Floats, shape (3,), m
-            Start of the arrow.
-        force : Floats, shape (3,), N
-            The force.
+        index: index of its marker; start (3,) m: start of the arrow; force (3,) N.
         """
         write_force(self.template, index, start, force)
 
@@ -161,16 +140,9 @@ class MarkerBytes:
 class OrganMarkers:
     """The MarkerArray of organs: the surface and the skeleton of each, and an arrow for each tool's contact force.
 
-    Parameters
-    ----------
-    frame_id : str
-        Frame of the positions.
-    organs : Mapping[str, ShownOrgan]
-        The organs by the prefix of their markers' namespaces, empty for a single one.
-    n_tools : int
-        Number of tools.
-    coloured : bool, optional
-        Whether a surface has a colour for each corner of a triangle, which makes the message two thirds longer.
+    frame_id: frame of the positions; organs: the organs by the prefix of their markers' namespaces, empty for a single
+    one; n_tools: number of tools; coloured: whether a surface has a colour for each corner of a triangle, which makes
+    the message two thirds longer.
     """
 
     def __init__(self, frame_id: str, organs: Mapping[str, ShownOrgan], n_tools: int, coloured: bool = False) -> None:
@@ -213,18 +185,9 @@ class OrganMarkers:
     ) -> bytes:
         """Return the message.
 
-        Parameters
-        ----------
-        stamp : int, ns
-            Its time.
-        positions : Floats, shape (n, 3), m
-            Positions of all rows, one organ after the other.
-        centre : Floats, shape (T, 3), m
-            Where each tool touches.
-        wrench : Floats, shape (T, 6), N and N m
-            What each tool feels; a tool without force has its arrow deleted.
-        fraction : Floats | None, shape (n,), optional
-            Each row's place on the colour scale, 0 to 1, if they are coloured.
+        stamp: its time, ns; positions (n, 3) m: positions of all rows, one organ after the other; centre (T, 3) m:
+        where each tool touches; wrench (T, 6) N and N m: what each tool feels (a tool without force has its arrow
+        deleted); fraction (n,): each row's place on the colour scale, 0 to 1, if they are coloured.
         """
         made = self._bytes
         write_organs(made.template, stamp, positions, self._drawn, centre, wrench)
@@ -297,16 +260,8 @@ def write_colours(colours: Singles, corners: Longs, fraction: Floats, scale: Sin
 def write_displacement(fraction: Floats, positions: Floats, rest: Floats, full: float) -> None:
     """Write how far each position is from rest, as a fraction.
 
-    Parameters
-    ----------
-    fraction : Floats, shape (n,)
-        The fractions; updated.
-    positions : Floats, shape (n, 3), m
-        The positions.
-    rest : Floats, shape (n, 3), m
-        The same at rest.
-    full : float, m
-        Displacement whose fraction is 1.
+    fraction (n,): the fractions (updated); positions (n, 3) m; rest (n, 3) m: the same at rest; full: displacement
+    whose fraction is 1, m.
     """
     for node in range(len(positions)):
         square = 0.0
@@ -317,13 +272,7 @@ def write_displacement(fraction: Floats, positions: Floats, rest: Floats, full: 
 
 @kernel
 def all_finite(positions: Floats) -> bool:
-    """Return whether positions hold neither NaN nor infinity.
-
-    Parameters
-    ----------
-    positions : Floats, shape (n, 3)
-        The positions.
-    """
+    """Return whether positions (n, 3) hold neither NaN nor infinity."""
     for node in range(len(positions)):
         for axis in range(3):
             if not math.isfinite(positions[node, axis]):
@@ -337,20 +286,8 @@ def empty_marker(
 ) -> Marker:
     """Return a marker without points.
 
-    Parameters
-    ----------
-    frame_id : str
-        Its frame.
-    namespace : str
-        Its namespace.
-    number : int
-        Its id.
-    kind : int
-        Its type.
-    colour : tuple[float, ...]
-        Red, green, blue, alpha.
-    scale : tuple[float, ...], shape (3,)
-        Its scale, whose meaning depends on the type.
+    number: its id; kind: its type; colour: red, green, blue, alpha; scale (3,): its scale, whose meaning depends on the
+    type.
     """
     marker = Marker()
     marker.header.frame_id = frame_id
@@ -364,17 +301,7 @@ def empty_marker(
 
 
 def force_arrow(frame_id: str, namespace: str, number: int) -> Marker:
-    """Return the arrow of a force, whose points draw_force writes.
-
-    Parameters
-    ----------
-    frame_id : str
-        Its frame.
-    namespace : str
-        Its namespace.
-    number : int
-        Its id.
-    """
+    """Return the arrow of a force, whose points draw_force writes. number: its id."""
     marker = empty_marker(frame_id, namespace, number, Marker.ARROW, FORCE_COLOUR, (0.002, 0.004, 0.006))
     marker.points = [Point(), Point()]
     return marker

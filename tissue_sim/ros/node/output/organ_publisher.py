@@ -120,13 +120,7 @@ class OrganPublisher:
         self.published += 1
 
     def report(self, report: Report) -> None:
-        """Add what was not published.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add what was not published."""
         for name, count in (("mesh_unchanged", self.unchanged_skips), ("no_subscriber", self.unseen_skips)):
             report.values[f"skipped.{name}"] = report.values.get(f"skipped.{name}", 0) + count  # of all organs
 

@@ -42,16 +42,8 @@ class Touches:
 class PublishedShapes:
     """Positions of organs' rows (see ShownOrgan), one after the other, and their MarkerArray as bytes.
 
-    Parameters
-    ----------
-    frame_id : str
-        Frame of the positions.
-    physics : Mapping[str, Physics]
-        The organs' simulations by the prefix of their markers' namespaces.
-    touches : Touches
-        Where tools are.
-    n_tools : int
-        Number of tools.
+    frame_id: frame of the positions; physics: the organs' simulations by the prefix of their markers' namespaces;
+    touches: where tools are; n_tools: number of tools.
     """
 
     def __init__(self, frame_id: str, physics: Mapping[str, Physics], touches: Touches, n_tools: int) -> None:
@@ -102,15 +94,7 @@ class PublishedShapes:
         return first if all_finite(self.positions) else -1  # RViz would drop the marker
 
     def markers(self, stamp: int, colour: str) -> bytes:
-        """Return the MarkerArray.
-
-        Parameters
-        ----------
-        stamp : int, ns
-            Its time.
-        colour : str
-            What surfaces are coloured by, one of MARKER_COLOURS.
-        """
+        """Return the MarkerArray. stamp: its time, ns; colour: what surfaces are coloured by, one of MARKER_COLOURS."""
         tips, wrenches = self._touches.now()
         if colour == "none":
             return self._plain.message(stamp, self.positions, tips, wrenches)

@@ -27,18 +27,8 @@ class PublishingThread:
     Four times a second it checks whether machine and executor keep up, and every second it reports. Where one of these
     fails, the others go on: no force remains because a picture could not be sent.
 
-    Parameters
-    ----------
-    parts : SharedParts
-        The node and its parts.
-    ports : Sequence[ToolPort]
-        The tools' ports.
-    show : Sequence[Callable[[], None]]
-        Functions that publish markers.
-    live : LiveSettings
-        Settings while the node runs.
-    publish_report : Callable[[], None]
-        Publishes the report.
+    parts: the node and its parts; ports: the tools' ports; show: functions that publish markers; live: settings while
+    the node runs; publish_report: publishes the report.
     """
 
     def __init__(
@@ -71,13 +61,7 @@ class PublishingThread:
             self._thread.join(timeout=0.3)
 
     def report(self, report: Report) -> None:
-        """Add what failed here.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add what failed here."""
         self._trouble.report(report)
 
     def _run(self) -> None:
@@ -115,7 +99,8 @@ class PublishingThread:
         if now >= self._next_return:
             self._next_return = now + GIVE_BACK_EVERY
             give_back()
-        wait = min(self._next_marker, self._next_look) - time.monotonic()
+        eased = self._live.ease(time.monotonic())
+        wait = min(min(self._next_marker, self._next_look) - time.monotonic(), eased)
         return min(wait, self._organs.tick_time) if fading else wait
 
     def _marker_rate(self) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
@@ -25,28 +24,12 @@ class TfBroadcast:
         self._moving = tf2_ros.TransformBroadcaster(node)
 
     def fix(self, stamp: int, placed: Placed) -> None:
-        """Broadcast static frames.
-
-        Parameters
-        ----------
-        stamp : int, ns
-            Their time.
-        placed : Placed
-            The frames.
-        """
+        """Broadcast static frames. stamp: their time, ns; placed: the frames."""
         if placed:
             self._static.sendTransform(_messages(stamp, placed))
 
     def move(self, stamp: int, placed: Placed) -> None:
-        """Broadcast moving frames.
-
-        Parameters
-        ----------
-        stamp : int, ns
-            Their time.
-        placed : Placed
-            The frames.
-        """
+        """Broadcast moving frames. stamp: their time, ns; placed: the frames."""
         if placed:
             self._moving.sendTransform(_messages(stamp, placed))
 
@@ -55,7 +38,7 @@ def _messages(stamp: int, placed: Placed) -> list[TransformStamped]:
     return [transform_message(stamp, parent, child, pose) for child, (parent, pose) in placed.items()]
 
 
-def transform_message(stamp: int, parent: str, child: str, pose: Sequence[float]) -> Any:
+def transform_message(stamp: int, parent: str, child: str, pose: Sequence[float]) -> TransformStamped:
     """Return a frame at a pose (7,) in its parent, as tf2_ros takes it; stamp in ns."""
     message = TransformStamped(child_frame_id=child)
     message.header.frame_id, message.header.stamp = parent, Time(nanoseconds=stamp).to_msg()

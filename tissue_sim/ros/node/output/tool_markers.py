@@ -23,12 +23,7 @@ class ToolMarkers:
 
     A sphere is one marker; a capsule a cylinder between two spheres; a mesh its triangles; a gripper two of those.
 
-    Parameters
-    ----------
-    frame_id : str
-        Frame of the poses.
-    tools : ToolSet
-        The tools.
+    frame_id: frame of the poses.
     """
 
     def __init__(self, frame_id: str, tools: ToolSet) -> None:
@@ -51,16 +46,8 @@ class ToolMarkers:
     def message(self, stamp: int, placed: Sequence[Floats | None], tips: Floats, forces: Floats) -> bytes:
         """Return the message.
 
-        Parameters
-        ----------
-        stamp : int, ns
-            Its time.
-        placed : Sequence[Floats | None], shape (b, 7) each, m and quaternion xyzw
-            Poses of each tool's bodies, or None where it isn't moved.
-        tips : Floats, shape (T, 3), m
-            Starts of the arrows.
-        forces : Floats, shape (T, 3), N
-            Forces on the tools.
+        stamp: its time, ns; placed (b, 7) m and quaternion xyzw: poses of each tool's bodies, or None where it isn't
+        moved; tips (T, 3) m: starts of the arrows; forces (T, 3) N: forces on the tools.
         """
         self._bytes.stamp(stamp)
         for tool, poses in enumerate(placed):

@@ -36,15 +36,7 @@ class CutProcess:
     def start(self) -> subprocess.Popen[bytes]:
         """Start the process where it doesn't run, and return it; it then needs a second or two until it works.
 
-        Returns
-        -------
-        subprocess.Popen[bytes]
-            The process.
-
-        Raises
-        ------
-        UserError
-            After `close`.
+        Raises UserError after `close`.
         """
         with self._starting:
             if self._closed:
@@ -62,19 +54,9 @@ class CutProcess:
     def cut(self, before: Simulation, cut: SomeCut) -> Prepared:
         """Return what `Simulation.prepared_cut` or `prepared_sheet` does, and what goes with it.
 
-        Parameters
-        ----------
-        before : Simulation
-            The simulation, which may be running.
-        cut : SomeCut
-            A blade's edge, shape (m, 3), m, the direction in which it is moved, and how far, m; or a sheet.
-
-        Raises
-        ------
-        UserError
-            As `prepared_cut` does, and where the process has ended.
-        RuntimeError
-            Where it fails.
+        before: the simulation, which may be running; cut: a blade's edge, shape (m, 3), m, the direction in which it is
+        moved, and how far, m (or a sheet). Raises UserError as `prepared_cut` does, and where the process has ended;
+        RuntimeError where it fails.
         """
         with self._working:
             process = self.start()

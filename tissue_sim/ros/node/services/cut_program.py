@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import Any, BinaryIO
 
 from tissue_sim.errors import UserError
-from tissue_sim.ros.node.services.simulation_parts import Prepared, parts_of, simulation_of
+from tissue_sim.ros.node.services.simulation_parts import Parts, Prepared, parts_of, simulation_of
 
 NICE = 10  # ticks, poses and their answers go first
 MADE, REFUSED, FAILED = "made", "refused", "failed"
@@ -22,12 +22,8 @@ MADE, REFUSED, FAILED = "made", "refused", "failed"
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests until they end.
 
-    Parameters
-    ----------
-    requests : BinaryIO
-        Pickles of the parts of a simulation and the cut's polyline, direction and depth, or its sheet.
-    answers : BinaryIO
-        Takes pickles of MADE with the cut simulation's parts, surface and file, or REFUSED or FAILED with a text.
+    requests: pickles of the parts of a simulation and the cut's polyline, direction and depth, or its sheet; answers:
+    takes pickles of MADE with the cut simulation's parts, surface and file, or REFUSED or FAILED with a text.
     """
     while True:
         try:
@@ -38,7 +34,7 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
         answers.flush()
 
 
-def _answer(parts: dict[str, Any], *cut: Any) -> tuple[str, Any]:
+def _answer(parts: Parts, *cut: Any) -> tuple[str, object]:
     """Return what came of a cut of a simulation."""
     try:
         before = simulation_of(parts)

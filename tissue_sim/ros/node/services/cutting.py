@@ -40,20 +40,8 @@ HEALED = "the organ was reset while its cut was computed, and is uncut; call the
 class OrganCutting:
     """Cuts of one organ: the newest path is cut when the service is called, in a process of its own.
 
-    Parameters
-    ----------
-    node : GuardedNode
-        The node.
-    served : ServedOrgan
-        The organ.
-    number : int
-        Its number in the loop.
-    parts : CuttingParts
-        What takes up a cut organ.
-    frames : Callable[[], Frames]
-        Returns the frames that a path may come in, as they are now.
-    depth : Callable[[], float]
-        Returns how deep it is cut, m.
+    number: its number in the loop; parts: what takes up a cut organ; frames: returns the frames that a path may come
+    in, as they are now; depth: returns how deep it is cut, m.
     """
 
     def __init__(
@@ -252,13 +240,7 @@ class OrganCutting:
         self._cuts.publish(message)
 
     def report(self, report: Report) -> None:
-        """Add the organ's cuts.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add the organ's cuts."""
         before = f"{self._served.name}." if self._served.name else ""
         report.values |= {f"{before}cuts": len(self.cuts), f"{before}cuts_made": self.made}
         if self.made:
@@ -271,20 +253,8 @@ class OrganCutting:
 class CuttingParts:
     """What goes on with an organ after a cut: the loop, the scene, the contact search, the bag and the settings.
 
-    Parameters
-    ----------
-    loop : Loop
-        The loop.
-    joined : Joined
-        The organs, as settings see them.
-    contacts : ContactWorker
-        Contact search of all organs.
-    recorders : Sequence[OrganRecorder]
-        Part of the bag of each organ.
-    settings : LiveSettings
-        The settings of the organs.
-    frame_id : str
-        Frame of the organs.
+    joined: the organs, as settings see them; contacts: contact search of all organs; recorders: part of the bag of each
+    organ; settings: the settings of the organs; frame_id: frame of the organs.
     """
 
     def __init__(
@@ -304,14 +274,8 @@ class CuttingParts:
     def exchange(self, number: int, made: Prepared, patience: float | None = None) -> None:
         """Go on with a simulation that continues an organ's.
 
-        Parameters
-        ----------
-        number : int
-            Number of the organ.
-        made : Prepared
-            The simulation, and what goes with it.
-        patience : float | None, s, optional
-            How long to wait for the tick that takes it up; None: as long as a running loop may take.
+        number: number of the organ; made: the simulation, and what goes with it; patience: how long to wait for the
+        tick that takes it up, None: as long as a running loop may take, s.
         """
         recorder, simulation = self._recorders[number], made.simulation
         finder = self._contacts.finder_of(number, made.surface)
@@ -322,6 +286,7 @@ class CuttingParts:
         # The loop goes on with its own settings, and a stiffer organ needs more substeps from its first tick on.
         self._settings.refine(number, int(simulation.settings.substeps))
         with recorder.exchanging:
+            recorder.wait_for_state()
             tick = recorder.physics.exchange(simulation, plan, patience)
             recorder.cut(tick, simulation, made.file)
         self._joined.exchange(number, simulation, plan)

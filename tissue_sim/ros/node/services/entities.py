@@ -54,17 +54,7 @@ class Entities:
     def where(self, name: str) -> Placed:
         """Return where an entity is: an organ's frame in the world, a tool's newest pose in the organ's frame.
 
-        Parameters
-        ----------
-        name : str
-            Name of the entity.
-
-        Raises
-        ------
-        KeyError
-            When it is unknown.
-        UserError
-            When a tool has had no pose.
+        Raises KeyError when it is unknown; UserError when a tool has had no pose.
         """
         if name in self._organs:
             base_id = self._values["base_frame"]
@@ -77,23 +67,8 @@ class Entities:
     def place(self, name: str, placed: Placed) -> None:
         """Place an entity: a tool like a pose from its bridge, a single organ by the parameter organ_pose.
 
-        Parameters
-        ----------
-        name : str
-            Name of the entity.
-        placed : Placed
-            Its place.
-
-        Raises
-        ------
-        KeyError
-            When it is unknown.
-        UnknownFrame
-            When the frame is.
-        ValueError
-            When the pose is none.
-        UserError
-            When it can't be placed, such as a tool whose bridge publishes.
+        placed: its place. Raises KeyError when it is unknown; UnknownFrame when the frame is; ValueError when the pose
+        is none; UserError when it can't be placed, such as a tool whose bridge publishes.
         """
         frame_id = placed.frame_id or self._world
         if name in self._organs:
@@ -104,17 +79,7 @@ class Entities:
     def meets(self, name: str, sphere: Sphere) -> bool:
         """Return whether an entity overlaps a sphere: the box around an organ, or the ball around a tool's body.
 
-        Parameters
-        ----------
-        name : str
-            Name of the entity.
-        sphere : Sphere
-            The sphere.
-
-        Raises
-        ------
-        KeyError
-            When the entity is unknown.
+        Raises KeyError when the entity is unknown.
         """
         x, y, z = sphere.centre
         centre = np.array(Transform.of_pose(self._organ_pose()).inverse().of((x, y, z, *IDENTITY[3:]))[:3])

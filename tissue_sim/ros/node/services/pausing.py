@@ -78,13 +78,7 @@ class Pausing:
         return not self._clock.active
 
     def pause(self) -> None:
-        """Take no further tick.
-
-        Raises
-        ------
-        UserError
-            When ticks follow /clock.
-        """
+        """Take no further tick. Raises UserError when ticks follow /clock."""
         if not self.possible:
             raise UserError(BY_CLOCK)
         self._cancelled.set()
@@ -94,13 +88,7 @@ class Pausing:
             self._loop.hold.begin()
 
     def stop(self) -> None:
-        """Pause, with the organ back at rest as of the next tick.
-
-        Raises
-        ------
-        UserError
-            When ticks follow /clock.
-        """
+        """Pause, with the organ back at rest as of the next tick. Raises UserError when ticks follow /clock."""
         self.pause()
         self._loop.reset()
         self.stopped = True
@@ -116,10 +104,7 @@ class Pausing:
     def begin_step(self) -> None:
         """Begin a step, whose ticks `take` takes.
 
-        Raises
-        ------
-        UserError
-            When the node isn't paused, or another step is being taken.
+        Raises UserError when the node isn't paused, or another step is being taken.
         """
         if not self.possible:
             raise UserError(BY_CLOCK)
@@ -138,20 +123,8 @@ class Pausing:
         Contacts are found as often as in a node that runs, but the ticks wait for them: what a step does must not
         depend on how busy the machine is.
 
-        Parameters
-        ----------
-        ticks : int
-            Number of ticks.
-
-        Returns
-        -------
-        int
-            how many were taken: fewer where the node was paused again, goes on, or ends meanwhile
-
-        Raises
-        ------
-        TimeoutError
-            When the loop doesn't answer.
+        ticks: number of ticks. Returns how many were taken: fewer where the node was paused again, goes on, or ends
+        meanwhile. Raises TimeoutError when the loop doesn't answer.
         """
         try:
             due, warned = time.monotonic(), False
@@ -173,13 +146,7 @@ class Pausing:
         self._cancelled.set()
 
     def report(self, report: Report) -> None:
-        """Add whether the node is paused.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add whether the node is paused."""
         report.values["paused"] = self.paused
         if self.paused:
             report.warnings.append(PAUSED)
@@ -217,17 +184,7 @@ class Pausing:
 def step_result(pausing: Pausing, ticks: int) -> tuple[bool, str]:
     """Take the ticks of a step that was begun.
 
-    Parameters
-    ----------
-    pausing : Pausing
-        Takes them.
-    ticks : int
-        Number of ticks.
-
-    Returns
-    -------
-    tuple[bool, str]
-        whether all were taken, and a line about it
+    pausing: takes them; ticks: number of ticks. Returns whether all were taken, and a line about it.
     """
     try:
         taken = pausing.take(ticks)

@@ -14,6 +14,8 @@ from tissue_sim.model.data.state import make_state
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.scratch import make_scratch
 
+Parts = dict[str, Any]  # of a simulation, by the names of its attributes
+
 
 class Prepared(NamedTuple):
     """A simulation that a loop is to go on with, and what else takes a while to make of it."""
@@ -24,44 +26,24 @@ class Prepared(NamedTuple):
 
     @classmethod
     def of(cls, simulation: Simulation) -> Self:
-        """Return what goes with a simulation.
-
-        Parameters
-        ----------
-        simulation : Simulation
-            The simulation.
-        """
+        """Return what goes with a simulation."""
         return cls(simulation, TouchedSurface.of(simulation), simulation.organ.to_bytes())
 
 
 _MEMORY = ("settings", "state", "scratch", "world")  # that kernels share
 
 
-def parts_of(simulation: Simulation) -> dict[str, Any]:
+def parts_of(simulation: Simulation) -> Parts:
     """Return what a simulation consists of, without its memory: its state, which may be changing, is left out.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        The simulation.
-
-    Returns
-    -------
-    dict[str, Any]
-        Values by name, which `pickle` takes.
+    Returns values by name, which `pickle` takes.
     """
     kept = {name: value for name, value in vars(simulation).items() if name not in _MEMORY}
     return kept | {"settings": words_of(simulation.settings).copy()}
 
 
-def simulation_of(parts: dict[str, Any]) -> Simulation:
-    """Return a simulation at rest.
-
-    Parameters
-    ----------
-    parts : dict[str, Any]
-        What it consists of, as parts_of has it.
-    """
+def simulation_of(parts: Parts) -> Simulation:
+    """Return a simulation at rest. parts: what it consists of, as parts_of has it."""
     made = Simulation.__new__(Simulation)
     vars(made).update(parts)
     made.settings = Settings.new()

@@ -44,24 +44,12 @@ class Look(NamedTuple):
 
 
 def name(level: int) -> str:
-    """Return the name of a level, as in diagnostics.
-
-    Parameters
-    ----------
-    level : int
-        The level.
-    """
+    """Return the name of a level, as in diagnostics."""
     return NAMES[min(level, RATE)]
 
 
 def halvings(level: int) -> int:
-    """Return how often the rate is halved at a level.
-
-    Parameters
-    ----------
-    level : int
-        The level.
-    """
+    """Return how often the rate is halved at a level."""
     return max(0, level - RATE + 1)
 
 
@@ -85,19 +73,8 @@ class DegradationLadder:
     def look(self, now: float, look: Look, helps: Callable[[int], bool]) -> bool:
         """Judge a check.
 
-        Parameters
-        ----------
-        now : float, s
-            Its time.
-        look : Look
-            What it found.
-        helps : Callable[[int], bool]
-            Tells whether a level gives anything up.
-
-        Returns
-        -------
-        bool
-            whether the level changed
+        now: its time, s; look: what it found; helps: tells whether a level gives anything up. Returns whether the level
+        changed.
         """
         self._strained_since = _since(self._strained_since, now, look.strained)
         self._well_for = self._wellness(look, max(0.0, now - self._looked_at))

@@ -13,6 +13,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.critical_step import substeps_for
 from tissue_sim.ros.node.input.freshness import Freshness
 from tissue_sim.ros.node.settings import degradation as degrade
+from tissue_sim.ros.node.settings.coupling_ramp import EASE_EVERY, nearer
 from tissue_sim.ros.node.shared.served_organ import ServedScene
 from tissue_sim.ros.shared.parameters import Parameters
 from tissue_sim.ros.shared.report import Report
@@ -27,16 +28,8 @@ WORTH = 0.9  # halving the rate is worth it if it leaves at most this fraction o
 class LiveSettings:
     """Settings from parameters and the level of degradation, computed and posted; any thread may call it.
 
-    Parameters
-    ----------
-    served : ServedScene
-        The organs.
-    parameters : Parameters
-        Parameters of the node.
-    post : Callable[[int, Settings], None]
-        Takes settings of an organ, by its number, to the loop.
-    poses : Sequence[Freshness]
-        How often those of each tool come.
+    served: the organs; parameters: parameters of the node; post: takes settings of an organ, by its number, to the
+    loop; poses: how often those of each tool come.
     """
 
     def __init__(
@@ -51,15 +44,11 @@ class LiveSettings:
         self._lock = threading.Lock()
         self.level = degrade.NONE
         self._bound, self._bounded_by = math.inf, 0  # N/m of the coupling, and the tool that bounds it
+        self._coupling: float | None = None  # N/m that is in use, on its way to the wanted one; None before the start
+        self._wanted_coupling, self._ease_at = 0.0, -math.inf  # N/m; monotonic s of the next step on that way
 
     def update(self, level: int | None = None) -> None:
-        """Post the settings again if they changed.
-
-        Parameters
-        ----------
-        level : int | None, optional
-            The new level of degradation.
-        """
+        """Post the settings again if they changed by a new level of degradation."""
         with self._lock:
             self.level = self.level if level is None else level
             every = [one.settings for one in self._served.simulations]
@@ -68,6 +57,8 @@ class LiveSettings:
             self._renew_bound()
             for settings in every:
                 self._give_up(settings)
+            if self._coupling is None:
+                self._coupling = self._wanted_coupling
             if not any(map(_differ, every, before)):
                 return
             self._served.joined.set_substeps()
@@ -75,15 +66,27 @@ class LiveSettings:
                 if _differ(settings, old):
                     self._post(organ, copy_of(settings))
 
+    def ease(self, now: float) -> float:
+        """Post the next step of a coupling that is on its way to another stiffness, when it is due.
+
+        now: monotonic time, s. Returns the time until the next step, s; infinite where there is none.
+        """
+        with self._lock:
+            if self._coupling is None or self._coupling == self._wanted_coupling:
+                return math.inf
+            if now < self._ease_at:
+                return self._ease_at - now
+            self._ease_at = now + EASE_EVERY
+            self._coupling = nearer(self._coupling, self._wanted_coupling)
+            for organ, one in enumerate(self._served.simulations):
+                one.settings.coupling_stiffness = self._coupling
+                self._post(organ, copy_of(one.settings))
+            return EASE_EVERY
+
     def refine(self, organ: int, substeps: int) -> None:
         """Post an organ's settings with more substeps, before it is exchanged for one of a larger frequency.
 
-        Parameters
-        ----------
-        organ : int
-            Number of the organ.
-        substeps : int
-            How many the next organ needs; fewer than there are change nothing.
+        organ: number of the organ; substeps: how many the next organ needs (fewer than there are change nothing).
         """
         with self._lock:
             settings = copy_of(self._served.simulations[organ].settings)
@@ -94,10 +97,7 @@ class LiveSettings:
     def renew(self, organ: int) -> None:
         """Post an organ's settings after it was exchanged for one of another largest frequency.
 
-        Parameters
-        ----------
-        organ : int
-            Number of the organ.
+        organ: number of the organ.
         """
         with self._lock:
             self._served.joined.set_substeps()
@@ -106,7 +106,8 @@ class LiveSettings:
     def _give_up(self, settings: Settings) -> None:
         """Reduce settings where the machine is too slow or a device can't bear them."""
         settings.tick_time = self._tick_time
-        settings.coupling_stiffness = min(settings.coupling_stiffness, self._bound)
+        self._wanted_coupling = min(float(settings.coupling_stiffness), self._bound)
+        settings.coupling_stiffness = self._wanted_coupling if self._coupling is None else self._coupling
         if self.level >= degrade.REGION and self._first.local_region == "auto":
             settings.region_force = ANY_FORCE
 
@@ -156,13 +157,7 @@ class LiveSettings:
         return ", ".join(words) or "nothing is reduced"
 
     def report(self, report: Report) -> None:
-        """Add what is given up, and a coupling that is softer than requested.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add what is given up, and a coupling that is softer than requested."""
         report.values |= {
             "degraded": degrade.name(self.level),
             "coupling_stiffness": self.coupling_stiffness,
@@ -175,14 +170,14 @@ class LiveSettings:
                 "pose_rate_hz": 1.0 / poses.period if poses.counts else 0.0,
                 "delay_ms": 1e3 * poses.delay,
             }
-        if self.coupling_stiffness < self._parameters["coupling_stiffness"]:
+        if self._wanted_coupling < self._parameters["coupling_stiffness"]:
             report.warnings.append(self._softer())
 
     def _softer(self) -> str:
         """Return why the coupling is softer than requested."""
         tool, poses = self._parameters.tools[self._bounded_by], self.poses[self._bounded_by]
         return (
-            f"coupling_stiffness is {self.coupling_stiffness:.0f} instead of"
+            f"coupling_stiffness is {self._wanted_coupling:.0f} instead of"
             f" {self._parameters['coupling_stiffness']:g} N/m: with {tool}.device_damping"
             f" {self._parameters[f'{tool}.device_damping']:g} N s/m, poses at {1.0 / poses.period:.0f} Hz and"
             f" {1e3 * poses.delay:.1f} ms old, a larger value may not be stable"
@@ -195,13 +190,7 @@ class LiveSettings:
         return min(wanted, degrade.MARKER_RATE) if self.level >= degrade.MARKERS else wanted
 
     def helps(self, level: int) -> bool:
-        """Return whether a level of degradation gives anything up that the one before didn't.
-
-        Parameters
-        ----------
-        level : int
-            The level.
-        """
+        """Return whether a level of degradation gives anything up that the one before didn't."""
         if level == degrade.MARKERS:
             return bool(self._parameters["marker_rate"] > degrade.MARKER_RATE)
         if level == degrade.REGION:  # the other kinds of region are as small already, or have no tables

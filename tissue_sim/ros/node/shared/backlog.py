@@ -51,13 +51,7 @@ class Backlog:
         self._answered = time.monotonic()
 
     def report(self, report: Report) -> None:
-        """Add how far it is behind, and that messages are skipped.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add how far it is behind, and that messages are skipped."""
         report.values |= {"executor_behind_ms": 1e3 * self.behind, "executor_most_behind_ms": 1e3 * self.longest}
         if self.pause > SHORTEST:  # at more than one check
             report.warnings.append(
@@ -87,13 +81,7 @@ class InputThrottle:
 
 
 def executor_of(node: Node) -> Post:
-    """Return a function that has a node's executor run functions, once it has one.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    """
+    """Return a function that has a node's executor run functions, once it has one."""
 
     def post(task: Callable[[], None]) -> None:
         if node.executor is None:

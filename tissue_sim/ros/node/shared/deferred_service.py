@@ -20,16 +20,7 @@ class DeferredService:
 
     What it returns is done in a thread of its own before the response is sent; None: the response is complete.
 
-    Parameters
-    ----------
-    node : GuardedNode
-        The node.
-    kind : type
-        Type of the service.
-    name : str
-        Its name.
-    begin : Callable[[Any, Any], Work | None]
-        Begins to answer.
+    kind: type of the service; begin: begins to answer.
     """
 
     def __init__(self, node: GuardedNode, kind: type, name: str, begin: Callable[[Any, Any], Work | None]) -> None:

@@ -15,13 +15,7 @@ class DuplicateNodes:
         self.count = 0
 
     def report(self, report: Report) -> None:
-        """Add how many there are besides this one; log a line when there are more than before.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add how many there are besides this one; log a line when there are more than before."""
         node = self._node
         own = (node.get_name(), node.get_namespace())
         count = max(0, node.get_node_names_and_namespaces().count(own) - 1)

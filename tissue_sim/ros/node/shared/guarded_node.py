@@ -125,14 +125,7 @@ class GuardedNode(Node):
 def failed(response: Any, request: Any, line: str) -> Any:
     """Return a service's response with the failure, as far as its type allows.
 
-    Parameters
-    ----------
-    response : Any
-        The response; updated.
-    request : Any
-        The request.
-    line : str
-        What failed.
+    response: the response (updated); line: what failed.
     """
     if hasattr(response, "success"):
         response.success, response.message = False, line

@@ -68,17 +68,7 @@ class ServedScene:
     def of_parameters(cls, values: Parameters, shapes: Shapes) -> ServedScene:
         """Return what a node's parameters name.
 
-        Parameters
-        ----------
-        values : Parameters
-            Parameters of the node.
-        shapes : Shapes
-            Shapes of the tools.
-
-        Raises
-        ------
-        UserError
-            When something can't be used.
+        values: parameters of the node; shapes: shapes of the tools. Raises UserError when something can't be used.
         """
         scene_file, organ_file = values["scene_file"], values["organ_file"]
         if scene_file and organ_file:
@@ -104,10 +94,7 @@ class ServedScene:
     def apply(self, values: Parameters) -> None:
         """Write the parameters that are settings, with the scene's own factors; without the substeps.
 
-        Parameters
-        ----------
-        values : Parameters
-            Parameters of the node.
+        values: parameters of the node.
         """
         for simulation, stiffness in zip(self.simulations, self.stiffness, strict=True):
             values.apply(simulation.settings)
@@ -115,15 +102,7 @@ class ServedScene:
 
 
 def described(names: Sequence[str], organs: Sequence[Organ]) -> str:
-    """Return a description of what is served.
-
-    Parameters
-    ----------
-    names : Sequence[str]
-        Names of the organs.
-    organs : Sequence[Organ]
-        The organs.
-    """
+    """Return a description of what is served, by the names of the organs."""
     if names == ("",):
         organ = organs[0]
         return f"organ '{organ.name}': {organ.n_surface} surface nodes, {organ.n_atoms} medial atoms"

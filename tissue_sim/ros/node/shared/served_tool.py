@@ -72,26 +72,14 @@ class ServedTool:
         return NewestPose(0, pose, np.tile(pose, (len(self.bodies), 1)), self.topics.frame_id, to_organ, b"", b"")
 
     def axes(self, pose: NewestPose) -> str:
-        """Return the frame whose axes the wrench that answers a pose is in.
-
-        Parameters
-        ----------
-        pose : NewestPose
-            The pose.
-        """
+        """Return the frame whose axes the wrench that answers a pose is in."""
         return wrench_frame(self.name) if self.topics.has_axes_of_its_own else self._unturned_axes(pose)
 
     def _unturned_axes(self, pose: NewestPose) -> str:
         return tip_frame(self.name) if self.topics.wrench_frame == "body" else pose.frame_id
 
     def moving_frames(self, pose: NewestPose) -> Placed:
-        """Return the frames that a pose places: the tip, and the wrench's axes where no other frame has them.
-
-        Parameters
-        ----------
-        pose : NewestPose
-            The pose.
-        """
+        """Return the frames that a pose places: the tip, and the wrench's axes where no other frame has them."""
         found: Placed = {tip_frame(self.name): (self.organ_frame, pose.pose.tolist())}
         if self.topics.has_axes_of_its_own and hasattr(self.topics.outgoing(), "header"):
             found[wrench_frame(self.name)] = (self._unturned_axes(pose), (0.0, 0.0, 0.0, *self.topics.wrench_rotation))
@@ -100,20 +88,10 @@ class ServedTool:
     def wrench(self, of_bodies: Floats, pose: NewestPose) -> Floats:
         """Return the tool's wrench about its origin.
 
-        Parameters
-        ----------
-        of_bodies : Floats, shape (B, 6), N and N m
-            Wrenches of all bodies.
-        pose : NewestPose
-            Pose of the tool.
-
-        Returns
-        -------
-        Floats
-            shape (6,), N and N m
+        of_bodies (B, 6) N and N m: wrenches of all bodies; pose: pose of the tool. Returns (6,) N and N m.
         """
         placed = pose.placed
-        if len(self.bodies) == 1 and np.array_equal(placed[0, :3], pose.pose[:3]):
+        if len(self.bodies) == 1 and placed[0, :3].tolist() == pose.pose[:3].tolist():
             return of_bodies[self.bodies[0]]
         return about(pose.pose[:3], of_bodies[self.bodies], placed[:, :3])
 
@@ -131,14 +109,6 @@ class NewestPose(NamedTuple):
 
 
 def turned(wrench: Sequence[float], turn: Callable[[Vector], Vector]) -> tuple[float, ...]:
-    """Return a wrench (6,) with its force and its torque rotated.
-
-    Parameters
-    ----------
-    wrench : Sequence[float], shape (6,)
-        The wrench.
-    turn : Callable[[Vector], Vector]
-        Rotates a vector.
-    """
+    """Return a wrench (6,) with its force and its torque rotated by `turn`."""
     fx, fy, fz, tx, ty, tz = wrench
     return (*turn((fx, fy, fz)), *turn((tx, ty, tz)))

@@ -38,13 +38,7 @@ class SimClock:
         self._follow(bool(node.get_parameter("use_sim_time").value))
 
     def now(self) -> float:
-        """Return the time of /clock, or of the monotonic clock, which stands while the loop is held.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Return the time of /clock, or of the monotonic clock, which stands while the loop is held, s."""
         return 1e-9 * self._clock.now().nanoseconds if self.active else self._loop.hold.now()
 
     def arrival_stamp(self) -> int:
@@ -53,27 +47,13 @@ class SimClock:
         A tool takes as long for its way as the stamps of its poses are apart. A pause is no part of that: who places a
         tool and takes ten ticks, again and again, has it move in these ten.
 
-        Returns
-        -------
-        int, ns
-            by ROS's clock
+        By ROS's clock, ns.
         """
         now = int(self._clock.now().nanoseconds)
         return now if self.active else now - round(1e9 * (time.monotonic() - self._loop.hold.now()))
 
     def age_of(self, stamp: int) -> float:
-        """Return the time since a stamp, by ROS's clock; negative for one of a clock that is ahead.
-
-        Parameters
-        ----------
-        stamp : int, ns
-            The stamp.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Return the time since a stamp, ns, by ROS's clock; negative for one of a clock that is ahead."""
         return 1e-9 * float(self._clock.now().nanoseconds - stamp)
 
     def state(self) -> str:
@@ -85,13 +65,7 @@ class SimClock:
         return "/clock stands" if self._loop.clock_stands else "/clock"
 
     def report(self, report: Report) -> None:
-        """Add the state.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add the state."""
         report.values["clock"] = self.state()
 
     def watch(self) -> None:
@@ -99,6 +73,8 @@ class SimClock:
         stands = self.active and not self._waiting and self._loop.clock_stands
         if stands and not self._stood:
             self._log.info("/clock stands still: no ticks and no forces until it continues")
+        elif self._stood and not stands and self.active:
+            self._log.info("/clock goes on: ticks follow it again")
         self._stood = stands
 
     def _on_jump(self, jump: TimeJump) -> None:

@@ -43,23 +43,9 @@ class Observer:
 
         Report the force that is finally sent to `sent`.
 
-        Parameters
-        ----------
-        place : Floats, shape (3,), m
-            Position of the pose.
-        force : Floats, shape (3,), N
-            The given force.
-        period : float, s
-            Time between poses.
-        lag : float, s
-            Time from a pose until the force that answers it acts.
-        most : float, N s/m
-            Largest damping that is added.
-
-        Returns
-        -------
-        Floats
-            shape (3,), N
+        place (3,) m: position of the pose; force (3,) N: the given force; period: time between poses, s; lag: time from
+        a pose until the force that answers it acts, s; most: largest damping that is added, N s/m. Returns (3,)
+        N.
         """
         way = np.zeros(3) if self._place is None else place - self._place
         self._energy -= float(self._acted(lag / period) @ way)
@@ -73,13 +59,7 @@ class Observer:
         return force
 
     def sent(self, force: Floats) -> None:
-        """Note the force (3,) N that was sent.
-
-        Parameters
-        ----------
-        force : Floats, shape (3,), N
-            The force.
-        """
+        """Note the force (3,) N that was sent."""
         self._sent.appendleft(force.copy())
 
     def _acted(self, periods: float) -> Floats:
@@ -107,16 +87,8 @@ class Stream(Protocol):
 class DevicePort:
     """A tool's force on its way to the device: damped as its observer requires, and still within `force_clamp`.
 
-    Parameters
-    ----------
-    poses : Stream
-        Stream of the tool's poses.
-    scale : float
-        Motion of the tool for the same motion of the device.
-    most : float, N s/m
-        The parameter `passivity_damping`; 0: no observer.
-    settings : Callable[[], Settings]
-        Returns the newest settings.
+    poses: stream of the tool's poses; scale: motion of the tool for the same motion of the device; most: the parameter
+    `passivity_damping` (0: no observer), N s/m; settings: returns the newest settings.
     """
 
     def __init__(self, poses: Stream, scale: float, most: float, settings: Callable[[], Settings]) -> None:
@@ -137,17 +109,8 @@ class DevicePort:
     def passive_wrench(self, place: Floats, wrench: Floats) -> Floats:
         """Return the wrench that answers a pose, all in the organ's axes.
 
-        Parameters
-        ----------
-        place : Floats, shape (3,), m
-            Position of the pose.
-        wrench : Floats, shape (6,), N and N m
-            Wrench of the simulation.
-
-        Returns
-        -------
-        Floats
-            shape (6,), N and N m
+        place (3,) m: position of the pose; wrench (6,) N and N m: wrench of the simulation. Returns (6,) N and N
+        m.
         """
         most = self.most
         if most == 0.0 or not np.isfinite(wrench).all():

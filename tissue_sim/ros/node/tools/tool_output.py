@@ -27,17 +27,6 @@ class ToolOutput:
 
     A wrench is published in answer to each pose, from that pose's own callback; `keep_publishing` goes on at the tick
     rate when poses stop, until the wrench is zero.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    tool : ServedTool
-        The tool.
-    organs : Organs
-        The organs.
-    recorder : Recorder
-        The recorder.
     """
 
     device: DevicePort  # may damp a force on its way out; the node sets it
@@ -62,41 +51,21 @@ class ToolOutput:
         self._bagged = recorder.add_topic(tool.name, "servo_cf", name, qos)
 
     def answer(self, pose: NewestPose) -> None:
-        """Publish the newest wrench, in answer to a pose.
-
-        Parameters
-        ----------
-        pose : NewestPose
-            The pose.
-        """
+        """Publish the newest wrench, in answer to a pose."""
         with self._lock:
             self._pose = pose
             tick, wrench = self._newest()
             self._send(tick, wrench, self.device.passive_wrench(pose.pose[:3], wrench))
 
     def renew(self, pose: NewestPose) -> None:
-        """Use the frames of the newest pose.
-
-        Parameters
-        ----------
-        pose : NewestPose
-            The pose.
-        """
+        """Use the frames of the newest pose."""
         with self._lock:
             self._pose = pose
 
     def keep_publishing(self, silence: float) -> bool:
         """Publish the newest wrench if none was published for a while and the last one wasn't zero.
 
-        Parameters
-        ----------
-        silence : float, s
-            That while.
-
-        Returns
-        -------
-        bool
-            True while something is left to fade
+        silence: that while, s. Returns True while something is left to fade.
         """
         with self._lock:
             if self.force == 0.0:
@@ -119,7 +88,7 @@ class ToolOutput:
 
     def _send(self, tick: int, wrench: Floats, output: Floats) -> None:
         """Publish what a hand is to feel; a bag holds the wrench of the tick, which a replay repeats."""
-        if not np.all(np.isfinite(output)):  # has not occurred yet, and must never reach a hand
+        if not all(map(math.isfinite, output.tolist())):  # has not occurred yet, and must never reach a hand
             wrench = output = np.zeros(6)
             self.not_finite += 1
         stamp = self._clock.now().nanoseconds

@@ -28,14 +28,7 @@ class ToolPort:
 
     Where no tick comes, as a clock or the loop stands, it is answered at once.
 
-    Parameters
-    ----------
-    parts : SharedParts
-        The node and its parts.
-    tool : ServedTool
-        The tool.
-    woken : threading.Event
-        Set when there is something new to find contacts for.
+    parts: the node and its parts; woken: set when there is something new to find contacts for.
     """
 
     def __init__(self, parts: SharedParts, tool: ServedTool, woken: threading.Event) -> None:
@@ -43,7 +36,7 @@ class ToolPort:
         self._tool, self._organs, self._woken = tool, organs, woken
         self._answered = 0  # sequence number of the pose
         self._log = node.get_logger()
-        self._was_slow = False
+        self._was_slow = self._had_slipped = False
         self.held_off, self._said = 0, -math.inf  # how often; monotonic s of the last line about it
         self._unsaid: list[str] = []  # organs that it appeared in since that
         self._saying = threading.Lock()
@@ -75,21 +68,8 @@ class ToolPort:
     def place(self, frame_id: str, pose: Sequence[float]) -> None:
         """Apply a pose in a frame, as if its bridge had sent it, but without motion_scale.
 
-        Parameters
-        ----------
-        frame_id : str
-            The frame.
-        pose : Sequence[float], shape (7,), m and quaternion xyzw
-            The pose.
-
-        Raises
-        ------
-        UserError
-            While a bridge publishes.
-        UnknownFrame
-            When nothing leads from the frame to the organ.
-        Refused
-            When the pose can't be used.
+        pose (7,) m and quaternion xyzw. Raises UserError while a bridge publishes; UnknownFrame when nothing leads from
+        the frame to the organ; Refused when the pose can't be used.
         """
         if self.input.bridges:
             raise UserError(f"tool '{self.name}' is moved by its bridge, which publishes {self.input.topic}")
@@ -122,39 +102,27 @@ class ToolPort:
             self.input.move_newest(np.array(pose), to_organ)
 
     def moving_frames(self, pose: NewestPose) -> Placed:
-        """Return the frames that a pose of the tool places.
-
-        Parameters
-        ----------
-        pose : NewestPose
-            The pose.
-        """
+        """Return the frames that a pose of the tool places."""
         return self._tool.moving_frames(pose)
 
     def wrench(self, of_bodies: Floats) -> Floats:
         """Return the tool's wrench about its origin, in the organ's axes.
 
-        Parameters
-        ----------
-        of_bodies : Floats, shape (B, 6), N and N m
-            Wrenches of all bodies.
-
-        Returns
-        -------
-        Floats
-            shape (6,), N and N m
+        of_bodies (B, 6) N and N m: wrenches of all bodies. Returns (6,) N and N m.
         """
         return self._tool.wrench(of_bodies, self.newest)
 
     def state(self) -> str:
-        """Return disabled, none, fresh, stale, or held_off (until it leaves the organ)."""
+        """Return disabled, none, fresh, stale, slipped (until it touches no more) or held_off (until it has left)."""
         if not self.input.enabled:
             return "disabled"
         if self.input.poses == 0:
             return "none"
         if not self.pose_freshness.is_fresh:
             return "stale"
-        return "held_off" if self._organs.hold_off(self.bodies) else "fresh"
+        if self._organs.hold_off(self.bodies):
+            return "held_off"
+        return "slipped" if self._organs.bearable_force(self.bodies) < math.inf else "fresh"
 
     def note_inactive(self, organ: str) -> None:
         """Log that the tool appeared inside an organ, and is not resisted until it has been outside.
@@ -162,10 +130,7 @@ class ToolPort:
         Where that happens many times a second, as with poses that come more seldom than `stale_time`, one line covers
         all of them.
 
-        Parameters
-        ----------
-        organ : str
-            Name of the organ.
+        organ: name of the organ.
         """
         with self._saying:
             self.held_off += 1
@@ -201,14 +166,21 @@ class ToolPort:
             self._log.warning(line)
         return line
 
-    def report(self, report: Report) -> None:
-        """Add the state, the force, the poses that came and what was refused.
+    def _slipped(self, state: str) -> str:
+        """Return a line about a tool that has slipped into an organ; log it once when that begins."""
+        had_slipped, self._had_slipped = self._had_slipped, state == "slipped"
+        if not self._had_slipped:
+            return ""
+        line = (
+            f"tool '{self.name}' slipped into the tissue: it was pressed deeper than the surface can bear, and is"
+            f" pressed with at most {self._organs.bearable_force(self.bodies):.2g} N until it has been outside"
+        )
+        if not had_slipped:
+            self._log.warning(line)
+        return line
 
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+    def report(self, report: Report) -> None:
+        """Add the state, the force, the poses that came and what was refused."""
         self._log_inactive()
         own = report.part(f"tool {self.name}", f"{self.name}.")
         own.state = self.state()
@@ -217,8 +189,9 @@ class ToolPort:
                 f"tool '{self.name}' is inactive (held_off): it is inside the organ, and exerts no force until it"
                 " has been outside"
             )
-        if line := self._too_slow():
-            own.warnings.append(line)
+        for line in (self._too_slow(), self._slipped(own.state)):
+            if line:
+                own.warnings.append(line)
         own.values |= {
             "state": own.state,
             "force_n": self.output.force,
@@ -232,19 +205,13 @@ class ToolPort:
         report.values["force_n"] = report.values.get("force_n", 0.0) + self.output.force  # of all tools
 
     def answer(self, taken: int) -> None:
-        """Publish the newest wrench, unless it answers no new pose.
-
-        Parameters
-        ----------
-        taken : int
-            Number of the pose that a tick applied.
-        """
+        """Publish the newest wrench, unless the pose of this number, which a tick applied, is not new."""
         if taken not in (0, self._answered):
             self._answered = taken
             self.output.answer(self.newest)
 
     def _came(self) -> None:
-        """Handle a new pose; those that ticks apply are answered by `answers.Answers`."""
+        """Handle a new pose; those that ticks apply are answered by `wrench_replies.WrenchReplies`."""
         if self._organs.loop.standing or not self._organs.answers:
             self.output.answer(self.newest)
             self._woken.set()

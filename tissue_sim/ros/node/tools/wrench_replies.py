@@ -16,16 +16,7 @@ LONGEST = 0.05  # s between checks whether it is to end
 class WrenchReplies:
     """Thread that publishes a tool's wrench once a tick has applied its pose; then contacts are found again.
 
-    Parameters
-    ----------
-    organs : Organs
-        The organs.
-    ports : Sequence[ToolPort]
-        The tools' ports.
-    woken : threading.Event
-        Set after the wrenches were published.
-    warn : Callable[[str], object]
-        Takes a line about what fails.
+    ports: the tools' ports; woken: set after the wrenches were published; warn: takes a line about what fails.
     """
 
     def __init__(
@@ -41,13 +32,7 @@ class WrenchReplies:
         self._thread.start()
 
     def prefer(self, priority: int) -> None:
-        """Give the running thread a priority, see `priority.prefer`.
-
-        Parameters
-        ----------
-        priority : int
-            The priority.
-        """
+        """Give the running thread a priority, see `priority.prefer`."""
         prefer(priority, self._thread.native_id or 0)
 
     def stop(self) -> None:
@@ -57,13 +42,7 @@ class WrenchReplies:
             self._thread.join(timeout=2.0 * LONGEST)
 
     def report(self, report: Report) -> None:
-        """Add what failed here.
-
-        Parameters
-        ----------
-        report : Report
-            The report; updated.
-        """
+        """Add what failed here."""
         self._trouble.report(report)
 
     def _run(self) -> None:

@@ -8,7 +8,9 @@ from helpers.pressing import depths, lead, line
 from helpers.scenes import RADIUS, ball_of_cells
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.contact.tool_motion import MOVES, WALL
+from tissue_sim.handles import handle
+from tissue_sim.model.contact.poses import distance_along_path, set_frame
+from tissue_sim.model.contact.walls import MOVES, STEEPEST, WALL, depth_of_wall, find_walls, measure_walls
 
 FOOT = np.array([0.0, 0.0, -RADIUS])  # of the ball, in the middle of its clamp
 
@@ -46,3 +48,30 @@ def test_a_tool_at_the_clamp_stops_there_and_is_resisted_until_it_leaves(tmp_pat
     assert scene.simulation.state.count.slips == scene.simulation.state.count.faults == 0
     assert scene.simulation.state.status.backoff == 1
     assert not lead(scene, 0, line(inside, outside, 150), hold=50)[-1].any()
+
+
+@pytest.mark.parametrize("shape", ["sphere", "jaw", "ring"])
+def test_a_fixed_point_gets_no_deeper_than_the_tool_has_moved(tmp_path, shape):
+    if shape == "ring":  # not convex: its distance is interpolated on a grid
+        trimesh.creation.torus(0.008, 0.002).export(tmp_path / "ring.stl")
+        tool, ahead = Tool("tool", shape="mesh", mesh=str(tmp_path / "ring.stl")), 0.002
+    else:
+        tool, ahead = tool_of(shape, tmp_path)
+    scene = Scene(ball_of_cells(), [tool], ticks_a_set=4)
+    lead(scene, 0, line(FOOT - [0.0, 0.0, 0.003 + ahead], FOOT + [0.0, 0.0, 0.001 - ahead], 60), hold=8)
+    simulation, random = scene.simulation, np.random.default_rng(1)
+    state, shapes, scratch = simulation.state, simulation.shapes, simulation.scratch
+    held = handle(state), handle(shapes), handle(scratch)
+    find_walls(handle(simulation.model), held[0], held[2])
+    assert scratch.walls[0] > 5
+    measure_walls(*held)
+    before, own = state.body_pose[0].copy(), scratch.wall_depth[: scratch.walls[0]].copy()
+    for _ in range(40):
+        turn = random.normal(0.0, 0.1, 4)
+        state.body_pose[0, :3] = before[:3] + random.normal(0.0, 0.002, 3)
+        state.body_pose[0, 3:] = (before[3:] + turn) / np.linalg.norm(before[3:] + turn)
+        moved = STEEPEST * distance_along_path(before, state.body_pose[0], shapes.extent[0])
+        set_frame(state.body_pose[0], scratch.origin[0], scratch.rotation[0])
+        for index, deep in enumerate(own):
+            now = depth_of_wall(*held, scratch.wall[index])
+            assert not np.isfinite(deep) or now <= deep + moved

@@ -1,0 +1,77 @@
+"""Tools that are pressed deeper than the surface can bear: held on their side, with a steady force, and free again."""
+
+import numpy as np
+import pytest
+
+from helpers.scenes import RADIUS, ball
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+
+START = 0.036  # m, above the ball
+ASIDE = np.array([0.001, 0.002])  # m from its axis
+
+
+def press(scene, heights):
+    """Move the tool through heights (k,) m; its forces (k, 3) N, where it was (k, 3) m, and whether inside (k,)."""
+    forces, places, inside = [], [], []
+    state = scene.simulation.state
+    for height in heights:
+        scene.move("left", (*ASIDE, height))
+        scene.step()
+        forces.append(scene.wrench("left")[:3].copy())
+        places.append(state.body_pose[0, :3].copy())
+        inside.append(scene.finder._swallowed(0, scene.simulation.positions, state.body_pose[0, :3]) is not None)
+    return np.array(forces), np.array(places), np.array(inside)
+
+
+def ways(speed):
+    """Heights on the way down through the whole ball, and back, m; speed m/s."""
+    return np.arange(START, -0.05, -1e-3 * speed), np.arange(-0.05, START, 1e-4)
+
+
+def longest(mask):
+    """Return the length of the longest run of True in a mask (k,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+@pytest.mark.parametrize(("radius", "speed"), [(0.003, 0.2), (0.005, 0.2), (0.005, 0.05)])
+def test_a_tool_pressed_through_the_organ_is_held_on_its_side_and_is_free_again(radius, speed):
+    scene = Scene(ball(2), [Tool("left", radius=radius)])
+    state, (down, up) = scene.simulation.state, ways(speed)
+    forces, places, inside = press(scene, down)
+    assert state.count.slips > 0
+    sizes = np.linalg.norm(forces, axis=1)
+    beyond = down < -RADIUS - radius  # the hand is in the air again, on the far side
+    assert places[beyond, 2].min() > 0.0, "the tool is above the middle"
+    assert sizes[beyond].min() > 0.3 * sizes.max()
+    assert np.ptp(forces[beyond], axis=0).max() < 0.02 * sizes.max(), "steady"
+    assert forces[beyond, 2].min() > 0.8 * sizes[beyond].min(), "upwards"
+    assert longest(inside) < 10, "ticks until it is back on the surface, which swings back at first"
+    back, places, _ = press(scene, up)
+    assert np.linalg.norm(back, axis=1).max() < sizes.max()
+    assert np.abs(back[-1]).max() == 0.0
+    assert np.allclose(places[-1], (*ASIDE, up[-1]))
+    assert state.bodies[0].slips == 0
+
+
+def test_a_tool_that_had_slipped_presses_as_before_once_it_has_been_outside():
+    heights = np.concatenate([np.full(200, START), np.arange(START, 0.025, -1e-4), np.full(200, 0.025)])
+    fresh, slipped = (Scene(ball(2), [Tool("left", radius=0.005)]) for _ in range(2))
+    for way in ways(0.2):
+        press(slipped, way)
+    assert slipped.simulation.state.count.slips > 0
+    wanted, found = press(fresh, heights)[0][-1], press(slipped, heights)[0][-1]
+    assert np.linalg.norm(wanted) > 0.5
+    assert np.allclose(found, wanted, rtol=0.01, atol=0.005)
+
+
+def test_released_poses_end_the_hold():
+    scene = Scene(ball(2), [Tool("left", radius=0.005)])
+    press(scene, ways(0.2)[0])
+    assert scene.simulation.state.bodies[0].slips > 1
+    settings = scene.simulation.settings
+    for _ in range(round((settings.stale_time + settings.ramp_time) / settings.tick_time) + 5):
+        scene.step()
+    assert scene.simulation.state.bodies[0].slips == 0
+    assert np.abs(scene.wrench("left")).max() == 0.0

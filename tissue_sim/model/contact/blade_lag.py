@@ -1,0 +1,143 @@
+"""Offsets of places of blades from the tissue that holds them, and the part of these that their forces don't explain.
+
+A place that moves on by some way at rest moves by another one in space where cells are crushed, in the next cell, or no
+longer between two lips. To hold it at its blade at once would throw the tissue, and to move it there at once would cut
+without a load. It stays behind, or beside, and returns while the cut that it makes meanwhile is paid for by a force.
+"""
+
+from __future__ import annotations
+
+from tissue_sim.array_types import Floats
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.blade_places import turned_by
+from tissue_sim.model.data.blades import LIP_NODES, BladeRow, BladeSample
+from tissue_sim.model.data.world import World
+
+# m/N, by which tissue yields right at a place: cells are coarser than places are apart, so that what holds these may
+# not fit together.
+GIVE = 1e-3
+RECOVERY_SPEED = 0.2  # m/s, largest speed at which a lip comes out of a flank that it lay in
+
+
+@kernel
+def write_arm(world: World, row: BladeRow, rotation: Floats, arm: Floats) -> None:
+    """Write where a place is from its tool's origin.
+
+    Parameters
+    ----------
+    world : World
+        Model, state, shapes and working memory; updated.
+    row : BladeRow
+        The place.
+    rotation : Floats, shape (9,)
+        Rotation of the tool, row by row.
+    arm : Floats, shape (3,), m
+        Receives the result.
+    """
+    at = world.scratch.blade_at
+    for axis in range(3):
+        at[axis] = world.shapes.blades.at[row.sample, axis] + world.state.blades[row.sample].offset[axis]
+    turned_by(rotation, at, arm)
+
+
+@kernel
+def offset_of(world: World, row: BladeRow, weights: Floats) -> tuple[float, float, float]:
+    """Return how far a place of a blade is from what holds it, m.
+
+    Parameters
+    ----------
+    world : World
+        Model, state, shapes and working memory.
+    row : BladeRow
+        The place.
+    weights : Floats, shape (8,)
+        Of the nodes that hold it.
+    """
+    state, origin, arm = world.state, world.scratch.origin[row.body], row.arm
+    x, y, z = origin[0] + arm[0], origin[1] + arm[1], origin[2] + arm[2]
+    for place in range(LIP_NODES):
+        weight = weights[place]
+        if weight != 0.0:
+            position = state.position[row.node[place]]
+            x, y, z = x - weight * position[0], y - weight * position[1], z - weight * position[2]
+    return x, y, z
+
+
+@kernel
+def way_past(world: World, row: BladeRow, direction: Floats, weights: Floats, step: float) -> float:
+    """Return how far a place has moved along a direction past the tissue there in this substep, m.
+
+    Parameters
+    ----------
+    world : World
+        Model, state, shapes and working memory; updated.
+    row : BladeRow
+        The place.
+    direction : Floats, shape (3,)
+        Unit vector.
+    weights : Floats, shape (8,)
+        Of the nodes that hold it.
+    step : float, s
+        The substep.
+    """
+    state, scratch, past = world.state, world.scratch, 0.0
+    write_arm(world, row, scratch.last_rotation[row.body], scratch.blade_way)
+    for axis in range(3):
+        moved = scratch.origin[row.body, axis] + row.arm[axis]
+        moved -= scratch.last_origin[row.body, axis] + scratch.blade_way[axis]
+        for place in range(LIP_NODES):
+            moved -= step * weights[place] * state.velocity[row.node[place], axis]
+        past += direction[axis] * moved
+    return past
+
+
+@kernel
+def _offset_before(world: World, row: BladeRow, direction: Floats, weights: Floats, step: float) -> float:
+    """Return how far along a direction a place was from what holds it before this substep, m."""
+    x, y, z = offset_of(world, row, weights)
+    offset = direction[0] * x + direction[1] * y + direction[2] * z
+    return offset - way_past(world, row, direction, weights, step)
+
+
+@kernel
+def lag_forward(world: World, row: BladeRow, sample: BladeSample, step: float) -> float:
+    """Return how far a place was behind its blade before this substep, m, besides by what yields to its force.
+
+    Parameters
+    ----------
+    world : World
+        Model, state, shapes and working memory; updated.
+    row : BladeRow
+        The place.
+    sample : BladeSample
+        What is known of it from the last substep.
+    step : float, s
+        The substep.
+    """
+    return _offset_before(world, row, row.forward, row.weight, step) - GIVE * sample.force[0]
+
+
+@kernel
+def lag_across(world: World, row: BladeRow, sample: BladeSample, step: float) -> float:
+    """Return how far a place was beside its flank before this substep, m, besides by what yields to its force.
+
+    A lip that the flank lies in comes out at RECOVERY_SPEED.
+
+    Parameters
+    ----------
+    world : World
+        Model, state, shapes and working memory; updated.
+    row : BladeRow
+        The place.
+    sample : BladeSample
+        What is known of it from the last substep.
+    step : float, s
+        The substep.
+    """
+    force = sample.force[2]
+    if row.side * force < 0.0:
+        force = 0.0
+    lag = _offset_before(world, row, row.normal, row.across_weight, step) - GIVE * force
+    if row.side == 0.0:
+        return lag
+    return row.side * max(0.0, row.side * lag - RECOVERY_SPEED * step)

@@ -1,0 +1,106 @@
+"""Walls: fixed tissue, out of which a tool is moved, as the tissue can't be."""
+
+from __future__ import annotations
+
+import math
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact.gap import gap_and_normal, is_on_outer_side, point_in_body
+from tissue_sim.model.contact.poses import distance_along_path, set_frame
+from tissue_sim.model.contact.shapes import signed_distance
+from tissue_sim.model.data.arrays import copy
+from tissue_sim.model.data.contact_set import nodes_of
+from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.shapes import Shapes
+from tissue_sim.model.data.state import State
+
+WALL = 0.5  # of a body's finest feature: it enters fixed tissue by at most that, so its middle stays outside
+MOVES = 0.5  # of a contact point's weights: with less on moving nodes it counts as fixed
+STEEPEST = 2.0  # bound on the slope of a distance: 1, and the root of 3 where it is interpolated on a grid
+
+
+@kernel
+def find_walls(model: Model, state: State, scratch: Scratch) -> None:
+    """List the contact points on mostly fixed nodes in scratch.wall: they hardly yield to a tool.
+
+    Parameters
+    ----------
+    model : Model
+        Constants of the model.
+    state : State
+        State of the simulation; updated.
+    scratch : Scratch
+        Working memory; updated.
+    """
+    count, contacts = 0, state.contacts
+    for entry in range(contacts.header.points):
+        moves = 0.0
+        for c in range(nodes_of(contacts, entry)):
+            if model.inverse_mass[contacts.node[entry, c]] > 0.0:
+                moves += contacts.weight[entry, c]
+        status = state.bodies[contacts.body[entry]]
+        if moves < MOVES and status.engaged and not status.cutting:
+            scratch.wall[count], scratch.wall_depth[count] = entry, 0.0 if moves == 0.0 else math.inf
+            count += 1
+    scratch.walls[0], scratch.walls_measured[0] = count, 0
+
+
+@kernel
+def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
+    """Move a tool out of the fixed point that lies deepest in it; return False where none lies deeper than WALL.
+
+    Tissue that moves is pushed on by the tool; into fixed tissue it would go on until it has slipped inside.
+    """
+    if scratch.walls_measured[0] == 0:
+        measure_walls(state, shapes, scratch)
+    deepest, chosen, body, moved = 0.0, -1, -1, 0.0
+    x = y = z = 0.0
+    for index in range(scratch.walls[0]):
+        entry = scratch.wall[index]
+        if body != state.contacts.body[entry]:
+            body = state.contacts.body[entry]
+            set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
+            before, now = scratch.wall_pose[body], state.body_pose[body]
+            moved = STEEPEST * distance_along_path(before, now, shapes.extent[body])
+        if scratch.wall_depth[index] + moved < 0.0:
+            continue
+        deep = depth_of_wall(state, shapes, scratch, entry)
+        if deep > deepest:  # hardly ever: only then the normal is looked at
+            _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
+            _, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
+            if is_on_outer_side(state, entry, (nx, ny, nz)):
+                deepest, chosen, x, y, z = deep, body, nx, ny, nz
+    if chosen < 0:
+        return False
+    for body in range(len(state.body_pose)):
+        if shapes.tool[body] == shapes.tool[chosen]:
+            pose = state.body_pose[body]
+            pose[0], pose[1], pose[2] = pose[0] - deepest * x, pose[1] - deepest * y, pose[2] - deepest * z
+    return True
+
+
+@kernel
+def measure_walls(state: State, shapes: Shapes, scratch: Scratch) -> None:
+    """Write how deep each fixed point lies in its tool: until the tool has moved as far, it needn't be looked at again.
+
+    Points of which a part moves are looked at always.
+    """
+    body = -1
+    for index in range(scratch.walls[0]):
+        entry = scratch.wall[index]
+        if body != state.contacts.body[entry]:
+            body = state.contacts.body[entry]
+            set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
+            copy(state.body_pose[body], scratch.wall_pose[body])
+        if scratch.wall_depth[index] == 0.0:
+            scratch.wall_depth[index] = depth_of_wall(state, shapes, scratch, entry)
+    scratch.walls_measured[0] = 1
+
+
+@kernel
+def depth_of_wall(state: State, shapes: Shapes, scratch: Scratch, entry: int) -> float:
+    """Return how much deeper than WALL a point lies in its tool, m; the tool's frame has been set."""
+    body = state.contacts.body[entry]
+    _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
+    return -signed_distance(shapes, body, lx, ly, lz)[0] - WALL * shapes.finest[body]
