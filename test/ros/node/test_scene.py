@@ -141,7 +141,8 @@ def test_tools_touch_any_organ_and_the_parameters_tell_their_names(client):
         assert client.spin_until(lambda organ=organ, x=middle: press(client, (x, 0.0)) and len(touched(organ)) > 0)
         own = touched(organ)
         assert np.abs(own[:, 0] - middle).max() < 0.015, "m: where that organ was pressed"
-        assert own[:, 5].mean() > 0.5, "from above"
+        # By force: a cloud also brings points at the ball's side that press with next to nothing.
+        assert np.average(own[:, 5], weights=np.linalg.norm(own[:, 6:9], axis=1)) > 0.5, "from above"
     assert {
         "kidney.contact_count",
         "kidney.skipped.unfelt",
@@ -152,12 +153,17 @@ def test_tools_touch_any_organ_and_the_parameters_tell_their_names(client):
 
 def test_a_bag_of_a_scene_repeats_to_the_last_bit(client, capsys):
     bag = Path(client.record(True).message)
-    clouds = received(client, PointCloud2, ["liver/surface", "kidney/surface"], beside.stream_qos())
     press(client, (0.0, 0.0), (0.0592, 0.0), (0.0296, 0.0))
+    # Counted from here: a replay begins at the bag's state, and on a stalled machine many surfaces come before that.
+    clouds = received(client, PointCloud2, ["liver/surface", "kidney/surface"], beside.stream_qos())
     client.reset()
-    press(client, (0.0, 0.0))
-    # However long a press takes. A surface that stands still is published again, and recorded once.
-    assert client.spin_until(lambda: min(len({bytes(one.data) for one in some}) for some in clouds.values()) > 25)
+
+    def shown():
+        """The smallest number of an organ's surfaces that differ: one that stands still is published again."""
+        return min(len({bytes(one.data) for one in some}) for some in clouds.values())
+
+    # However long a press takes.
+    assert client.spin_until(lambda: press(client, (0.0, 0.0), (0.0592, 0.0)) and shown() > 25)
     assert client.record(False).success
     recording = Recording.read(bag)
     assert recording.config["organs"].keys() == {"liver", "kidney"}
