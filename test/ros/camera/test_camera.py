@@ -17,6 +17,7 @@ from helpers.patience import wait_for
 from helpers.ros.pictures import EYE, LOOKING, POSE, first_hit, pixels, stamp_of, together
 from helpers.ros.processes import FAKE_TF, UNHURRIED, running_node, shipped
 from tissue_sim.cli import main
+from tissue_sim.rendering.offscreen import Light
 from tissue_sim.rendering.pinhole import inverse_of, matrix_of
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.qos import STREAM
@@ -214,3 +215,9 @@ def test_what_it_cannot_do_is_said_in_one_line(words, reason, capsys, monkeypatc
         code = error.code
     assert code == 2
     assert reason in capsys.readouterr().err
+
+
+def test_help_names_the_reach_that_the_light_has(capsys):
+    with pytest.raises(SystemExit):
+        main(["camera", "--help"])
+    assert f"(default: {Light().reach:g})" in " ".join(capsys.readouterr().out.split())
