@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from helpers.pressing import PROBE, deepest, is_sound, lead, line, press, top_of
-from helpers.scenes import ball, free_ball, kidney
+from helpers.scenes import RADIUS, ball, free_ball, kidney
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.contact.virtual_coupling import passive_stiffness
+from tissue_sim.organ.placement import placed
 
 STIFFNESS, DAMPING = 500.0, 1.0  # N/m, N s/m
 
@@ -106,6 +107,41 @@ def test_force_changes_no_faster_than_the_slew_limit():
     for _ in range(75):
         slow.step()
     np.testing.assert_array_equal(slow.wrenches, 0.0)
+
+
+def test_a_force_comes_down_no_faster_than_the_slew_limit_where_the_organ_is_at_rest_before():
+    """Its sleep cut off what was left of the force in one tick."""
+    scene = Scene(ball(2), [Tool("left", radius=0.005)])
+    scene.simulation.settings.force_slew = slew = 0.1
+    place = top_of(ball(2))  # where the tool is 5 mm deep
+    forces = []
+    for height in [*np.linspace(0.006, 0.0, 60), *[0.0] * 2000, *[0.02] * 4000]:
+        scene.move("left", place + [0.0, 0.0, height])
+        scene.step()
+        forces.append(scene.wrench("left")[:3])
+    sizes = np.linalg.norm(forces, axis=1)
+    assert sizes[2059] > 0.1
+    assert np.linalg.norm(np.diff(forces, axis=0), axis=1).max() <= slew * 1e-3 + 1e-12
+    assert sizes[-1] == 0.0
+    assert scene.simulation.asleep
+
+
+def test_the_slew_limit_holds_for_the_sum_over_organs():
+    """Each had the whole of it, so that a tool between two felt twice as fast a change."""
+    balls = [ball(2), placed(ball(2), [2.1 * RADIUS, 0.0, 0.0])]
+    scene, slew = Scene(balls, [Tool("left", radius=0.01)]), 10.0
+    for one in scene.simulations:
+        one.settings.force_slew = slew
+    forces, own = [], []
+    for height in [*np.linspace(0.02, 0.01, 40), *[0.01] * 300, *np.linspace(0.01, 0.03, 40)]:
+        scene.move("left", [1.05 * RADIUS, 0.0, height])
+        scene.step()
+        forces.append(scene.wrench("left")[:3])
+        own.append([np.linalg.norm(one.state.wrench[0, :3]) for one in scene.simulations])
+    assert np.max(own, axis=0).min() > 0.1, "N: it touches both"
+    rates = 1e3 * np.linalg.norm(np.diff(forces, axis=0), axis=1)
+    assert rates.max() <= slew + 1e-9
+    assert all(one.state.count.slewed_ticks > 0 for one in scene.simulations)
 
 
 # a device in the loop --------------------------------------------------------------------------

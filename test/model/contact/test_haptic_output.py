@@ -19,6 +19,10 @@ def settings_of(clamp=10.0, slew=1e3):
     return settings
 
 
+def scratch_of(impulse):
+    return SimpleNamespace(impulse=impulse, slew_share=np.ones(len(impulse)))
+
+
 def twin(unfaded, felt, impulse, owners, ages, settings):
     """What compute_haptic_output does, tool by tool; felt: the wrench (b, 6) of the tick before."""
     unfaded, wrench = np.where(ages[:, None] * TICK <= settings.stale_time, felt, unfaded), np.zeros_like(unfaded)
@@ -51,7 +55,7 @@ def test_kernel_is_the_twin(seed):
     bodies.age = ages
     expected = twin(unfaded, felt, impulse, owners, ages, settings)
     state = SimpleNamespace(unfaded_wrench=unfaded, wrench=felt, bodies=bodies, count=count)
-    compute_haptic_output.py_func(state, SimpleNamespace(tool=owners), settings, SimpleNamespace(impulse=impulse))
+    compute_haptic_output.py_func(state, SimpleNamespace(tool=owners), settings, scratch_of(impulse))
     np.testing.assert_allclose(state.unfaded_wrench, expected[0], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(state.wrench, expected[1], rtol=1e-12, atol=1e-12)
     for tool in range(3):
@@ -64,8 +68,9 @@ def test_compiled_shares_are_the_plain_ones():
     unfaded, impulse = random.normal(0.0, 2.0, (3, 6)), random.normal(0.0, 6e-3, (3, 6))
     settings = settings_of(slew=500.0)
     assert clamp_fraction(unfaded, owners, 0, 1.0) == clamp_fraction.py_func(unfaded, owners, 0, 1.0) < 1.0
-    found = slew_fraction(unfaded, impulse, -1e3, owners, 1, settings)
-    assert found == slew_fraction.py_func(unfaded, impulse, -1e3, owners, 1, settings) < 1.0
+    most = settings.force_slew * settings.tick_time
+    found = slew_fraction(unfaded, impulse, -1e3, owners, 1, most)
+    assert found == slew_fraction.py_func(unfaded, impulse, -1e3, owners, 1, most) < 1.0
 
 
 def test_nip_of_two_jaws_is_not_cut_when_their_sum_is_small():
@@ -86,7 +91,7 @@ def test_a_force_that_faded_partly_rises_no_faster_than_the_slew_limit():
         since = tick % 100
         bodies.age = max(0, since - 35)  # a pose a tick for 36 ticks, then none until it has faded by three quarters
         compute_haptic_output.py_func(
-            state, SimpleNamespace(tool=np.zeros(1, dtype=np.int64)), settings, SimpleNamespace(impulse=impulse)
+            state, SimpleNamespace(tool=np.zeros(1, dtype=np.int64)), settings, scratch_of(impulse)
         )
         forces.append(state.wrench[0, 2])
     rises = np.diff(forces)

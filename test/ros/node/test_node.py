@@ -236,8 +236,13 @@ def test_tool_that_is_pressed_too_deep_is_held_and_reported(client, node):
         return state == "slipped" and "slipped into the tissue" in client.message
 
     assert client.spin_until(warns), client.message
-    assert "deeper than the surface can bear, and is pressed with at most" in node.text()
-    assert float(client.diagnostics["left.force_n"]) > 0.1, "and felt"
+
+    def is_true(holds):
+        """Of the log, and of a report that may have come just when the tool was put back: as soon as it is."""
+        return client.spin_until(lambda: client.ask(place + next(depths) * inward) or holds())
+
+    assert is_true(lambda: "deeper than the surface can bear, and is pressed with at most" in node.text())
+    assert is_true(lambda: float(client.diagnostics["left.force_n"]) > 0.1), "and felt"
     client.ask(place - 0.02 * inward)
     outside = place - 0.02 * inward
     assert client.spin_until(lambda: client.ask(outside) or client.diagnostics.get("left.state") == "fresh")

@@ -19,6 +19,8 @@ from tissue_sim.model.data.world import World
 def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scratch: Scratch) -> None:
     """Set the wrench of every body; clamp and slew limit hold for the sum over a tool's bodies.
 
+    Of the slew limit an organ of a scene has its share, see `share_slew`.
+
     Parameters
     ----------
     state : State
@@ -41,7 +43,8 @@ def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scra
             if shapes.tool[body] == tool and freshness(state.bodies[body].age, settings) == 1.0:
                 for c in range(6):
                     state.unfaded_wrench[body, c] = state.wrench[body, c]
-        change = slew_fraction(state.unfaded_wrench, scratch.impulse, wanted, shapes.tool, tool, settings)
+        most = scratch.slew_share[tool] * settings.force_slew * settings.tick_time
+        change = slew_fraction(state.unfaded_wrench, scratch.impulse, wanted, shapes.tool, tool, most)
         held_back = held_back or change < 1.0
         for body in range(len(state.wrench)):
             if shapes.tool[body] == tool:
@@ -64,6 +67,49 @@ def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scra
                     state.wrench[body, c] = fresh * state.unfaded_wrench[body, c]
     state.count.clamped_ticks += cut
     state.count.slewed_ticks += held_back
+
+
+@kernel
+def share_slew(worlds: Sequence[World], awake: Longs) -> None:
+    """Divide the limit on how fast a tool's force changes among the organs that act on it: it holds for their sum.
+
+    Parameters
+    ----------
+    worlds : Sequence[World]
+        Worlds of the organs after their substeps; updated.
+    awake : Longs, shape (k,)
+        1 for organs that this tick advances.
+    """
+    tools = worlds[0].shapes.tool
+    for tool in range(len(tools)):
+        count = 0
+        for organ in range(len(worlds)):
+            if awake[organ] == 1 and acts_on(worlds[organ], tool):
+                count += 1
+        for organ in range(len(worlds)):
+            worlds[organ].scratch.slew_share[tool] = 1.0 / max(1, count)
+
+
+@kernel
+def acts_on(world: World, tool: int) -> bool:
+    """Return whether an organ acts on a tool in this tick, or did in the last one."""
+    state, impulse = world.state, world.scratch.impulse
+    for body in range(len(impulse)):
+        if world.shapes.tool[body] == tool:
+            for c in range(3):
+                if impulse[body, c] != 0.0 or state.unfaded_wrench[body, c] != 0.0:
+                    return True
+    return False
+
+
+@kernel
+def is_felt(state: State) -> bool:
+    """Return whether a force on any tool has not come down to zero."""
+    for body in range(len(state.wrench)):
+        for c in range(3):
+            if state.wrench[body, c] != 0.0:
+                return True
+    return False
 
 
 @kernel
@@ -106,15 +152,13 @@ def clamp_fraction(values: Floats, tools: Longs, tool: int, most: float) -> floa
 
 
 @kernel
-def slew_fraction(
-    unfaded: Floats, impulse: Floats, wanted: float, tools: Longs, tool: int, settings: Settings
-) -> float:
-    """Return the fraction of the change from unfaded (T, 6) to wanted * impulse (T, 6) allowed to a tool in a tick."""
+def slew_fraction(unfaded: Floats, impulse: Floats, wanted: float, tools: Longs, tool: int, most: float) -> float:
+    """Return the fraction of the change from unfaded (T, 6) to wanted * impulse (T, 6) that is `most` N at most."""
     x = y = z = 0.0
     for body in range(len(unfaded)):
         if tools[body] == tool:
             x += wanted * impulse[body, 0] - unfaded[body, 0]
             y += wanted * impulse[body, 1] - unfaded[body, 1]
             z += wanted * impulse[body, 2] - unfaded[body, 2]
-    size, most = math.sqrt(x * x + y * y + z * z), settings.force_slew * settings.tick_time
+    size = math.sqrt(x * x + y * y + z * z)
     return most / size if size > most else 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tissue_sim.jit import kernel
+from tissue_sim.model.contact.haptic_output import is_felt
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.model import Model
@@ -127,7 +128,12 @@ def pace(model: Model, settings: Settings) -> float:
 
 @kernel
 def fall_asleep(model: Model, state: State) -> None:
-    """Put the organ at rest, to the last bit; a piece that was cut off stays where it lies."""
+    """Put the organ at rest, to the last bit; a piece that was cut off stays where it lies.
+
+    Not while the slew limit still lets a force down: there is none on an organ that sleeps.
+    """
+    if is_felt(state):
+        return
     status = state.status
     status.asleep = True
     status.backoff = 1
@@ -147,7 +153,9 @@ def fall_asleep(model: Model, state: State) -> None:
 
 @kernel
 def snap(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
-    """Start the recovery from a false rest shape."""
+    """Start the recovery from a false rest shape, as soon as no force is left, as in `fall_asleep`."""
+    if is_felt(state):
+        return
     leave_region(model, state, settings, scratch)
     forget_relaxation(state)
     state.status.snapped = True

@@ -63,6 +63,7 @@ def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
         plan=Plan.new(),
         force=empty(n, 3),
         impulse=empty(n_bodies, 6),
+        slew_share=np.ones(n_bodies),
         mobility=empty(n),
         mass=empty(n),
         push=empty(3 * n),

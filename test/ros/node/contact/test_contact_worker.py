@@ -31,8 +31,8 @@ class Port:
 
     def __init__(self, position):
         self._sequence = 0
-        self.held_off = []
-        self.note_inactive = self.held_off.append
+        self.held_off, self.slipped = [], []
+        self.note_inactive, self.note_slipped = self.held_off.append, self.slipped.append
         self.move(position)
 
     def move(self, position):
@@ -61,7 +61,7 @@ def scene(monkeypatch):
     worker = ContactWorker([search], None, [port], threading.Event(), warned.append)
     middle = organ.surface_positions.mean(axis=0)
     made = SimpleNamespace(worker=worker, finder=finder, physics=physics, results=results, middle=middle, warned=warned)
-    made.held_off = port.held_off
+    made.held_off, made.slipped = port.held_off, port.slipped
     yield made
     worker.stop()
 
@@ -91,6 +91,26 @@ def test_a_tool_that_appears_inside_is_held_off_and_reported_each_time(scene, mo
     seen = len(taken)
     wait_for(lambda: len(taken) > seen + 3)
     assert len(scene.held_off) == 2
+
+
+def test_each_slip_is_reported_once_however_short_it_is(scene, monkeypatch):
+    """A second between two reports was too long: one was free again before, or had slipped anew."""
+    body, taken = scene.results.bodies[0], []
+    monkeypatch.setattr(scene.physics, "post_contacts", lambda found: taken.append(found) or len(taken))
+    scene.worker.start()
+
+    def search_anew():
+        seen = len(taken)
+        wait_for(lambda: len(taken) > seen + 2)
+
+    body.slips, body.bearable = 1, 0.0
+    search_anew()
+    assert not scene.slipped, "the first of a hasty tool: it may try once more"
+    for slips, bearable in ((2, 0.7), (3, 0.6), (0, 0.0), (2, 0.5)):
+        body.bearable = bearable
+        body.slips = slips
+        search_anew()
+    assert scene.slipped == [0.7, 0.5]
 
 
 def test_a_search_that_fails_is_reported_once_and_forgotten_when_one_succeeds(scene, monkeypatch):

@@ -13,6 +13,7 @@ from tissue_sim.contact.finder import MARGIN, ContactFinder, Sought
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.contact.reach_margins import reach_margins, ways
 from tissue_sim.contact.touched_surface import TouchedSurface
+from tissue_sim.model.contact.tool_motion import ONCE
 from tissue_sim.model.data.contact_set import Engaged
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
@@ -63,6 +64,7 @@ class ContactSearch:
         self._positions = np.zeros((len(served.physics.simulation.model.rest), 3))
         self._extents = finder.tools.shapes.extent
         self._reported = np.full(n_bodies, -1)  # life, by `releases`, in which a held-off body was reported
+        self._has_slipped = np.zeros(n_bodies, dtype=bool)
         self._last_goals = np.zeros((n_bodies, 7))
         self._last_time = time.monotonic()
         self._last_key: tuple[object, ...] = ()
@@ -126,6 +128,7 @@ class ContactSearch:
             if self.finder.is_inside(body, self._positions, places[body]):
                 engaged[body] = Engaged.HELD_OFF
         self._report_inactive(engaged, bodies)
+        self._report_slips(bodies)
         releases = bodies.releases.copy()
         found = self.finder.find(self._positions, Sought(places.copy(), margins, engaged, now.pushing, releases))
         self._last_empty = found.header.points == 0 and bool(np.all(found.tip_node < 0))
@@ -145,6 +148,13 @@ class ContactSearch:
         self._reported[outside] = -1
         for port in {id(port): port for port, new in zip(self._port_of, is_new.tolist(), strict=True) if new}.values():
             port.note_inactive(self._organ)
+
+    def _report_slips(self, bodies: Any) -> None:
+        """Notify ports of bodies that slipped into the organ since the last search, however soon they are free."""
+        before, self._has_slipped = self._has_slipped, bodies.slips > ONCE
+        new = np.flatnonzero(self._has_slipped & ~before).tolist()
+        for port in {id(self._port_of[body]): self._port_of[body] for body in new}.values():
+            port.note_slipped(min(float(bodies.bearable[body]) for body in new if self._port_of[body] is port))
 
 
 class OrganContactSearch:

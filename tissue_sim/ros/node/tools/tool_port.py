@@ -20,7 +20,7 @@ from tissue_sim.ros.node.tools.tool_output import ToolOutput
 from tissue_sim.ros.shared.frames import Frames, Placed, Transform, UnknownFrame
 from tissue_sim.ros.shared.report import Report
 
-SAY_EVERY = 1.0  # s between two lines that a tool is held off
+SAY_EVERY = 1.0  # s between two lines that a tool is held off, or has slipped
 
 
 class ToolPort:
@@ -36,9 +36,11 @@ class ToolPort:
         self._tool, self._organs, self._woken = tool, organs, woken
         self._answered = 0  # sequence number of the pose
         self._log = node.get_logger()
-        self._was_slow = self._had_slipped = False
+        self._was_slow = False
         self.held_off, self._said = 0, -math.inf  # how often; monotonic s of the last line about it
         self._unsaid: list[str] = []  # organs that it appeared in since that
+        self._slips: list[float] = []  # N, that it is pressed with since each slip without a line
+        self._said_slip = -math.inf  # monotonic s of the last line about one
         self._saying = threading.Lock()
         self.pose_freshness, self.force_freshness = Freshness(parts.clock, organs), Freshness(parts.clock, organs)
         self.output = ToolOutput(node, tool, organs, parts.recorder)
@@ -151,6 +153,25 @@ class ToolPort:
             f" ({self._organs.stale_time:g} s){times}"
         )
 
+    def note_slipped(self, bearable: float) -> None:
+        """Log that the tool slipped into an organ; one line covers several within SAY_EVERY.
+
+        bearable: N, with which it is pressed at most from then on.
+        """
+        with self._saying:
+            self._slips.append(bearable)
+        self._log_slipped()
+
+    def _log_slipped(self) -> None:
+        """Log that the tool slipped since the last such line, at most once in SAY_EVERY."""
+        with self._saying:
+            now, slips = time.monotonic(), self._slips
+            if not slips or now - self._said_slip < SAY_EVERY:
+                return
+            self._said_slip, self._slips = now, []
+        times = f" ({len(slips)} times since the last such line)" if len(slips) > 1 else ""
+        self._log.warning(self._slipped(slips[-1]) + times)
+
     def _too_slow(self) -> str:
         """Return a line about poses that are stale before the next one comes; log it once when that begins."""
         gap, was_slow = self.pose_freshness.too_slow, self._was_slow
@@ -166,22 +187,17 @@ class ToolPort:
             self._log.warning(line)
         return line
 
-    def _slipped(self, state: str) -> str:
-        """Return a line about a tool that has slipped into an organ; log it once when that begins."""
-        had_slipped, self._had_slipped = self._had_slipped, state == "slipped"
-        if not self._had_slipped:
-            return ""
-        line = (
+    def _slipped(self, bearable: float) -> str:
+        """Return a line about a tool that has slipped into an organ. bearable: N, with which it is pressed at most."""
+        return (
             f"tool '{self.name}' slipped into the tissue: it was pressed deeper than the surface can bear, and is"
-            f" pressed with at most {self._organs.bearable_force(self.bodies):.2g} N until it has been outside"
+            f" pressed with at most {bearable:.2g} N until it has been outside"
         )
-        if not had_slipped:
-            self._log.warning(line)
-        return line
 
     def report(self, report: Report) -> None:
         """Add the state, the force, the poses that came and what was refused."""
         self._log_inactive()
+        self._log_slipped()
         own = report.part(f"tool {self.name}", f"{self.name}.")
         own.state = self.state()
         if own.state == "held_off":
@@ -189,9 +205,10 @@ class ToolPort:
                 f"tool '{self.name}' is inactive (held_off): it is inside the organ, and exerts no force until it"
                 " has been outside"
             )
-        for line in (self._too_slow(), self._slipped(own.state)):
-            if line:
-                own.warnings.append(line)
+        if line := self._too_slow():
+            own.warnings.append(line)
+        if own.state == "slipped":
+            own.warnings.append(self._slipped(self._organs.bearable_force(self.bodies)))
         own.values |= {
             "state": own.state,
             "force_n": self.output.force,
