@@ -78,6 +78,20 @@ def test_released_poses_end_the_hold():
     assert np.abs(scene.wrench("left")).max() == 0.0
 
 
+@pytest.mark.parametrize("stiffness", [500.0, 2000.0])
+def test_a_coupled_tool_that_has_slipped_is_held_without_oscillating(stiffness):
+    scene = Scene(ball(2), [Tool("left", radius=0.005)], ticks_a_set=4)
+    state, settings = scene.simulation.state, scene.simulation.settings
+    settings.coupling_stiffness, settings.coupling_damping = stiffness, 1.0
+    press(scene, ways(0.05)[0])
+    assert state.bodies[0].slips > ONCE
+    held, _, _ = press(scene, np.full(1500, ways(0.05)[0][-1]))
+    sizes = np.linalg.norm(held[-500:], axis=1)
+    assert np.ptp(held[-500:], axis=0).max() < 0.02, "N"
+    assert sizes.min() > 0.5 * state.bodies[0].bearable
+    assert sizes.max() < 1.05 * state.bodies[0].bearable
+
+
 @pytest.mark.parametrize("slip", [1, 2])
 def test_a_set_that_was_found_before_a_tool_was_put_back_moves_it_no_more(slip):
     scene = Scene(ball(2), [Tool("left", radius=0.005)])

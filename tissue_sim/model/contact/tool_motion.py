@@ -162,7 +162,7 @@ def advance_bodies(state: State, shapes: Shapes, scratch: Scratch, step: float) 
                 slipped = state.bodies[other].slips > 0
                 if slipped and not is_pressed and leads_inward(state, other, scratch.goal[other]):
                     most = CAREFUL * step
-                fraction = min(fraction, free_distance(state, shapes, other, scratch.goal[other], most))
+                fraction = min(fraction, free_distance(state, shapes, scratch, other, most))
         scratch.fraction[body] = fraction
     for body in range(len(state.body_pose)):
         if scratch.fraction[body] > 0.0:
@@ -180,14 +180,14 @@ def has_contact(state: State, body: int) -> bool:
 
 
 @kernel
-def free_distance(state: State, shapes: Shapes, body: int, goal: Floats, most: float) -> float:
-    """Return the fraction of its way to a goal (7,) that a body may go in a step and meet all tissue on it.
+def free_distance(state: State, shapes: Shapes, scratch: Scratch, body: int, most: float) -> float:
+    """Return the fraction of its way to its goal that a body may go in a step and meet all tissue on it.
 
     most: m that it may go where tissue is near, at its speed. It goes no farther than the contact set knows the surface
     around it, and waits for the next one; where there is tissue, it goes no faster than points before it can be pushed.
     A body that no set has looked at yet waits; one that nothing resists goes freely.
     """
-    status, contacts, extent = state.bodies[body], state.contacts, shapes.extent[body]
+    status, contacts, extent, goal = state.bodies[body], state.contacts, shapes.extent[body], scratch.goal[body]
     if not status.engaged:
         return 0.0 if status.placed else 1.0
     pose, place, fraction = state.body_pose[body], contacts.place[body], 1.0
@@ -202,9 +202,16 @@ def free_distance(state: State, shapes: Shapes, body: int, goal: Floats, most: f
     now, then = distance_along_path(pose, place, extent), distance_along_path(goal, place, extent)
     if then > contacts.reach[body] and then > now:
         fraction = min(fraction, max(0.0, contacts.reach[body] - now) / (then - now))
-    if status.slips > ONCE and not status.cutting and leads_inward(state, body, goal):
+    # A coupling presses with no more by itself, see `couple_bodies`.
+    if is_held_back(status) and scratch.give[body] == 0.0 and leads_inward(state, body, goal):
         fraction *= min(1.0, max(0.0, (1.0 - status.recent_force / status.bearable) / SLOWING))
     return fraction
+
+
+@kernel
+def is_held_back(status: BodyStatus) -> bool:
+    """Return whether a body presses with no more than `bearable`, since it has slipped."""
+    return status.slips > ONCE and not status.cutting
 
 
 @kernel
@@ -277,8 +284,11 @@ def couple_bodies(
         scratch.give[body] = 0.0
         if stiffness > 0.0:
             scratch.give[body] = 1.0 / (damping + stiffness * step)
+            pull, status = stiffness * distance(pose, held), state.bodies[body]
+            # Slowed as a rigid body is, it would be pushed out and come back for ever.
+            eased = status.bearable / pull if is_held_back(status) and pull > status.bearable else 1.0
             for c in range(3):
-                goal[c] = pose[c] + scratch.give[body] * stiffness * step * (held[c] - pose[c])
+                goal[c] = pose[c] + scratch.give[body] * stiffness * step * eased * (held[c] - pose[c])
     advance_bodies(state, shapes, scratch, step)
     for body in range(len(state.body_pose)):
         set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
