@@ -20,7 +20,7 @@ def settings_of(clamp=10.0, slew=1e3):
 
 
 def scratch_of(impulse):
-    return SimpleNamespace(impulse=impulse, slew_share=np.ones(len(impulse)))
+    return SimpleNamespace(impulse=impulse, slew_part=np.ones(len(impulse)))
 
 
 def twin(unfaded, felt, impulse, owners, ages, settings):

@@ -19,7 +19,7 @@ from tissue_sim.model.data.world import World
 def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scratch: Scratch) -> None:
     """Set the wrench of every body; clamp and slew limit hold for the sum over a tool's bodies.
 
-    Of the slew limit an organ of a scene has its share, see `share_slew`.
+    An organ of a scene has a part of the slew limit, see `divide_slew_limit`.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scra
             if shapes.tool[body] == tool and freshness(state.bodies[body].age, settings) == 1.0:
                 for c in range(6):
                     state.unfaded_wrench[body, c] = state.wrench[body, c]
-        most = scratch.slew_share[tool] * settings.force_slew * settings.tick_time
+        most = scratch.slew_part[tool] * settings.force_slew * settings.tick_time
         change = slew_fraction(state.unfaded_wrench, scratch.impulse, wanted, shapes.tool, tool, most)
         held_back = held_back or change < 1.0
         for body in range(len(state.wrench)):
@@ -70,7 +70,7 @@ def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scra
 
 
 @kernel
-def share_slew(worlds: Sequence[World], awake: Longs) -> None:
+def divide_slew_limit(worlds: Sequence[World], awake: Longs) -> None:
     """Divide the limit on how fast a tool's force changes among the organs that act on it: it holds for their sum.
 
     Parameters
@@ -87,7 +87,7 @@ def share_slew(worlds: Sequence[World], awake: Longs) -> None:
             if awake[organ] == 1 and acts_on(worlds[organ], tool):
                 count += 1
         for organ in range(len(worlds)):
-            worlds[organ].scratch.slew_share[tool] = 1.0 / max(1, count)
+            worlds[organ].scratch.slew_part[tool] = 1.0 / max(1, count)
 
 
 @kernel

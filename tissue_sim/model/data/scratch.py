@@ -27,7 +27,7 @@ class Scratch(NamedTuple):
     plan: Plan
     force: Floats  # (n, 3) N
     impulse: Floats  # (T, 6) N s on the tissue
-    slew_share: Floats  # (T,) of each tool's slew limit that this organ has
+    slew_part: Floats  # (T,) of each tool's slew limit that this organ has
     mobility: Floats  # (n,) 1/kg
     mass: Floats  # (n,) kg, 0 where held
     push: Floats  # (3n,) s/kg, and

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from tissue_sim.array_types import Longs
 from tissue_sim.jit import kernel
-from tissue_sim.model.contact.haptic_output import share_slew
+from tissue_sim.model.contact.haptic_output import divide_slew_limit
 from tissue_sim.model.data.links import Links
 from tissue_sim.model.data.world import World
 from tissue_sim.model.stepping.breathing import Carried, breathe, weigh
@@ -92,7 +92,7 @@ def tick_coupled(worlds: Sequence[World], joined: CoupledOrgans | None) -> None:
         if touching:
             resolve_organ_contacts(worlds, carried, pairs, awake, step / substeps)
     handled = are_handled(worlds)
-    share_slew(worlds, awake)
+    divide_slew_limit(worlds, awake)
     for organ in range(len(worlds)):
         world = worlds[organ]
         if awake[organ] == 1:
