@@ -37,6 +37,9 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.12",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    # So that an editable installation adds this folder to the path: its finder would lose to any folder of the name
+    # tissue_sim, such as that of a checkout beside a user's script.
+    package_dir={"": "."},
     # py.typed: type checkers read the annotations (PEP 561).
     package_data={NAME: ["py.typed", "organ/reporting/*.jinja", "identification/*.jinja"]},
     data_files=[

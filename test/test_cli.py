@@ -1,5 +1,7 @@
 """The command line as a whole: what may have been meant by a word that is none."""
 
+import re
+
 import pytest
 
 from tissue_sim.cli import main
@@ -25,3 +27,22 @@ def test_what_was_meant_is_asked(capsys, words, expected):
     assert error.count("\n") == 1
     asked = [f"; did you mean {other}? (see" in error for word, other in meant.items() if word in words]
     assert all(asked) if asked else "did you mean" not in error
+
+
+@pytest.mark.parametrize(
+    ("words", "option", "default"),
+    [
+        (["build"], "--inclusion N:TIMES", None),  # an empty list: no default to speak of
+        (["calibrate"], "--refine WHERE", None),
+        (["build"], "--points POINTS", "994"),
+        (["calibrate"], "--sharp N", "10"),
+        (["view"], "--patience PATIENCE", "5.0"),
+    ],
+)
+def test_help_names_the_default_of_an_option_once(capsys, monkeypatch, words, option, default):
+    monkeypatch.setenv("COLUMNS", "500")
+    with pytest.raises(SystemExit):
+        main([*words, "--help"])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith(f"  {option} ")]
+    assert re.findall(r"\(default:? (.*?)\)", line) == ([default] if default else [])
+    assert "(default " not in line

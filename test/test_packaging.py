@@ -292,14 +292,21 @@ def test_continuous_integration_runs_make_test():
 
 
 @pytest.fixture(scope="module")
-def prefix(tmp_path_factory):
-    """Where the package was installed the way colcon does it, from a copy of the sources."""
-    source, prefix = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("prefix")
+def source(tmp_path_factory):
+    """A copy of the sources, in which an installation may leave what it makes."""
+    source = tmp_path_factory.mktemp("source")
     for name in ("config", "launch", "resource", "tissue_sim", "package.xml", "setup.cfg", "setup.py"):
         if (ROOT / name).is_dir():
             shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
         elif (ROOT / name).exists():
             shutil.copy(ROOT / name, source)
+    return source
+
+
+@pytest.fixture(scope="module")
+def prefix(source, tmp_path_factory):
+    """Where the package was installed the way colcon does it, from a copy of the sources."""
+    prefix = tmp_path_factory.mktemp("prefix")
     command = [sys.executable, "-W", "ignore", "setup.py", "--quiet", "install", "--prefix", str(prefix)]
     command += ["--single-version-externally-managed", "--record", str(prefix / "record")]
     done = subprocess.run(command, cwd=source, capture_output=True, text=True, check=False)
@@ -332,6 +339,23 @@ def test_installation_has_every_module_and_template(prefix):
         wanted = {path.relative_to(ROOT) for path in (ROOT / "tissue_sim").rglob(kind)}
         assert wanted
         assert {path.relative_to(site) for path in (site / "tissue_sim").rglob(kind)} == wanted
+
+
+@pytest.mark.extended
+def test_a_script_beside_the_checkout_imports_the_package(source, tmp_path):
+    command = [sys.executable, "-W", "ignore", "setup.py", "--quiet", "editable_wheel", "--dist-dir", str(tmp_path)]
+    done = subprocess.run(command, cwd=source, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (wheel,) = tmp_path.glob("*.whl")
+    shutil.unpack_archive(wheel, tmp_path / "site", "zip")
+    beside = tmp_path / "beside"
+    (beside / "tissue_sim").mkdir(parents=True)  # a checkout's own folder, which has no __init__.py
+    script = "import site; site.addsitedir('../site'); import tissue_sim; print(tissue_sim.__file__)"
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", script], cwd=beside, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.strip() == str(source / "tissue_sim" / "__init__.py"), done.stderr
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "launch").glob("*.py")), ids=lambda path: path.name)

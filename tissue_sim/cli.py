@@ -58,7 +58,7 @@ class _Help(argparse.ArgumentDefaultsHelpFormatter):
     """Help formatter that names a default only where there is one."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
-        if action.default is None or action.default is False or "default:" in (action.help or ""):
+        if action.default in (None, []) or action.default is False or "default:" in (action.help or ""):
             return action.help
         return super()._get_help_string(action)
 

@@ -18,6 +18,7 @@ from tissue_sim.bench.presses import (
     forms,
     locations_on,
     motions,
+    reference,
     text,
 )
 from tissue_sim.cli import main
@@ -143,6 +144,21 @@ def test_a_wrong_force_moves_the_figure():
     assert "failed: kidney, sphere, 5 mm, 0.8 m/s, 500 Hz: 0.100 N instead of 1.000 N" in text(lost)
 
 
+REPEATED = ((0.32, 0.79, 0.785), 0.79), ((0.79, 0.32, 0.79), 0.79), ((0.0, 0.0), 0.0)
+
+
+@pytest.mark.parametrize(("sizes", "wanted"), REPEATED)
+def test_a_slow_press_is_a_reference_when_another_repeats_it(sizes, wanted):
+    presses = iter([np.array([0.0, 0.0, size]) for size in sizes])
+    np.testing.assert_array_equal(reference(lambda: next(presses)), [0.0, 0.0, wanted])
+    assert next(presses, None) is None
+
+
+def test_slow_presses_that_never_agree_end():
+    sizes = iter(range(1, 100))
+    assert reference(lambda: np.array([0.0, 0.0, float(next(sizes) ** 2)]))[2] == 25.0
+
+
 def test_the_force_is_that_of_the_end_however_few_wrenches_come():
     """A busy machine lets most of them go by: those of the way in are none of the end's."""
     way_in = [(0.01 * k, np.array([0.1, 0.0, 0.0])) for k in range(50)]
@@ -181,7 +197,7 @@ class Starved:
 
     def press(self, poses, rate):
         self.pressed += 1
-        return np.array([1.0 if self.pressed == 1 else 0.0, 0.0, 0.0])  # the slow one has a force
+        return np.array([1.0 if self.pressed <= 2 else 0.0, 0.0, 0.0])  # the slow ones have a force
 
     def hold_on(self, ticks):
         self.held.append(ticks)

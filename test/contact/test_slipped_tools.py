@@ -6,6 +6,7 @@ import pytest
 from helpers.scenes import RADIUS, ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
+from tissue_sim.model.contact.tool_motion import ONCE
 
 START = 0.036  # m, above the ball
 ASIDE = np.array([0.001, 0.002])  # m from its axis
@@ -75,3 +76,37 @@ def test_released_poses_end_the_hold():
         scene.step()
     assert scene.simulation.state.bodies[0].slips == 0
     assert np.abs(scene.wrench("left")).max() == 0.0
+
+
+@pytest.mark.parametrize("slip", [1, 2])
+def test_a_set_that_was_found_before_a_tool_was_put_back_moves_it_no_more(slip):
+    scene = Scene(ball(2), [Tool("left", radius=0.005)])
+    state = scene.simulation.state
+    heights = iter(ways(0.05)[0])
+    while state.count.slips < slip:
+        scene.move("left", (*ASIDE, next(heights)))
+        scene.step()
+    late, place, reach = scene.contacts, state.body_pose.copy(), state.contacts.reach.copy()
+    scene.simulation.take_contacts(late, 1000)
+    np.testing.assert_array_equal(state.body_pose, place)
+    np.testing.assert_array_equal(state.contacts.reach, reach)
+    assert state.count.slips == slip
+    scene.step()
+    assert state.bodies[0].engaged, "the next set holds it again"
+
+
+def test_a_hand_that_resumes_inside_is_put_on_the_surface_and_presses_on():
+    scene = Scene(ball(2), [Tool("left", radius=0.003)])
+    state, settings = scene.simulation.state, scene.simulation.settings
+    press(scene, np.arange(START, 0.024, -1e-4))
+    pause = round((settings.stale_time + settings.ramp_time) / settings.tick_time) + 20
+    for _ in range(pause):
+        scene.step()
+    assert state.bodies[0].released
+    assert scene.finder._swallowed(0, scene.simulation.positions, state.body_pose[0, :3]) is not None
+    forces, _, inside = press(scene, np.full(300, 0.024))
+    assert state.bodies[0].engaged
+    assert not state.bodies[0].held_off
+    assert not inside[-200:].any()
+    assert forces[-200:, 2].min() > 0.1, "N"
+    assert state.bodies[0].slips <= ONCE, "it is not held at less"

@@ -62,8 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--method",
         choices=METHODS,
         default=_DEFAULT.method,
-        help="fit the moduli of every cell between the nodes (the default), or a factor for each group of springs,"
-        " as in the paper",
+        help="fit the moduli of every cell between the nodes, or a factor for each group of springs, as in the paper",
     )
     parser.add_argument(
         "--for",

@@ -38,7 +38,7 @@ from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 
 CORRECTIONS = 2  # of a map, since a press feels more than the tissue right under it
-
+MOST_UNSURE = 1.5  # largest ratio of an interval's ends without a warning: +- 20 %
 
 NEO_HOOKEAN, EXPONENTIAL = LAWS = "neo-hookean", "exponential"
 
@@ -266,6 +266,11 @@ def lines_of(found: Identified) -> list[str]:
         f"contact offset {1e3 * fit.common[1]:+.3f} mm, bias {1e3 * fit.common[2]:+.1f} mN, between places the modulus"
         f" varies by {100 * fit.spread:.0f} %",
     ]
+    if high > MOST_UNSURE * low:
+        lines.append(
+            f"warning: these presses hardly tell the modulus, its interval is a factor of {high / low:.2g} wide: press"
+            " slowly and straight in, at more places, and hold (docs/identify.md)"
+        )
     if found.held_out is None:
         lines.append("held-out error: not known, with presses at a single place")
     else:

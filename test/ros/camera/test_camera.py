@@ -17,6 +17,7 @@ from helpers.exit_codes import exit_code_of
 from helpers.patience import wait_for
 from helpers.ros.pictures import EYE, LOOKING, POSE, first_hit, pixels, stamp_of, together
 from helpers.ros.processes import FAKE_TF, UNHURRIED, running_node, shipped
+from tissue_sim.rendering.offscreen import Light
 from tissue_sim.rendering.pinhole import inverse_of, matrix_of
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.qos import STREAM
@@ -210,3 +211,8 @@ def test_what_it_cannot_do_is_said_in_one_line(words, reason, capsys, monkeypatc
     monkeypatch.setattr("tissue_sim.ros.node.input.tf_lookup.tf2_ros", None)
     assert exit_code_of("camera", "--nice=0", *words) == 2
     assert reason in capsys.readouterr().err
+
+
+def test_help_names_the_reach_that_the_light_has(capsys):
+    assert exit_code_of("camera", "--help") == 0
+    assert f"(default: {Light().reach:g})" in " ".join(capsys.readouterr().out.split())

@@ -421,3 +421,4 @@ def test_help_lists_every_parameter(tmp_path):
     assert process.wait() == 0
     for name in ("organ_file", "local_region", "<tool>.radius", "force_clamp"):
         assert name in process.text()
+    assert "local_region (default 'off') [off, frozen, modal, auto]: " in process.text()

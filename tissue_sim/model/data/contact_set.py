@@ -44,7 +44,7 @@ class ContactSet(NamedTuple):
     place: Floats  # (B, 7) pose of each body when its points were found; for one that has slipped, its goal
     reach: Floats  # (B,) m that its points may move from there without touching anything outside the set
     n_points: Longs  # (B,) number of its points
-    releases: Longs  # (B,) number of its releases by then
+    releases: Longs  # (B,) number of its releases and slips by then
     tip_node: Longs  # (B, 4) nodes that the point under the tip lies between, -1 where none is near
     tip_weight: Floats  # (B, 4) barycentric weights there
     body: Longs  # (C,)

@@ -101,7 +101,7 @@ class BodyStatus(Record):
     released: bool  # poses stopped: the next one begins a new life, wherever it is
     placed: bool  # a hand began here, or is resisted here: the body stays while poses pause
     resisted: bool  # it was when poses stopped: if they resume soon, it is put back on the surface, not held off
-    releases: int  # number of these, and of resets; a contact set counts for the life it was found in
+    releases: int  # number of these, of resets and of slips; an older contact set says nothing about where it is
     pose_sequence: int  # which pose is in use
     force_sequence: int  # which external force is in use
     recent_force: float  # N, the largest of the tissue on it since it slipped, unclamped; it decays

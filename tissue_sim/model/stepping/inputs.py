@@ -151,9 +151,10 @@ def take_contacts(state: State, shapes: Shapes, found: ContactSet, sequence: int
         status = state.bodies[body]
         # What was found before a body's last release says nothing about where it is now.
         if status.age >= 0 and not status.released and found.releases[body] == status.releases:
-            if found.engaged[body] == Engaged.SLIPPED and covers(state, shapes, found, body):
+            is_covered = covers(state, shapes, found, body)
+            if found.engaged[body] == Engaged.SLIPPED and is_covered:
                 put_back(state, body)
-            status.engaged = status.engaged or covers(state, shapes, found, body)
+            status.engaged = status.engaged or is_covered
             status.resisted = status.resisted and not status.engaged
             # What slips without ever having been resisted appeared inside, too.
             is_inside = found.engaged[body] == Engaged.HELD_OFF or found.engaged[body] == Engaged.SLIPPED
@@ -178,7 +179,8 @@ def put_back(state: State, body: int) -> None:
     """Put a body that is inside on the surface, from where it presses again; after a slip in shorter substeps.
 
     Where the nearest surface is that of the organ's far side, the body goes back as far, against its way in; the next
-    contact set then tells whether it is outside. After that a hasty tool presses slowly. One that wasn't hasty, or
+    contact set then tells whether it is outside. Sets that were found before, and arrive late, would move it again:
+    they count no more than after a release. After that a hasty tool presses slowly. One that wasn't hasty, or
     slips again, presses with less force than that at which it slipped, which the surface can't bear.
     """
     status, pose, place, ahead, size = state.bodies[body], state.body_pose[body], state.contacts.place[body], 0.0, 0.0
@@ -194,6 +196,7 @@ def put_back(state: State, body: int) -> None:
         state.contacts.reach[body] = 0.0
     else:
         copy(place, pose)
+    status.releases += 1
     if status.engaged:
         state.status.backoff = max(AFTER_SLIP, state.status.backoff)
         state.count.slips += 1

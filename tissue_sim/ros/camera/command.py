@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--reach",
         type=client.number(0.005, 2.0, "m"),
-        help="distance from the light at which tissue is exposed well, m",
+        help="distance from the light at which tissue is exposed well, m (default: 0.12)",
     )
     add("--record", metavar="BAG", help="new folder for a bag of the compressed images")
     add("--record-depth", action="store_true", help="with --record, the images of depth and segmentation, too")

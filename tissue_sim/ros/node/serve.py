@@ -104,6 +104,8 @@ def usage() -> str:
 
     def line(prefix: str, spec: Spec) -> str:
         bounds = f" [{spec.low:g}..{spec.high:g}]" if spec.low is not None else ""
+        if spec.choices:
+            bounds = f" [{', '.join(spec.choices)}]"
         live = ", may change while running" if spec.live else ""
         return f"  {prefix}{spec.name} (default {spec.default!r}){bounds}{live}: {spec.text}"
 

@@ -102,7 +102,7 @@ def legend_html() -> str:
     cells = swatch(TISSUE, "0") + "".join(swatch(colour, f"{level:g}") for level, colour in SCALE)
     return (
         '<div style="padding:0 0.9em 0.6em"><div style="font-size:12px;padding-bottom:3px">'
-        f'Displacement from rest, mm (from)</div><div style="display:flex">{cells}</div></div>'
+        f'Displacement from rest, mm or more</div><div style="display:flex">{cells}</div></div>'
     )
 
 

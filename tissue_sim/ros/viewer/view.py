@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--patience",
         type=client.number(0.1, 3600.0, "s"),
         default=PATIENCE,
-        help="seconds without an answer after which a page loses control of its tool (default %(default)s)",
+        help="seconds without an answer after which a page loses control of its tool",
     )
 
 
