@@ -14,7 +14,7 @@ from tissue_sim.errors import UserError, shown
 
 
 def floats_of(given: ArrayLike) -> Floats:
-    """Return given numbers as an array of their shape, an empty one for what is no number."""
+    """Return given numbers as an array of their shape, an empty one for anything else."""
     try:
         return np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):

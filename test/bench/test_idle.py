@@ -14,7 +14,7 @@ def test_least_of_the_turns_is_held_against_the_bound():
     fraction, seen = found["bounds"]
     assert (fraction["value"], fraction["met"]) == (2.9, True)
     assert (seen["value"], seen["met"]) == (5.0, False)
-    assert found["shares_percent"][SERVED] == {"least": 2.9, "median": 4.0, "most": 9.0}
+    assert found["processor_load_percent"][SERVED] == {"least": 2.9, "median": 4.0, "most": 9.0}
     assert as_json(turns[:1], 0.1)["bounds"][0]["met"] is False
     lines = text(found).splitlines()
     assert "4 x" in next(line for line in lines if line.startswith(SENDING))
@@ -27,8 +27,8 @@ def test_short_run_with_real_processes(tmp_path):
     file = tmp_path / "idle.json"
     assert main(["bench", "idle", "--seconds", "2", "--json", str(file)]) == 0
     found = json.loads(file.read_text())
-    assert set(found["shares_percent"]) == {SERVED, SENDING, BARE}
-    assert found["shares_percent"][SERVED]["least"] > 0.0
+    assert set(found["processor_load_percent"]) == {SERVED, SENDING, BARE}
+    assert found["processor_load_percent"][SERVED]["least"] > 0.0
 
 
 @pytest.mark.parametrize("benchmark", ["idle", "markers"])

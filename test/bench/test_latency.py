@@ -149,7 +149,7 @@ def test_a_phase_is_what_the_node_did_between_its_first_report_and_its_last():
     assert phase["ticks_per_second"] == pytest.approx(900.0)
     assert phase["late_percent"] == pytest.approx(100.0 * 19 / 2700)
     assert phase["dropped"] == 50
-    assert phase["simulated_share"] == pytest.approx((0.95 + 2 * 0.8) / 3.0)
+    assert phase["simulated_fraction"] == pytest.approx((0.95 + 2 * 0.8) / 3.0)
     assert (phase["degraded"], phase["longest_gap_ms"], phase["bare_late_percent"]) == (["markers"], 4.0, 1.5)
 
 

@@ -70,4 +70,4 @@ def test_short_run_with_real_processes(tmp_path, monkeypatch, place):
     assert [row["organ"] for row in result["organs"]] == ["left", "right"]
     assert min(row["pictures_hz"] for row in result["organs"]) > 0.0
     assert result["megabytes_a_second"] > 0.0
-    assert set(result["shares_percent"]) == {"the page", "the node", "a bare loop"}
+    assert set(result["processor_load_percent"]) == {"the page", "the node", "a bare loop"}

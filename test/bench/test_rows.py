@@ -162,7 +162,7 @@ def test_a_node_whose_quiet_phase_alone_was_measured():
         "late_percent": 0.0,
         "bare_late_percent": 0.0,
         "dropped": 0,
-        "simulated_share": 1.0,
+        "simulated_fraction": 1.0,
         "degraded": ["markers"],
     }
     node = {"realtime_priority": 0, "seconds_until_back": None, "phases": {latency_busy.QUIET: phase}}

@@ -5,8 +5,9 @@ import pytest
 
 from helpers.scenes import ball, filled, kidney
 from tissue_sim.bench.sizes import at_size, divided, interpolation, reassembled, sized
+from tissue_sim.organ.normals import triangle_area
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
-from tissue_sim.organ.topology import node_area, triangle_area
+from tissue_sim.organ.topology import node_area
 
 COARSE, FINE = ball(2), ball(3)
 DIVIDED = reassembled(COARSE, *divided(COARSE.surface_positions, COARSE.surface_triangles, 700), 0)

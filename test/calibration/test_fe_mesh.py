@@ -10,11 +10,7 @@ from helpers.scenes import ball
 from tissue_sim.calibration.fe_mesh import Grading, _meshed, clamp_edges, clamped_triangles, fill
 from tissue_sim.calibration.fem import Body
 from tissue_sim.errors import UserError
-
-
-def areas(nodes, facets):
-    a, b, c = (nodes[facets[:, k]] for k in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+from tissue_sim.organ.normals import triangle_area
 
 
 @pytest.mark.parametrize("grading", [Grading(), Grading(clamp=2, growth=0.8), Grading(clamp=0, whole=1)])
@@ -25,8 +21,8 @@ def test_mesh_fills_the_polyhedron(grading):
     corners = mesh.nodes[mesh.elements[:, :4]]
     volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum() / 6.0
     assert volume == pytest.approx(organ.volume, rel=1e-12)
-    covered = np.bincount(mesh.triangle, areas(mesh.nodes, mesh.facets))
-    np.testing.assert_allclose(covered, areas(organ.surface_positions, organ.surface_triangles), rtol=1e-9)
+    covered = np.bincount(mesh.triangle, triangle_area(mesh.nodes, mesh.facets))
+    np.testing.assert_allclose(covered, triangle_area(organ.surface_positions, organ.surface_triangles), rtol=1e-9)
     np.testing.assert_array_equal(mesh.clamped, clamped_triangles(organ)[mesh.triangle])
 
 

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 
+from helpers.exit_codes import exit_code_of
 from helpers.scenes import ball
 from tissue_sim.calibration import calibrate as pipeline
 from tissue_sim.cli import main
@@ -128,12 +129,8 @@ def test_groups_are_the_baseline(calibrated, folder, capsys):
 )
 def test_wrong_use_takes_one_line(folder, monkeypatch, capsys, words, message):
     monkeypatch.chdir(folder)
-    try:
-        code = main(["calibrate", "ball.npz", *words])
-    except SystemExit as exit_:
-        code = exit_.code
+    assert exit_code_of("calibrate", "ball.npz", *words) == 2
     error = capsys.readouterr().err
-    assert code == 2
     assert message in error
     assert error.count("\n") == 1
 

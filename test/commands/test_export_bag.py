@@ -102,7 +102,7 @@ def test_frames_of_an_earlier_export_are_not_taken_for_new_ones(shown, tmp_path,
         ([POKE, "out.pvd", "--every", "5000"], "too few for one frame in 5000"),
         ([POKE, "out.pvd", "--cells", "a.vtu"], "--cells belongs to an organ file, and"),
         ([ROOT / "docs", "out.pvd"], "docs"),
-        ([ROOT / "config/organs/kidney.npz", "out.ply", "--every", "5"], "--every belongs to a bag, and"),
+        ([ROOT / "config/organs/kidney.npz", "out.ply", "--every", "5"], "--every belongs to a bag, which"),
     ],
 )
 def test_what_cannot_be_written_is_refused_in_one_line(arguments, message, capsys, tmp_path, monkeypatch):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from helpers.exit_codes import exit_code_of
 from helpers.scenes import ball
-from tissue_sim.cli import main
 from tissue_sim.model.simulation import Simulation
 
 
@@ -29,7 +29,7 @@ def two_loads():
 
 
 def solve(organ, loads, out, *options):
-    return main(["solve", str(organ), "--loads", str(loads), "--out", str(out), *options])
+    return exit_code_of("solve", str(organ), "--loads", str(loads), "--out", str(out), *options)
 
 
 @pytest.mark.parametrize("variant", ["surface", "volume", "hybrid"])
@@ -178,9 +178,5 @@ def test_option_out_of_range_is_refused(organ_file, tmp_path, capsys, options):
 @pytest.mark.parametrize("options", [["--model", "jelly"], ["--tolerance", "some"], ["--longest", "inf"]])
 def test_option_that_makes_no_sense_is_refused(organ_file, tmp_path, capsys, options):
     loads = write_loads(tmp_path / "loads.npz", two_loads())
-    try:
-        code = solve(organ_file, loads, tmp_path / "u.npz", *options)
-    except SystemExit as exit_:
-        code = exit_.code
-    assert code == 2
+    assert solve(organ_file, loads, tmp_path / "u.npz", *options) == 2
     assert options[0] in capsys.readouterr().err.splitlines()[-1]

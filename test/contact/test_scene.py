@@ -149,7 +149,7 @@ def test_wrench_balances_the_elastic_forces_when_all_is_still():
     still = scene.wrenches[0, :3]
     assert still[2] > 0.1
     force = np.zeros_like(simulation.positions)
-    elastic_forces(simulation.model, simulation.positions, force)
+    elastic_forces(simulation.model, simulation.positions, 1.0, force)
     assert np.abs(force[simulation.model.moving].sum(axis=0) - still).max() < 1e-3 * still[2]
 
 

@@ -6,10 +6,9 @@ from itertools import permutations
 
 import numpy as np
 
+from tissue_sim.organ.edges import CELL_FACES
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
-
-FACES = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
 
 
 @cache
@@ -37,7 +36,7 @@ def bar(segments: int = 12, edge: float = 0.01, across: int = 2) -> Organ:
     cells = np.concatenate(cells)
     turned = np.linalg.det(points[cells[:, 1:]] - points[cells[:, :1]]) < 0.0
     cells[turned] = cells[turned][:, [1, 0, 2, 3]]
-    faces = np.concatenate([cells[:, face] for face in FACES])
+    faces = np.concatenate([cells[:, face] for face in CELL_FACES])
     opposite = np.concatenate([cells[:, k] for k in range(4)])
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     outer, opposite = faces[first[count == 1]], opposite[first[count == 1]]

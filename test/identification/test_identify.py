@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from helpers.exit_codes import exit_code_of
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
 from tissue_sim.identification.fitted_organ import KEY, with_stiffness
@@ -159,9 +160,5 @@ def test_a_stream_in_a_table_is_fitted_like_a_bag(organ, presses, tmp_path, caps
 def test_wrong_use_is_reported(organ, tmp_path, monkeypatch, capsys, given, what):
     monkeypatch.chdir(tmp_path)
     organ.save("ball.npz")
-    try:
-        code = main(["identify", "ball.npz", "--out", "fitted.npz", *given])
-    except SystemExit as refused:  # of the parser
-        code = refused.code
-    assert code == 2
+    assert exit_code_of("identify", "ball.npz", "--out", "fitted.npz", *given) == 2
     assert what in capsys.readouterr().err

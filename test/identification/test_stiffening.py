@@ -47,7 +47,7 @@ def measured(b, random, noise=0.02):
 
 def found_in(samples):
     plain = held_out(CURVES.plain, samples, POINTS, FINGER, PRIORS)
-    return law_fit(CURVES, samples, PRIORS, (POINTS, FINGER), plain)
+    return law_fit(CURVES, samples, PRIORS, POINTS, FINGER, plain)
 
 
 def test_places_of_b_go_from_0_to_1_and_back():
@@ -104,7 +104,7 @@ def test_an_open_interval_is_reported():
 
 def test_a_single_place_does_not_choose_a_law():
     samples = measured(20.0, np.random.default_rng(4))
-    found = law_fit(CURVES, samples, PRIORS, (np.zeros((COUNT, 3)), FINGER), None).stiffening
+    found = law_fit(CURVES, samples, PRIORS, np.zeros((COUNT, 3)), FINGER, None).stiffening
     assert not found.pays
     assert "single place" in line_of(found)
 

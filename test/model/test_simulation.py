@@ -140,7 +140,7 @@ def energy_of(simulation):
     nodes = model.moving
     kinetic = 0.5 * np.sum(v[nodes] ** 2 / model.inverse_mass[nodes, None])
     force = np.zeros_like(x)
-    elastic_forces(model, x, force)
+    elastic_forces(model, x, 1.0, force)
     step = 1e-3 / simulation.state.status.substeps
     return (
         kinetic
@@ -502,8 +502,8 @@ def linear_answer(simulation, forces):
         step = np.zeros_like(model.rest)
         step[nodes] = 1e-8 * vector.reshape(-1, 3) / np.abs(vector).max()
         ahead, behind = np.zeros_like(step), np.zeros_like(step)
-        elastic_forces(model, model.rest + step, ahead)
-        elastic_forces(model, model.rest - step, behind)
+        elastic_forces(model, model.rest + step, 1.0, ahead)
+        elastic_forces(model, model.rest - step, 1.0, behind)
         return ((behind - ahead)[nodes] * np.abs(vector).max() / 2e-8).ravel()
 
     size = 3 * len(nodes)
@@ -547,7 +547,7 @@ def test_settled_forces_balance():
     assert settled
     assert simulation.positions[: kidney().n_surface] == pytest.approx(kidney().surface_positions + displacements)
     force = np.zeros_like(simulation.positions)
-    elastic_forces(simulation.model, simulation.positions, force)
+    elastic_forces(simulation.model, simulation.positions, 1.0, force)
     force[: len(forces)] += forces
     assert np.linalg.norm(force[simulation.model.moving]) <= 1e-3 * np.linalg.norm(forces)
 

@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 
 from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.errors import UserError
+from tissue_sim.organ.normals import triangle_area
 from tissue_sim.organ.organ import SpringKind
 from tissue_sim.organ.topology import (
     DAMPING_RATE,
@@ -14,7 +15,6 @@ from tissue_sim.organ.topology import (
     SHELL_THICKNESS,
     assemble_organ,
     surface_edges,
-    triangle_area,
 )
 
 EDGE, SPOKE, VIRTUAL, SKELETON = SpringKind

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from helpers.exit_codes import exit_code_of
 from helpers.patience import LIMIT, wait_for
 from helpers.ros.processes import STAND_IN, Process
 from tissue_sim.cli import main
@@ -100,11 +101,7 @@ def test_a_bag_of_a_node_that_had_no_time_to_report_it_is_named(tmp_path, monkey
     ("words", "message"), [(["--organ", "nowhere.npz"], "nowhere.npz does not exist"), (["--seconds", "-1"], "outside")]
 )
 def test_wrong_use_is_one_line_and_exit_code_2(words, message, capfd):
-    try:
-        code = main(["demo", *words])
-    except SystemExit as end:
-        code = end.code
-    assert code == 2
+    assert exit_code_of("demo", *words) == 2
     error = capfd.readouterr().err
     assert message in error
     assert error.count("\n") == 1

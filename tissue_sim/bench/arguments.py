@@ -36,7 +36,7 @@ def add_shared(
     if out:
         parser.add_argument("--out", metavar="FOLDER", help=out)
     if seconds:
-        parser.add_argument("--seconds", type=float, default=seconds, help="to measure each for")
+        parser.add_argument("--seconds", type=float, default=seconds, help="duration of each measurement, s")
     if check:
         parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is not met")
 

@@ -7,6 +7,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.printing import Bound
 from tissue_sim.jit import kernel
+from tissue_sim.json_types import JsonObject
 from tissue_sim.model.runtime.loop import now, sleep_until
 from tissue_sim.ros.shared.priority import with_priority
 
@@ -17,7 +18,7 @@ MOST_OF_BARE, POINTS_BEYOND = 2.0, 0.2  # bound on the fraction of late ticks, a
 def bare(seconds: float, busy: float, priority: int = 0) -> Floats:
     """Return how late the ticks of a loop at RATE are that only keeps the processor busy.
 
-    seconds: duration, s; busy: busy time of each tick, s; priority: real-time priority, 0 for none. Returns (ticks,) s.
+    busy: busy time of each tick, s; priority: real-time priority, 0 for none. Returns (ticks,) s.
     """
     late = np.zeros(round(seconds * RATE), dtype=np.int64)
     clock = np.zeros(4, dtype=np.int64)
@@ -36,6 +37,12 @@ def late_bound(name: str, percent: float, usual_percent: float) -> Bound:
     percent: the percentage, %; usual_percent: that of the comparison, %.
     """
     return Bound(name, percent, MOST_OF_BARE * usual_percent + POINTS_BEYOND, "%")
+
+
+def name_of(node: JsonObject) -> str:
+    """Return what a node is called in a table, by its real-time priority."""
+    priority = node["realtime_priority"]
+    return f"priority {priority}" if priority else "no priority"
 
 
 @kernel

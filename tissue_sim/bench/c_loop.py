@@ -329,7 +329,7 @@ class CLoop:
         position, velocity = model.rest.copy(), np.zeros_like(model.rest)
         for _ in range(COMPARED):
             force = np.zeros_like(position)
-            elastic_forces(model, position, force)
+            elastic_forces(model, position, 1.0, force)
             force += self._load
             symplectic_euler(
                 position, velocity, force, model.moving, model.inverse_mass, model.damping, 1.0, self._step

@@ -19,7 +19,7 @@ import numpy as np
 from tissue_sim import progress
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared
-from tissue_sim.bench.bare_loop import MOST_OF_BARE, POINTS_BEYOND, RATE, bare, late_percent
+from tissue_sim.bench.bare_loop import MOST_OF_BARE, POINTS_BEYOND, RATE, bare, late_percent, name_of
 from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--jpeg", action="store_true", help="count compressed images, not raw ones")
     parser.add_argument("--stereo", action="store_true", help="a stereo pair, whose compressed images are counted")
     parser.add_argument("--samples", type=int, choices=(1, 2, 4), default=1, help="samples of a pixel, of the camera")
-    parser.add_argument("--nice", type=int, choices=range(20), metavar="0..19", help="how much the camera stands back")
+    parser.add_argument("--nice", type=int, choices=range(20), metavar="0..19", help="niceness of the camera")
 
 
 def run(args: argparse.Namespace) -> Result:
@@ -73,11 +73,11 @@ def measure(organ_file: str, seconds: float, words: list[str], topics: tuple[str
     with rows.until_stopped():
         for priority in rows.each([0, PRIORITY] if is_allowed(PRIORITY) else [0], "nodes"):
             nodes.append({"realtime_priority": priority, "turns": {ALONE: [], BESIDE: []}})
-            _measure_node(organ_file, seconds, nodes[-1], (words, topics))
+            _measure_node(organ_file, seconds, nodes[-1], words, topics)
     return as_json([node for node in nodes if node["turns"][BESIDE]], words)
 
 
-def _measure_node(path: str, seconds: float, node: JsonObject, filmed: tuple[list[str], tuple[str, ...]]) -> None:
+def _measure_node(path: str, seconds: float, node: JsonObject, words: list[str], topics: tuple[str, ...]) -> None:
     """Fill in the turns of one node, each when it is over."""
     priority, length = node["realtime_priority"], min(seconds, TURN)
     with Graph() as graph:
@@ -96,19 +96,18 @@ def _measure_node(path: str, seconds: float, node: JsonObject, filmed: tuple[lis
                 for name in (ALONE, BESIDE):
                     camera: AbstractContextManager[dict[str, float]] = nullcontext({})
                     if name == BESIDE:
-                        camera = filming(graph, hand, filmed, length)
+                        camera = filming(graph, hand, words, topics, length)
                     with camera as pictures:
                         figures = _turn(hand, length, priority, partial(PictureTimes, own, "camera"))
                     node["turns"][name].append(figures | pictures)
-                    rows.report(f"{_whose(node)}, turn {number + 1}, {name}", f"{figures['late_percent']:.2f} % late")
+                    rows.report(f"{name_of(node)}, turn {number + 1}, {name}", f"{figures['late_percent']:.2f} % late")
 
 
 @contextmanager
 def filming(
-    graph: Graph, hand: PokeProbe, filmed: tuple[list[str], tuple[str, ...]], length: float
+    graph: Graph, hand: PokeProbe, words: list[str], topics: tuple[str, ...], length: float
 ) -> Iterator[dict[str, float]]:
     """Run a camera, and a process that counts its images, while entered; fill in their rate at the end."""
-    words, topics = filmed
     camera = graph.start_command("camera", *words)
     lasts = str(WARMING_UP + length + BARE)
     watcher = graph.start("probes.viewer", lasts, *(f"/camera/{topic}" for topic in topics))
@@ -157,12 +156,12 @@ def as_json(nodes: list[JsonObject], words: list[str]) -> JsonObject:
     table, bounds = [], []
     for node in nodes:
         of = {name: _medians(turns) for name, turns in node["turns"].items() if turns}
-        table += [{"node": _whose(node), "camera": name, **figures} for name, figures in of.items()]
+        table += [{"node": name_of(node), "camera": name, **figures} for name, figures in of.items()]
         usual = max(of[ALONE]["late_percent"], of[BESIDE]["bare_late_percent"])
         limit = MOST_OF_BARE * usual + POINTS_BEYOND
         bounds += [
-            Bound(f"{_whose(node)}: late ticks beside the camera", of[BESIDE]["late_percent"], limit, "%"),
-            Bound(f"{_whose(node)}: images", of[BESIDE]["pictures_hz"], LEAST_PICTURES, "Hz", least=True),
+            Bound(f"{name_of(node)}: late ticks beside the camera", of[BESIDE]["late_percent"], limit, "%"),
+            Bound(f"{name_of(node)}: images", of[BESIDE]["pictures_hz"], LEAST_PICTURES, "Hz", least=True),
         ]
     return {"camera": words, "rows": table, "bounds": [bound.as_json() for bound in bounds]}
 
@@ -194,8 +193,3 @@ def text(found: JsonObject) -> str:
         f"a poke a second, poses at {RATE:g} Hz; camera {' '.join(found['camera'])}, 640 x 480; medians of the turns"
     )
     return "\n".join([about, *aligned(table, left=2), "", *bound_lines(found["bounds"])])
-
-
-def _whose(node: JsonObject) -> str:
-    priority = node["realtime_priority"]
-    return f"priority {priority}" if priority else "no priority"

@@ -87,8 +87,8 @@ class Touching:
 class Nip(Touching):
     """A gripper at an organ's lower pole, its jaws closed on either side.
 
-    friction: its coefficient; left: fraction of the width that the closed jaws leave. Raises ValueError where the jaws
-    can't take hold of the organ.
+    left: fraction of the width that the closed jaws leave. Raises ValueError where the jaws can't take hold of the
+    organ.
     """
 
     def __init__(self, gripper: Tool, friction: float, organ: Organ, left: float = COMPRESSED) -> None:

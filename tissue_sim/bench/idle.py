@@ -84,7 +84,7 @@ def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> JsonObje
         Bound("time until a late viewer has the organ", seen_after, MOST_TO_SEE, "s"),
     ]
     return {
-        "shares_percent": {
+        "processor_load_percent": {
             name: {"least": min(of), "median": float(np.median(of)), "most": max(of)} for name, of in percents.items()
         },
         "seen_after_s": seen_after,
@@ -94,7 +94,7 @@ def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> JsonObje
 
 def text(found: JsonObject) -> str:
     """Return the figures as tables."""
-    percents = found["shares_percent"]
+    percents = found["processor_load_percent"]
     table = [["% of a core", "least", "median", "most", "node's median relative to this"]]
     for name, of in percents.items():
         ratio = figure(percents[SERVED]["median"] / of["median"]) if of["median"] else "-"

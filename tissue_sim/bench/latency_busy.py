@@ -17,7 +17,7 @@ import numpy as np
 
 from tissue_sim import progress
 from tissue_sim.bench import rows
-from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
+from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent, name_of
 from tissue_sim.bench.printing import Bound, aligned, bound_lines
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
@@ -71,7 +71,7 @@ def _measure_node(path: str, seconds: float, node: JsonObject) -> None:
             phases[name] = _phase(hand, seconds, priority, poking.advance)
         figures = phases[name]
         rows.report(
-            f"{_whose(node)}, {name}",
+            f"{name_of(node)}, {name}",
             f"{figures['ticks_per_second']:.1f} ticks/s",
             f"{figures['late_percent']:.2f} % late",
         )
@@ -137,7 +137,7 @@ def phase_json(found: PokeFigures, bare_percent: float) -> JsonObject:
         "late_percent": 100.0 * (last.late - first.late) / max(1, done),
         "bare_late_percent": bare_percent,
         "dropped": last.dropped - first.dropped,
-        "simulated_share": float(np.average([report.pace for report in found.reports[1:]], weights=between)),
+        "simulated_fraction": float(np.average([report.pace for report in found.reports[1:]], weights=between)),
         "degraded": sorted({report.degraded for report in found.reports} - {"none"}),
     }
 
@@ -149,7 +149,7 @@ def as_json(seconds: float, priority: int, nodes: list[JsonObject]) -> JsonObjec
     """
     bounds = []
     for node in nodes:
-        phases, whose = node["phases"], _whose(node)
+        phases, whose = node["phases"], name_of(node)
         if not (undisturbed := float(np.median(phases[QUIET]["peaks_n"]))) > 0.0:
             raise UserError("no poke had a force on the quiet machine; use an organ wider than 12 mm along x")
         for phase in phases.values():
@@ -172,9 +172,8 @@ def as_json(seconds: float, priority: int, nodes: list[JsonObject]) -> JsonObjec
         if busy and node["realtime_priority"]:
             bounds.append(late_bound(f"{whose}: late ticks, {BUSY}", busy["late_percent"], busy["bare_late_percent"]))
     if not any(node["realtime_priority"] for node in nodes):
-        bounds.append(
-            Bound(f"{_whose({'realtime_priority': priority})}: missing ticks, {BUSY}", None, MOST_LACKING, "%")
-        )
+        name = name_of({"realtime_priority": priority})
+        bounds.append(Bound(f"{name}: missing ticks, {BUSY}", None, MOST_LACKING, "%"))
     return {
         "seconds": seconds,
         "rate_hz": RATE,
@@ -193,12 +192,12 @@ def text(found: JsonObject) -> str:
         for name, phase in node["phases"].items():
             rows.append(
                 [
-                    f"{_whose(node)}, {name}",
+                    f"{name_of(node)}, {name}",
                     f"{phase['ticks_per_second']:.1f}",
                     f"{phase['late_percent']:.2f} %",
                     f"{phase['bare_late_percent']:.2f} %",
                     f"{phase['dropped']}",
-                    f"{100.0 * phase['simulated_share']:.2f} %",
+                    f"{100.0 * phase['simulated_fraction']:.2f} %",
                     f"{np.median(phase['peaks_n']):.3f} N",
                     f"{phase['force_off_percent']:.1f} %",
                     f"{phase['longest_gap_ms']:.1f} ms",
@@ -208,7 +207,7 @@ def text(found: JsonObject) -> str:
         if given_up:
             back = node["seconds_until_back"]
             after = "" if back is None else f"; no longer degraded {back:.0f} s after the load"
-            remarks.append(f"{_whose(node)}: degraded: {', '.join(given_up)}{after}")
+            remarks.append(f"{name_of(node)}: degraded: {', '.join(given_up)}{after}")
     if not any(node["realtime_priority"] for node in found["nodes"]):
         remarks.append(f"priority {found['realtime_priority']} was not measured: this user is not allowed it, see"
             " 'ulimit -r'")  # fmt: skip
@@ -223,8 +222,3 @@ def text(found: JsonObject) -> str:
         *bound_lines(found["bounds"]),
     ]
     return "\n".join(lines)
-
-
-def _whose(node: JsonObject) -> str:
-    priority = node["realtime_priority"]
-    return f"priority {priority}" if priority else "no priority"

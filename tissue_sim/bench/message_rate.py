@@ -27,8 +27,8 @@ UNDAMPED = "damping_scale:=0.0"  # it keeps moving when the tool is gone
 def behind_link(organ_file: str, loss: float, seconds: float) -> JsonObject:
     """Return the rates of surfaces, Hz, behind a link that loses a fraction of the packets.
 
-    loss: fraction of the packets; seconds: duration, s. Raises UserError where there are no network namespaces, rclpy
-    is missing, or the node fails.
+    loss: fraction of the packets. Raises UserError where there are no network namespaces, rclpy is missing, or the node
+    fails.
     """
     with lossy_link(loss, DELAY) as ends, Graph("SUBNET") as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.shared.messages import CloudTemplate
@@ -53,7 +53,7 @@ def behind_link(organ_file: str, loss: float, seconds: float) -> JsonObject:
 def of_large_organ(points: int, seconds: float) -> JsonObject:
     """Return the rates of markers and surfaces, Hz, of a large organ.
 
-    points: number of surface points; seconds: duration, s. Raises UserError as in `behind_link`.
+    points: number of surface points. Raises UserError as in `behind_link`.
     """
     with Graph() as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.probes.viewer import Viewer

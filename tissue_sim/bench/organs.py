@@ -69,7 +69,7 @@ def press_node(organ: Organ) -> int:
 
 
 def patch(organ: Organ, node: int, count: int = PATCH_NODES) -> Longs:
-    """Return the free surface nodes nearest to a node, itself first, (count,). count: number of nodes."""
+    """Return the free surface nodes nearest to a node, itself first, (count,)."""
     distance = np.linalg.norm(organ.surface_positions - organ.surface_positions[node], axis=1)
     distance[organ.fixed] = np.inf
     return np.argsort(distance, kind="stable")[:count].astype(np.int64)
@@ -78,7 +78,7 @@ def patch(organ: Organ, node: int, count: int = PATCH_NODES) -> Longs:
 def patch_load(organ: Organ, newton: float, count: int = PATCH_NODES) -> tuple[Longs, Floats]:
     """Return an inward load on a patch in the middle of the broad side.
 
-    newton: sum of the forces, N; count: number of nodes. Returns nodes (count,) and forces (count, 3) N.
+    newton: sum of the forces, N. Returns nodes (count,) and forces (count, 3) N.
     """
     nodes = patch(organ, press_node(organ), count)
     normal = surface_normals(organ.surface_positions, organ.surface_triangles)[nodes].mean(axis=0)
@@ -89,8 +89,6 @@ def spread_nodes(organ: Organ, count: int) -> Longs:
     """Return nodes spread over the half of the surface that the broad side faces, its middle first, (count,).
 
     Each is as far as possible from those before it and from the held nodes (farthest point sampling).
-
-    count: number of nodes.
     """
     surface, first = organ.surface_positions, press_node(organ)
     normals = surface_normals(surface, organ.surface_triangles)

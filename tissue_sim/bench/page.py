@@ -165,7 +165,7 @@ def as_json(
         "organs": rows,
         "seconds": int(moving.sum()),
         "megabytes_a_second": arrivals["bytes"] / seconds / 1e6,
-        "shares_percent": dict(percents),
+        "processor_load_percent": dict(percents),
         "bounds": [bound.as_json() for bound in bounds],
     }
 
@@ -175,7 +175,8 @@ def text(found: JsonObject) -> str:
     rows = [["organ", "points", "pictures a second", "in the worst second"]]
     for row in found["organs"]:
         rows.append([row["organ"], str(row["points"]), f"{row['pictures_hz']:.1f}", str(row["worst_second"])])
-    percents = [["% of a core", ""], *([name, f"{fraction:.1f}"] for name, fraction in found["shares_percent"].items())]
+    loads = found["processor_load_percent"].items()
+    percents = [["% of a core", ""], *([name, f"{percent:.1f}"] for name, percent in loads)]
     about = (
         f"{found['seconds']} s in which all organs move; {found['megabytes_a_second']:.1f} MB a second over the"
         " websocket"

@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> Result:
 def table_of(args: argparse.Namespace, organ: Organ) -> JsonObject | None:
     """Return the forces of finite elements that are compared with the organ's; None for an organ that has none.
 
-    Raises UserError for a file that is no such table or another organ's, and as Body does.
+    Raises UserError for a file that is not such a table, or is another organ's, and as Body does.
     """
     shipped = pinch_reference.stored() if args.organ is None else None
     path = Path(args.reference) if args.reference else shipped
@@ -64,7 +64,7 @@ def table_of(args: argparse.Namespace, organ: Organ) -> JsonObject | None:
         if path is None:
             raise UserError("--remake writes a file; name it with --reference FILE")
         if path.suffix == ".npz":
-            raise UserError(f"--reference {path} would write over an organ; name a file like pinch.json")
+            raise UserError(f"--reference {path} would overwrite an organ; name a file like pinch.json")
         write_json(path, pinch_reference.make(organ))
     return None if path is None else pinch_reference.read(path, organ)
 

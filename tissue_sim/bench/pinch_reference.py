@@ -133,7 +133,7 @@ def meets_clamp(organ: Organ, where: Place) -> NDArray[np.bool_]:
 
 
 def read(path: Path, organ: Organ) -> JsonObject:
-    """Return a stored table. Raises UserError where the file is no table, or was made for another organ."""
+    """Return a stored table. Raises UserError where the file is not a table, or was made for another organ."""
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
         made_for, name = table["fits"], table["organ"]

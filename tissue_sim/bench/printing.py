@@ -107,7 +107,7 @@ def bound_lines(bounds: Iterable[JsonObject]) -> list[str]:
 
 
 def figure(value: float) -> str:
-    """Return a number with three significant digits, without an exponent. value: the number."""
+    """Return a number with three significant digits, without an exponent."""
     return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 

@@ -15,7 +15,7 @@ _OF_PROCESS, _OF_THREAD = 2, 6
 def processor_seconds(process: int, *, busiest: bool = True) -> float:
     """Return the processor time of a running process, including its threads that have ended, s.
 
-    process: process ID; busiest: whether its busiest thread is included. Raises UserError where it has ended.
+    busiest: whether its busiest thread is included. Raises UserError where it has ended.
     """
     try:
         spent = _clock(process, _OF_PROCESS)

@@ -311,7 +311,7 @@ def as_json(organ: Organ, scene: SceneFile, measured: Figures) -> JsonObject:
                 "median_us": 1e6 * row.timing.median,
                 "p99_us": 1e6 * row.timing.p99,
                 "samples": row.timing.samples,
-                "share_of_tick": row.timing.median / TICK,
+                "fraction_of_tick": row.timing.median / TICK,
             }
             for row in measured.rows
         ],
@@ -339,7 +339,7 @@ def _table(rows: Sequence[JsonObject]) -> list[list[str]]:
     table = [["", "organs", "median us", "p99 us", "samples", ""]]
     for row in rows:
         figures = [figure(row[key]) for key in ("median_us", "p99_us")]
-        late = "more than one core can compute at 1 kHz" if row["share_of_tick"] > 1.0 else ""
-        fraction = f"{100.0 * row['share_of_tick']:.0f} % of a core at 1 kHz"
+        late = "more than one core can compute at 1 kHz" if row["fraction_of_tick"] > 1.0 else ""
+        fraction = f"{100.0 * row['fraction_of_tick']:.0f} % of a core at 1 kHz"
         table.append([row["name"], str(row["organs"]), *figures, str(row["samples"]), late or fraction])
     return table

@@ -15,6 +15,7 @@ from tissue_sim import progress
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.printing import Bound, Result
+from tissue_sim.bench.processes import on_all_cores
 from tissue_sim.bench.sweeps.cells import AXES, QUICK_AXES, SMALL_ORGAN, Cell, axes_named, cells_of
 from tissue_sim.bench.sweeps.stability_map import drawn
 from tissue_sim.bench.sweeps.trial import Record, run_cell
@@ -96,10 +97,7 @@ def sweep(cells: Sequence[Cell], jobs: int, scheduler: str | None = None) -> lis
 def _records(cells: Sequence[Cell], jobs: int, scheduler: str | None) -> Iterator[Record]:
     """Yield the records as they are ready."""
     if scheduler is None:
-        from joblib import Parallel, delayed
-
-        parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-        yield from parallel(delayed(run_cell)(cell) for cell in cells)
+        yield from on_all_cores(run_cell, [(cell,) for cell in cells], jobs, ordered=False)
         return
     for _, record in on_cluster(run_cell, cells, scheduler):
         if isinstance(record, UserError):

@@ -22,7 +22,7 @@ def answers(body: Body, size: Sized, forces: Floats) -> Floats:
 
     On a coarser surface, they are those that bring it closest to the reference's own points.
 
-    body: the reference's body; forces (c, m, 3) N: the reference's forces.
+    forces (c, m, 3) N: the reference's forces.
     """
     finer = size.organ.n_surface > size.reference.n_surface
     if finer:

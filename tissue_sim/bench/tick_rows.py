@@ -52,8 +52,7 @@ Maker = Callable[[], tuple[Burst, str]]  # makes the burst of a row, and a remar
 def make_bursts(makers: Mapping[str, Maker]) -> tuple[dict[str, Burst], dict[str, str]]:
     """Return bursts of the rows that can be measured here, and for every row a remark.
 
-    makers: makers by name of the row. Returns bursts and remarks by name; a remark says what the row is, or why it is
-    skipped.
+    Returns bursts and remarks by name; a remark says what the row is, or why it is skipped.
     """
     bursts: dict[str, Burst] = {}
     remarks: dict[str, str] = {}

@@ -75,7 +75,7 @@ def interleave(phase: Phase) -> dict[str, Timing]:
 
     Ctrl-C ends it with what was measured so far: nothing, where not every burst has run.
 
-    phase: the bursts. Returns timings by name.
+    Returns timings by name.
     """
     rounds = max(LEAST_SAMPLES, round(phase.seconds / BURST))
     samples: dict[str, list[Floats]] = {}
@@ -181,10 +181,7 @@ def clock_cost() -> float:
 
 
 def time_calls(work: Callable[[], object], count: int) -> Floats:
-    """Return the times of calls from Python, after two more that warm the caches, (count,) s.
-
-    count: number of calls.
-    """
+    """Return the times of calls from Python, after two more that warm the caches, (count,) s."""
     seconds = np.zeros(count + 2)
     for index in range(len(seconds)):
         start = time.thread_time_ns()
@@ -300,10 +297,7 @@ def _time_arithmetic(clock: Longs, times: Longs) -> float:
 
 
 def noise_burst(count: int) -> Floats:
-    """Return the times of a fixed loop of arithmetic, whose scatter is that of the machine, (count,) s.
-
-    count: number of turns.
-    """
+    """Return the times of a fixed loop of arithmetic, whose scatter is that of the machine, (count,) s."""
     times = np.zeros(count, dtype=np.int64)
     _time_arithmetic(np.zeros(2, dtype=np.int64), times)
     return np.maximum(1e-9 * times - clock_cost(), 0.0)

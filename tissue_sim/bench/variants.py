@@ -96,9 +96,9 @@ def effort_at(points: int) -> Effort:
 def variants_of(body: Body, points: int, *, fits: bool, every_aim: bool = False) -> Variants:
     """Return the organs of one size of the organ of a finite-element body.
 
-    body: the reference's body; points: number of surface points; fits: whether missing calibrations are made, which
-    takes minutes each, once (springs are fitted by groups at the organ's own size alone); every_aim: whether cells are
-    also fitted for speed and for accuracy.
+    points: number of surface points; fits: whether missing calibrations are made, which takes minutes each, once
+    (springs are fitted by groups at the organ's own size alone); every_aim: whether cells are also fitted for speed and
+    for accuracy.
     """
     organ = body.organ
     plain = at_size(organ, points)

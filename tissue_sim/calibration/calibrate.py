@@ -101,11 +101,6 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     progress : Progress
         Receives the progress.
 
-    Returns
-    -------
-    Calibrated
-        The calibrated organ and the assessment.
-
     Raises
     ------
     UserError

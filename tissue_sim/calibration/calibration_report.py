@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Pixels
 from tissue_sim.calibration.calibrate import Calibrated
 from tissue_sim.calibration.evaluation import errors
 from tissue_sim.errors import UserError
@@ -18,6 +18,7 @@ from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.reporting.render import Solid, View, draw, view_of
 
 if TYPE_CHECKING:
+    from matplotlib.colors import BoundaryNorm
     from matplotlib.figure import Figure
 
 
@@ -183,14 +184,14 @@ def _view(rest: Floats, pressed: Floats) -> View:
     return view_of(rest, towards, (0.0, 0.0, 1.0) if upright else (0.0, 1.0, 0.0), (_SIDE, _SIDE), 0.12)
 
 
-def _bands(largest: float) -> Any:
+def _bands(largest: float) -> BoundaryNorm:
     """Return the norm of a colour map for errors from 0 to the largest, mm."""
     from matplotlib.colors import BoundaryNorm
 
     return BoundaryNorm(np.linspace(0.0, max(largest, 1e-6), _BANDS + 1), _COLOURS, extend="neither")
 
 
-def _error_picture(found: Calibrated, view: View, positions: Floats, off_mm: Floats, bands: Any) -> Any:
+def _error_picture(found: Calibrated, view: View, positions: Floats, off_mm: Floats, bands: BoundaryNorm) -> Pixels:
     """Render the surface at positions (n, 3) m, each triangle coloured by the mean error of its corners, mm (n,)."""
     from matplotlib import colormaps
 
@@ -200,7 +201,7 @@ def _error_picture(found: Calibrated, view: View, positions: Floats, off_mm: Flo
     return draw(view, [Solid(positions, some, colour, lines=0.6) for some, colour in skins])
 
 
-def _loaded_picture(found: Calibrated, view: View, positions: Floats, loaded: NDArray[np.bool_]) -> Any:
+def _loaded_picture(found: Calibrated, view: View, positions: Floats, loaded: NDArray[np.bool_]) -> Pixels:
     """Render the surface at positions (n, 3) m, the triangles of loaded nodes (n,) in another colour."""
     triangles = found.organ.surface_triangles
     pressed = loaded[triangles].all(axis=1)

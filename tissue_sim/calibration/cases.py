@@ -90,11 +90,6 @@ def size_of(organ: Organ) -> float:
     ----------
     organ : Organ
         The organ.
-
-    Returns
-    -------
-    float
-        The factor.
     """
     return relative_size(organ.volume)
 
@@ -106,11 +101,6 @@ def surface_of(organ: Organ) -> Surface:
     ----------
     organ : Organ
         The organ.
-
-    Returns
-    -------
-    Surface
-        The surface.
     """
     positions, triangles = organ.surface_positions, organ.surface_triangles
     n = len(positions)
@@ -226,11 +216,6 @@ def held_out_cases(
         Seed of the random choices.
     centres : Longs | None, shape (k,), optional
         Nodes to load; None for the held-out ones.
-
-    Returns
-    -------
-    Cases
-        The cases.
     """
     surface = surface_of(organ)
     centres = split_centres(organ)[1] if centres is None else centres
@@ -280,11 +265,6 @@ def scale_to_depth(
         Seed of the random choices.
     depth : tuple[float, float], m, optional
         Least and largest depth.
-
-    Returns
-    -------
-    Cases
-        The scaled cases.
     """
     random = np.random.default_rng([seed, 3])
     surface = surface_of(organ)

@@ -106,58 +106,48 @@ def _worst(organ: Organ, edges: Floats) -> Coarse | None:
 
 
 def _in_thin_tissue(organ: Organ, lengths: Floats) -> Coarse | None:
-    """Edges against the radius of the medial atoms."""
+    """Compare edges with the radius of the medial atoms."""
     if not organ.n_atoms:
         return None
     edges = _edges_at(organ, organ.atom_positions, lengths)
-    ratio = edges / organ.atom_radius
-    worst = float(np.quantile(ratio, 1.0 - THIN))
-    if worst <= MOST:
-        return None
-    thin = ratio >= worst
-    return Coarse(
-        f"is {2e3 * float(np.median(organ.atom_radius[thin])):.1f} mm thick in places, too thin for triangles with"
-        f" edges of {1e3 * float(np.median(edges[thin])):.1f} mm",
-        worst / ROOM,
-    )
+    said = "is {1:.1f} mm thick in places, too thin for triangles with edges of {0:.1f} mm"
+    return _compared(edges, 2.0 * organ.atom_radius, THIN, 0.5 * MOST, 0.5 * ROOM, said)
 
 
 def _at_thin_rims(organ: Organ, lengths: Floats) -> Coarse | None:
-    """Edges against the thickness under the surface."""
+    """Compare edges with the thickness under the surface."""
     loaded = _loaded(organ)
     if not loaded.any():
         return None
-    edges = lengths[loaded]
     thick = thickness(organ.surface_positions, organ.surface_triangles)[loaded]
-    worst = float(np.quantile(edges / thick, 1.0 - RIM))
-    if worst <= MOST_THROUGH:
-        return None
-    thin = edges / thick >= worst
-    return Coarse(
-        f"has rims {1e3 * float(np.median(thick[thin])):.1f} mm thick, too thin for triangles with edges of"
-        f" {1e3 * float(np.median(edges[thin])):.1f} mm",
-        worst / ROOM_THROUGH,
-    )
+    said = "has rims {1:.1f} mm thick, too thin for triangles with edges of {0:.1f} mm"
+    return _compared(lengths[loaded], thick, RIM, MOST_THROUGH, ROOM_THROUGH, said)
 
 
 def _beside_clamp(organ: Organ, lengths: Floats) -> Coarse | None:
-    """Edges against the distance from the clamp."""
+    """Compare edges with the distance from the clamp."""
     loaded = _loaded(organ)
     if not len(organ.fixed) or not loaded.any():
         return None
     positions = organ.surface_positions
     apart = cKDTree(positions[organ.fixed]).query(positions[loaded])[0]
     apart = np.maximum(apart, SMOOTH_RADIUS[0] * size_of(organ))  # a load's patch is as wide as that
-    edges = lengths[loaded]
-    worst = float(np.quantile(edges / apart, 1.0 - RIM))
-    if worst <= MOST_BESIDE:
+    said = "has triangles with edges of {0:.1f} mm at {1:.1f} mm from its clamp, too coarse for accurate loads there"
+    return _compared(lengths[loaded], apart, RIM, MOST_BESIDE, ROOM_BESIDE, said)
+
+
+def _compared(edges: Floats, sizes: Floats, left_out: float, most: float, aim: float, said: str) -> Coarse | None:
+    """Return where edges (k,) m are longest relative to sizes (k,) m; None where they are at most `most` times as long.
+
+    left_out: fraction of the places that don't count; aim: ratio to be reached; said: text with both in the worst
+    places, mm.
+    """
+    ratio = edges / sizes
+    worst = float(np.quantile(ratio, 1.0 - left_out))
+    if worst <= most:
         return None
-    near = edges / apart >= worst
-    return Coarse(
-        f"has triangles with edges of {1e3 * float(np.median(edges[near])):.1f} mm at"
-        f" {1e3 * float(np.median(apart[near])):.1f} mm from its clamp, too coarse for accurate loads there",
-        worst / ROOM_BESIDE,
-    )
+    there = ratio >= worst
+    return Coarse(said.format(*(1e3 * float(np.median(each[there])) for each in (edges, sizes))), worst / aim)
 
 
 def _loaded(organ: Organ) -> Floats:

@@ -92,11 +92,6 @@ def release(
     linear : bool, optional
         Whether elasticity is linear.
 
-    Returns
-    -------
-    Motion
-        The motion.
-
     Raises
     ------
     UserError
@@ -145,11 +140,6 @@ def swing(
         Nodes that are followed.
     watch : Callable[[], None] | None, optional
         Called after every step.
-
-    Returns
-    -------
-    Motion
-        The motion.
 
     Raises
     ------

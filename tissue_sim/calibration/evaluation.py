@@ -44,11 +44,6 @@ def settled_answers(organ: Organ, cases: Cases, watch: Callable[[], None] | None
         The load cases.
     watch : Callable[[], None] | None, optional
         Called after each case.
-
-    Returns
-    -------
-    Answer
-        The answers.
     """
     simulation = Simulation(organ)
     count = simulation.state.count

@@ -72,11 +72,6 @@ def fill(organ: Organ, near: Array | None = None, grading: Grading | None = None
     grading : Grading | None, optional
         Sizes of the elements; None for the usual ones.
 
-    Returns
-    -------
-    FeMesh
-        The mesh.
-
     Raises
     ------
     UserError

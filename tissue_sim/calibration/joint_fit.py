@@ -140,11 +140,6 @@ def for_one_substep(organ: Organ, misfit: Misfit, first: Floats, frequencies: Fl
         Lowest frequencies.
     damping_rate : float, 1/s
         Damping over mass.
-
-    Returns
-    -------
-    Together
-        The loss.
     """
     return Together(organ, misfit, first, frequencies, stable_frequency(ROOM * TICK / SAFETY, damping_rate))
 

@@ -60,11 +60,6 @@ def finer_reference_body(body: Body, forces: Floats) -> Body:
     forces : Floats, shape (c, n_surface, 3), N
         Loads under which it is refined.
 
-    Returns
-    -------
-    Body
-        The finer body.
-
     Raises
     ------
     UserError
@@ -86,11 +81,6 @@ def refined(body: Body, finer: Body, answers: Floats, finer_answers: Floats) -> 
         Answers of the body.
     finer_answers : Floats, shape (c, n, 3), m
         Answers of the finer body.
-
-    Returns
-    -------
-    Refined
-        The difference.
     """
     return Refined(body.n_nodes, finer.n_nodes, 100.0 * errors(answers, finer_answers))
 

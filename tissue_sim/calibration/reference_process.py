@@ -99,11 +99,6 @@ class Reference:
             The same body in this process, which settles the remaining groups while the other process settles its own.
         done : Callable[..., None]
             Called for each case.
-
-        Returns
-        -------
-        Answer
-            The answers.
         """
         reported = 0
         while not self._answer.done():

@@ -48,11 +48,6 @@ class Remote:
         arguments : Any
             Its arguments.
 
-        Returns
-        -------
-        Any
-            The result.
-
         Raises
         ------
         UserError

@@ -72,11 +72,6 @@ def prepared(organ: Organ, settings: Settings) -> Organ:
     settings : Settings
         Settings of the calibration.
 
-    Returns
-    -------
-    Organ
-        The organ.
-
     Raises
     ------
     UserError
@@ -135,11 +130,6 @@ def with_stiffness(organ: Organ, model: Model, stiffness: Floats) -> Organ:
         The organ's model.
     stiffness : Floats, shape (p,)
         Stiffness in the order of strains_of.
-
-    Returns
-    -------
-    Organ
-        The organ.
     """
     if model.tissue is not None:
         mu, lam = stiffness.reshape(2, -1)

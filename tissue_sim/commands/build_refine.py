@@ -22,7 +22,7 @@ _FORMS = "thin, clamp, auto, X,Y,Z:RADIUS[:EDGE] or X,Y,Z/X,Y,Z:RADIUS[:EDGE] in
 
 
 def parse_refine(given: Sequence[str]) -> Refinement:
-    """Return what the texts of --refine ask for. Raises UserError for what is none of the forms, or a mask's reader."""
+    """Return what the texts of --refine ask for. Raises UserError for anything else, and as readers of masks do."""
     thin = clamp = False
     places: list[Ball | Along | Painted] = []
     for text in given:
@@ -59,12 +59,12 @@ def _painted(text: str) -> Painted:
     if not path.exists():
         raise UserError(f"--refine {text} is not understood; use {_FORMS}, where MASK is an image file that exists")
     if edge and edge[0] <= 0.0:
-        raise UserError(f"--refine {text}: an edge of {edge[0]:g} mm is none; give one greater than 0")
+        raise UserError(f"--refine {text}: an edge of {edge[0]:g} mm is invalid; give one greater than 0")
     return Painted(read_mask(path).upright(), 1e-3 * edge[0] if edge else None)
 
 
 def _numbers(texts: Sequence[str]) -> list[float] | None:
-    """Return the finite numbers of the texts; None where one is no number."""
+    """Return the finite numbers of the texts; None where one is not a number."""
     try:
         found = [float(text) for text in texts]
     except ValueError:

@@ -61,8 +61,7 @@ def check_cluster(args: argparse.Namespace) -> None:
 def outputs_of(organs: Sequence[Path], folder: Path) -> list[Path]:
     """Return the output file of each organ.
 
-    organs: organ files; folder: folder of the outputs. Raises UserError where two would be one file, or an organ would
-    be overwritten.
+    Raises UserError where two would be one file, or an organ would be overwritten.
     """
     found: dict[Path, Path] = {}
     for organ in organs:
@@ -82,9 +81,9 @@ def calibrate_many(
 
     An output that was made from the same organ with the same settings isn't made again.
 
-    organs: organ files; outputs: files of the calibrated organs; settings: settings of the calibrations; jobs: number
-    of calibrations at a time on this machine; scheduler: address of a Dask scheduler, None for this machine. Returns
-    figures by name, or the reason why there are none. Raises UserError where the scheduler doesn't answer.
+    outputs: files of the calibrated organs; jobs: number of calibrations at a time on this machine; scheduler: address
+    of a Dask scheduler, None for this machine. Returns figures by name, or the reason why there are none. Raises
+    UserError where the scheduler doesn't answer.
     """
     found: dict[str, JsonObject | str] = {}
     with progress.task("organs", len(organs)) as under_way:

@@ -67,7 +67,7 @@ SOURCES = (
 def main() -> int:
     """Build what there is, calibrate it, print the table, and return 0, or 2 for invalid use.
 
-    An organ that is refused is no failure: its row says what to change.
+    An organ that is refused is not a failure: its row says what to change.
     """
     parser = argparse.ArgumentParser(prog="python -m tissue_sim.commands.every_organ", description=__doc__)
     parser.add_argument("--data", required=True, metavar="FOLDER", help="folder of the organ data")

@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         export_bag(Path(args.organ), Path(args.out), EVERY if args.every is None else args.every, args.unit)
         return 0
     if args.every is not None:
-        raise UserError(f"--every belongs to a bag, and {args.organ} is none")
+        raise UserError(f"--every belongs to a bag, which {args.organ} is not")
     surface = _writer(args.out, SURFACES, "surface")
     lines = _writer(args.skeleton, LINES, "skeleton") if args.skeleton else None
     cells = _writer(args.cells, CELLS, "cells") if args.cells else None

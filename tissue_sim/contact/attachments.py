@@ -91,11 +91,6 @@ def links_of(attachments: Sequence[Attachment], simulations: Sequence[Simulation
     simulations : Sequence[Simulation]
         Simulations of the organs.
 
-    Returns
-    -------
-    Links
-        The links.
-
     Raises
     ------
     UserError

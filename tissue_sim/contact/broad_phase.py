@@ -21,10 +21,8 @@ def surface_box(position: Floats, n_surface: int, low: Floats, high: Floats) -> 
         Positions of the nodes, surface first.
     n_surface : int
         Number of surface nodes.
-    low : Floats, shape (3,), m
-        Lower corner of the box.
-    high : Floats, shape (3,), m
-        Upper corner of the box.
+    low, high : Floats, shape (3,), m
+        Receive the lower and the upper corner of the box.
     """
     for c in range(3):
         low[c] = high[c] = position[0, c]
@@ -48,10 +46,8 @@ def body_box(corners: Floats, padding: float, rotation: Floats, origin: Floats, 
         Rotation matrix, row by row.
     origin : Floats, shape (3,), m
         Origin of the body.
-    low : Floats, shape (3,), m
-        Lower corner of the box.
-    high : Floats, shape (3,), m
-        Upper corner of the box.
+    low, high : Floats, shape (3,), m
+        Receive the lower and the upper corner of the box.
     """
     for c in range(3):
         low[c], high[c] = math.inf, -math.inf
@@ -69,19 +65,10 @@ def boxes_meet(low: Floats, high: Floats, other_low: Floats, other_high: Floats)
 
     Parameters
     ----------
-    low : Floats, shape (3,), m
-        Lower corner of the box.
-    high : Floats, shape (3,), m
-        Upper corner of the box.
-    other_low : Floats, shape (3,), m
-        Lower corner of the other box.
-    other_high : Floats, shape (3,), m
-        Upper corner of the other box.
-
-    Returns
-    -------
-    bool
-        True where they meet.
+    low, high : Floats, shape (3,), m
+        Lower and upper corner of the box.
+    other_low, other_high : Floats, shape (3,), m
+        Those of the other box.
     """
     apart = False
     for c in range(3):
@@ -95,14 +82,10 @@ def boxes_apart(low: Floats, high: Floats, other_low: Floats, other_high: Floats
 
     Parameters
     ----------
-    low : Floats, shape (3,), m
-        Lower corner of the box.
-    high : Floats, shape (3,), m
-        Upper corner of the box.
-    other_low : Floats, shape (3,), m
-        Lower corner of the other box.
-    other_high : Floats, shape (3,), m
-        Upper corner of the other box.
+    low, high : Floats, shape (3,), m
+        Lower and upper corner of the box.
+    other_low, other_high : Floats, shape (3,), m
+        Those of the other box.
 
     Returns
     -------
@@ -158,12 +141,8 @@ def nearest_node(position: Floats, n_surface: int, x: float, y: float, z: float)
         Positions of the nodes, surface first.
     n_surface : int
         Number of surface nodes.
-    x : float, m
-        Coordinate of the point.
-    y : float, m
-        Coordinate of the point.
-    z : float, m
-        Coordinate of the point.
+    x, y, z : float, m
+        The point.
 
     Returns
     -------

@@ -39,7 +39,7 @@ class Search(NamedTuple):
     origin: Floats
     rotation: Floats
     reach: float
-    normal: Floats  # (n, 3) room
+    normal: Floats  # (n, 3) buffer
 
 
 class Found(NamedTuple):

@@ -33,11 +33,6 @@ def join(
     friction : float, optional
         Coulomb coefficient between organs.
 
-    Returns
-    -------
-    Joined
-        The joined simulations.
-
     Raises
     ------
     UserError

@@ -24,11 +24,6 @@ def crossings_above(position: Floats, triangles: Ints | Longs, x: float, y: floa
         Corner indices, counter-clockwise seen from outside.
     x, y, z : float, m
         The point.
-
-    Returns
-    -------
-    int
-        The number.
     """
     total = 0
     for t in range(len(triangles)):

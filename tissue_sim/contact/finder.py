@@ -169,11 +169,6 @@ class ContactFinder:
             Positions of the nodes, surface first.
         sought : Sought
             The query.
-
-        Returns
-        -------
-        ContactSet
-            The contact set.
         """
         n_bodies, poses, engaged = len(self.tools.grown), sought.poses.copy(), sought.engaged.copy()
         self.counters.sets += 1

@@ -73,11 +73,6 @@ def at_lower_pole(
     out : Floats | None, optional, shape (3,)
         Unit direction from which the gripper comes, in place of that axis; the others are turned with it.
 
-    Returns
-    -------
-    Grasp
-        The grasp.
-
     Raises
     ------
     ValueError

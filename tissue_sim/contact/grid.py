@@ -25,11 +25,6 @@ def distance_grid(mesh: trimesh.Trimesh, margin: float) -> Grid:
         Closed mesh, m.
     margin : float, m
         Distance by which the box is grown.
-
-    Returns
-    -------
-    Grid
-        The grid.
     """
     low, high = mesh.bounds[0] - margin, mesh.bounds[1] + margin
     spacing = max(FINEST, float(np.prod(high - low) / MOST_POINTS) ** (1.0 / 3.0))

@@ -79,11 +79,6 @@ def extra_compliance_between_nodes(give: ComplianceLimits, organ: Organ, smalles
         The organ.
     smallest : float, m
         Smallest radius about the tool.
-
-    Returns
-    -------
-    float
-        The fraction.
     """
     return give.between * min(1.0, smallest / mean_edge(organ))
 

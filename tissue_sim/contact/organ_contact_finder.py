@@ -13,7 +13,7 @@ from tissue_sim.contact.broad_phase import Near, approach, surface_box, triangle
 from tissue_sim.contact.self_contact_finder import SelfFinder
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.contact.triangles import nearest_among
-from tissue_sim.model.stepping.contact_pairs import MOST_PAIRS, MOST_POINTS, OrganContactSet, organ_contact_set
+from tissue_sim.model.stepping.contact_pairs import MOST_CUT_POINTS, MOST_PAIRS, OrganContactSet, organ_contact_set
 from tissue_sim.organ.organ import Organ
 
 MARGIN = 0.003  # m from a surface within which a node is examined
@@ -61,8 +61,8 @@ class OrganContactFinder:
         self._triangles = [surface.triangles.astype(np.int64) for surface in self._surfaces]
         self._own = [SelfFinder(surface) for surface in self._surfaces]
         self._low, self._high = np.zeros((2, len(organs), 3))
-        self._near = [np.zeros_like(triangles) for triangles in self._triangles]  # room
-        self._numbers = [np.zeros(len(triangles), dtype=np.int64) for triangles in self._triangles]  # room
+        self._near = [np.zeros_like(triangles) for triangles in self._triangles]  # buffer
+        self._numbers = [np.zeros(len(triangles), dtype=np.int64) for triangles in self._triangles]  # buffer
         self._now: list[_Touched] = []
         self._apart: dict[tuple[int, int], _Apart] = {}
         self._found = organ_contact_set()
@@ -105,11 +105,6 @@ class OrganContactFinder:
             Positions in one frame: of an organ with cuts of all nodes, else at least of those of its surface.
         own : Sequence[bool], shape (k,), optional
             Which organs may touch themselves; by default none.
-
-        Returns
-        -------
-        OrganContactSet
-            The pairs.
         """
         found = self._found
         found.found[0] = found.points[0] = 0
@@ -155,7 +150,7 @@ class OrganContactFinder:
         made[:, :1] = found.organ[:count, :1] == organ
         made[:, 1:] = found.organ[:count, 1:] == organ
         made &= node >= surface.n_surface
-        numbers = np.unique(node[made])[: MOST_POINTS - start]
+        numbers = np.unique(node[made])[: MOST_CUT_POINTS - start]
         rows = slice(start, start + len(numbers))
         found.point_organ[rows], found.point_version[rows] = organ, self._versions[organ]
         found.point_number[rows] = numbers

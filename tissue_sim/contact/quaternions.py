@@ -44,10 +44,8 @@ def multiply(first: Quaternion, second: Quaternion) -> Quaternion:
 
     Parameters
     ----------
-    first : Quaternion, xyzw
-        Unit quaternion.
-    second : Quaternion, xyzw
-        Unit quaternion.
+    first, second : Quaternion, xyzw
+        Unit quaternions.
 
     Returns
     -------
@@ -73,11 +71,6 @@ def rotate(rotation: Quaternion, vector: Vector) -> Vector:
         Unit quaternion.
     vector : Vector
         The vector.
-
-    Returns
-    -------
-    Vector
-        The turned vector.
     """
     x, y, z, w = rotation
     vx, vy, vz = vector
@@ -94,11 +87,6 @@ def rotate_back(rotation: Quaternion, vector: Vector) -> Vector:
         Unit quaternion.
     vector : Vector
         The vector.
-
-    Returns
-    -------
-    Vector
-        The turned vector.
     """
     x, y, z, w = rotation
     return rotate((-x, -y, -z, w), vector)

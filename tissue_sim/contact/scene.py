@@ -180,11 +180,6 @@ class Scene(Pictured):
         depth : float, m
             How far it is moved.
 
-        Returns
-        -------
-        CutReport
-            The report.
-
         Raises
         ------
         UserError
@@ -311,7 +306,7 @@ class Scene(Pictured):
         Raises
         ------
         UserError
-            For a tool that the scene doesn't have, and for numbers that are no pose.
+            For a tool that the scene doesn't have, and for numbers that are not a pose.
         """
         number = self.tools.index(tool)
         name = f"of tool '{self.tools.tools[number].name}'"

@@ -118,7 +118,7 @@ class SceneBatch:
         Raises
         ------
         UserError
-            For numbers that are no poses, and for copies that the batch doesn't have.
+            For numbers that are not poses, and for copies that the batch doesn't have.
         """
         chosen = self._chosen(copies)
         shape = (len(chosen), len(self.tools.tools))

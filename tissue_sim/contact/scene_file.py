@@ -75,11 +75,6 @@ class SceneFile:
         path : Path
             The file.
 
-        Returns
-        -------
-        SceneFile
-            The content.
-
         Raises
         ------
         UserError

@@ -13,6 +13,7 @@ from tissue_sim.model.cutting.cut_surface import CutSurface
 from tissue_sim.model.data.contact_set import POINT_NODES
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.inclusions import inclusions_of, stiffness_at
+from tissue_sim.organ.normals import triangle_area
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
 
@@ -174,8 +175,7 @@ class TouchedSurface:
         least = 1e-9 * float(usual.mean())
         new = ~self.is_old
         own = node_area(self.rest, self.triangles)
-        corner = self.rest[self.triangles[new]]
-        area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+        area = triangle_area(self.rest, self.triangles[new])
         # Of equilateral triangles, each has half of a node's area.
         triangle[new] = usual[self.triangles[new]].mean(axis=1) / np.maximum(2.0 * area, least)
         touched = np.unique(self.triangles[new])

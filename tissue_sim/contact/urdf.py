@@ -53,7 +53,7 @@ class Part(NamedTuple):
     kind : str
         box, cylinder, sphere or mesh.
     size : tuple[float, ...], m
-        Sides of a box, radius and length of a cylinder, radius of a sphere, or factors on a mesh, which are no lengths.
+        Sides of a box, radius and length of a cylinder, radius of a sphere; of a mesh factors, which are not lengths.
     place : Place
         Where it is on its link.
     file : str
@@ -198,7 +198,7 @@ def read_instrument(path: str, links: tuple[str, ...], tip: str, jaw: str) -> In
         joints = [_joint(one) for one in root.findall("joint")]
         parts = {one.attrib["name"]: _parts(one, file) for one in root.findall("link")}
     except (KeyError, ValueError) as error:
-        raise UserError(f"URDF '{path}': {error} is missing, or is no number") from None
+        raise UserError(f"URDF '{path}': {error} is missing or not a number") from None
     _check(path, joints, set(parts))
     for link in (*links, *([tip] if tip else [])):
         if link not in parts:
@@ -219,7 +219,7 @@ def read_instrument(path: str, links: tuple[str, ...], tip: str, jaw: str) -> In
 
 
 def _check(path: str, joints: Sequence[Joint], links: set[str]) -> None:
-    """Raise UserError where joints and links are no tree, or a joint follows one that isn't there, or itself."""
+    """Raise UserError where joints and links are not a tree, or a joint follows one that isn't there, or itself."""
     names, parents = {joint.name: joint for joint in joints}, {joint.child: joint.parent for joint in joints}
     for joint in joints:
         if not {joint.parent, joint.child} <= links:

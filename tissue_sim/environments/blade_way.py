@@ -14,7 +14,7 @@ from tissue_sim.environments.tasks import DECLARED, STEP, TOUCH
 
 BLADE_SPEED, LONGEST_BLADE = 0.05, 0.02  # m/s at an action of 1; m
 APART, SPACING = 5e-4, 0.005  # m between noted points of a way, and between corners of the cut
-SHORTEST = 0.004  # m, a way that is no cut
+SHORTEST = 0.004  # m, a way that is not a cut
 SAMPLES, REACH = 21, 0.003  # points of the line, and m from the way within which one is cut
 LINE, DEPTH = 0.005, 0.5  # m beside the line, and part of the depth, at which a cut is worth nothing
 GOOD_LINE, GOOD_DEPTH, MOST_FORCE = 0.002, 0.15, 1.0  # of a success: m, part of the depth, N of the guard at most

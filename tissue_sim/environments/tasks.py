@@ -194,14 +194,14 @@ class Retract(Task):
             raise UserError("the jaws of Retract, config/jaws/flat.obj, are missing; install tissue_sim again")
         return Tool("jaws", "gripper", length=HINGE, mesh=str(jaws))
 
-    def grasp(self, surface: Floats, triangles: Ints, out: Floats) -> Grasp:
+    def grasp(self, surface: Floats, triangles: Ints | Longs, out: Floats) -> Grasp:
         """Return how an organ is grasped at its lower pole.
 
         Parameters
         ----------
         surface : Floats, shape (n, 3), m
             Its surface at rest.
-        triangles : Ints, shape (t, 3)
+        triangles : Ints | Longs, shape (t, 3)
             Corner indices.
         out : Floats, shape (3,)
             Unit direction that the gripper comes from.

@@ -95,7 +95,7 @@ def damping_of(
     loss : Loss
         Their loss factor.
     relaxation : Relaxation | None
-        Relaxation, if it is known; what it causes is no damping.
+        Relaxation, if it is known; what it causes is not damping.
     tool : tuple[float, float]
         Radius of the tool, m, and its coefficient of friction.
     remember : Remember, optional

@@ -99,11 +99,6 @@ def exponent_of(samples: Samples) -> float:
     ----------
     samples : Samples
         Forces without bias.
-
-    Returns
-    -------
-    float
-        The exponent.
     """
     weight = samples.counts / (NOISE + FRACTION * np.abs(samples.forces)) ** 2
     whole = (weight * samples.forces**2).sum(axis=1)

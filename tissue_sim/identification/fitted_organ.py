@@ -28,11 +28,6 @@ def with_stiffness(organ: Organ, factor: float, record: Mapping[str, object], of
     of_cells : Floats | None, optional
         Further factors on the cells' moduli, (c,).
 
-    Returns
-    -------
-    Organ
-        The organ.
-
     Raises
     ------
     UserError

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from tissue_sim.identification.rate_effects import RateEffects, rate_effects_of
 from tissue_sim.identification.relaxing_organ import Presses, relaxing
 from tissue_sim.identification.stiff_places import StiffPlaces, stiff_places
 from tissue_sim.identification.stiff_places import line_of as line_of_stiff_places
-from tissue_sim.identification.stiffening import LawFit, Stiffening, law_fit
+from tissue_sim.identification.stiffening import Stiffening, law_fit
 from tissue_sim.identification.stiffening import line_of as line_of_stiffening
 from tissue_sim.identification.stiffness_map import decaying
 from tissue_sim.identification.uncertainty import (
@@ -126,7 +127,9 @@ def identify(
     validated = held_out(curves, samples, points, measurement.radius, settings.priors)
     law = None
     if settings.law == EXPONENTIAL:
-        law = _law_of(organ, measurement, (curves, samples, validated), (settings, factor), remember)
+        pressed = partial(_curves_with_b, measurement, settings.friction, factor, remember)
+        every = law_curves_of(organ, curves, pressed)
+        law = law_fit(every, samples, settings.priors, points, measurement.radius, validated)
     if law is not None and law.stiffening.pays:
         organ, fit, validated = replace(organ, stiffening=law.stiffening.b), law.fit, law.held_out
         curves, drawn = law.curves.under(fit.law), np.exp(law.drawn[:, 0])
@@ -156,7 +159,7 @@ def identify(
         diagnosed(curves, samples, settings.priors, fit),
         following,
         of_cells,
-        rate_effects_of(organ, measurement, (curves, fit), settings.friction, remember),
+        rate_effects_of(organ, measurement, curves, fit, settings.friction, remember),
         stiff_places(fit, place),
         None if law is None else law.stiffening,
         _remarks(wanted, of_cells is not None),
@@ -178,24 +181,15 @@ def _elastic(organ: Organ, law: str | None) -> Organ:
     return replace(organ, stiffening=0.0)
 
 
-def _law_of(
-    organ: Organ,
-    measurement: Measurement,
-    found: tuple[ForceCurves, Samples, HeldOut | None],
-    how: tuple[Settings, float],
-    remember: Remember,
-) -> LawFit:
-    """Return the fit of b, for what was found without it, settings, and the factor on moduli in fast presses."""
-    (curves, samples, validated), (settings, factor) = found, how
+def _curves_with_b(
+    measurement: Measurement, friction: float, factor: float, remember: Remember, organ: Organ
+) -> ForceCurves:
+    """Return the curves of an organ with some b, whose runs are kept under names of their own; see `curves_of`."""
 
-    def pressed(tissue: Organ) -> ForceCurves:
-        def kept(name: str, make: Callable[[], Arrays]) -> Arrays:
-            return remember(f"b {tissue.stiffening:g} {name}", make)
+    def kept(name: str, make: Callable[[], Arrays]) -> Arrays:
+        return remember(f"b {organ.stiffening:g} {name}", make)
 
-        return curves_of(tissue, measurement, settings.friction, factor, kept)
-
-    every = law_curves_of(organ, curves, pressed)
-    return law_fit(every, samples, settings.priors, (measurement.points, measurement.radius), validated)
+    return curves_of(organ, measurement, friction, factor, kept)
 
 
 def _map_of_cells(

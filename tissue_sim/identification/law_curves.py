@@ -92,11 +92,6 @@ def law_curves_of(organ: Organ, plain: ForceCurves, pressed: Callable[[Organ], F
         Its curves with neo-Hookean tissue.
     pressed : Callable[[Organ], ForceCurves]
         Returns the curves of an organ, at the same depths.
-
-    Returns
-    -------
-    LawCurves
-        The curves.
     """
     depths = plain.start[:, None] + plain.step[:, None] * np.arange(plain.force.shape[1])
     every = np.arange(len(depths))

@@ -111,11 +111,6 @@ def fitted(
         Fit of the same presses to start from.
     times : Floats | None, optional
         How often each press counts, (n,), for a bootstrap.
-
-    Returns
-    -------
-    Fit
-        The fit.
     """
     count = np.ones(len(samples.depths)) if times is None else times
     middle = np.array([_first_guess(curves, samples), 0.0, 0.0, *[0.0] * curves.laws])

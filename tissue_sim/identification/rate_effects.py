@@ -34,8 +34,8 @@ class RateEffects(NamedTuple):
             found["friction"] = self.friction.coefficient
         if self.relaxation is not None:
             found |= {
-                "relaxation_share_percent": 100.0 * self.relaxation.fraction,
-                "relaxation_share_deviation_percent": 100.0 * self.relaxation.fraction_deviation,
+                "relaxation_fraction_percent": 100.0 * self.relaxation.fraction,
+                "relaxation_fraction_deviation_percent": 100.0 * self.relaxation.fraction_deviation,
                 "relaxation_time_s": self.relaxation.time,
                 "relaxation_time_deviation_s": self.relaxation.time_deviation,
             }
@@ -54,7 +54,8 @@ class RateEffects(NamedTuple):
 def rate_effects_of(
     organ: Organ,
     measurement: Measurement,
-    found: tuple[ForceCurves, Fit],
+    curves: ForceCurves,
+    fit: Fit,
     friction: float,
     remember: Remember = forget,
 ) -> RateEffects:
@@ -66,14 +67,15 @@ def rate_effects_of(
         The organ, with its own modulus.
     measurement : Measurement
         Strokes, holds and sinusoids.
-    found : tuple[ForceCurves, Fit]
-        The model's curves of all presses, and their fit.
+    curves : ForceCurves
+        The model's curves of all presses.
+    fit : Fit
+        Their fit.
     friction : float
         Coefficient of friction between tool and tissue in the model.
     remember : Remember, optional
         Keeps runs of the model by name.
     """
-    curves, fit = found
     row_of = {press.name: row for row, press in enumerate(measurement.presses)}
     has_times = any(press.speed > 0.0 for press in measurement.presses)
     offset = fit.common[1] + fit.own[:, 1]

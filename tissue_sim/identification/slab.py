@@ -35,7 +35,7 @@ def slab_size(word: str) -> tuple[float, float, float]:
     try:
         length, width, thickness = (1e-3 * float(part) for part in word.removeprefix(PREFIX).split("x"))
     except ValueError:
-        raise UserError(f"'{word}' is no slab; name its size in mm, such as slab:60x60x25") from None
+        raise UserError(f"'{word}' is not a slab; name its size in mm, such as slab:60x60x25") from None
     size = length, width, thickness
     if not all(SMALLEST <= side <= LARGEST for side in size):
         raise UserError(f"'{word}': a side is outside {1e3 * SMALLEST:g}..{1e3 * LARGEST:g} mm")

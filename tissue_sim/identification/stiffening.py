@@ -64,7 +64,7 @@ class LawFit(NamedTuple):
 
 
 def law_fit(
-    curves: LawCurves, samples: Samples, priors: Priors, where: tuple[Floats, float], plain: HeldOut | None
+    curves: LawCurves, samples: Samples, priors: Priors, points: Floats, radius: float, plain: HeldOut | None
 ) -> LawFit:
     """Return the fit of b, and what it tells.
 
@@ -76,8 +76,10 @@ def law_fit(
         The measured forces.
     priors : Priors
         As for `fitted`.
-    where : tuple[Floats, float]
-        Where presses first touched, (n, 3) m, and the radius of the tool, m.
+    points : Floats, shape (n, 3), m
+        Where presses first touched.
+    radius : float, m
+        Radius of the tool.
     plain : HeldOut | None
         Errors at held-out places with neo-Hookean tissue.
 
@@ -86,10 +88,10 @@ def law_fit(
     LawFit
         The interval of b is the bootstrap's spread of log(1 + b / 4), widened by Student's t.
     """
-    place = places_of(*where)
+    place = places_of(points, radius)
     fit = fitted(curves, samples, priors)
     drawn = drawn_unknowns(curves, samples, priors, fit, place)
-    errors = held_out(curves, samples, *where, priors)
+    errors = held_out(curves, samples, points, radius, priors)
     at, places = float(fit.common[LAW]), int(place.max()) + 1
     half = quantile_by_places(places) * spread_by_places(drawn[:, LAW], places)
     low, b, high = stiffening_at(np.clip([at - half, at, at + half], 0.0, 1.0))

@@ -60,11 +60,6 @@ def found_in(stream: Stream, organ: Organ, radius: float) -> Measurement:
     radius : float, m
         Radius of the tool.
 
-    Returns
-    -------
-    Measurement
-        What was found.
-
     Raises
     ------
     UserError

@@ -33,12 +33,12 @@ def read_columns(path: Path) -> Columns:
     Raises
     ------
     UserError
-        For a file that is missing, has no header and rows, or holds what is no number.
+        For a file that is missing, has no header and rows, or holds something other than numbers.
     """
     try:
         lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")]
     except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"cannot read {path}: {getattr(error, 'strerror', None) or 'it is no text'}") from None
+        raise UserError(f"cannot read {path}: {getattr(error, 'strerror', None) or 'it is not text'}") from None
     rows = list(csv.reader(lines))
     if len(rows) < 2:
         raise UserError(f"{path} has no rows; expected: a header and rows, {LAYOUTS}")
@@ -51,7 +51,7 @@ def read_columns(path: Path) -> Columns:
         try:
             found[name] = np.array([float(cell) for cell in cells])
         except ValueError:
-            raise UserError(f"{path}: column {name} holds what is no number") from None
+            raise UserError(f"{path}: column {name} holds something that is not a number") from None
         if not np.isfinite(found[name]).all():
             raise UserError(f"{path}: column {name} holds what is not finite")
     return found
@@ -71,7 +71,7 @@ def presses_of(columns: Columns, radius: float, name: str) -> list[MeasuredPress
     Raises
     ------
     UserError
-        For columns that are no presses.
+        For columns that are not those of presses.
     """
     deep = sorted((key for key in columns if re.fullmatch(r"d\d+", key)), key=lambda key: int(key[1:]))
     force_keys = [f"fn{key[1:]}" for key in deep]

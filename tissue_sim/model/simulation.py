@@ -24,16 +24,16 @@ from tissue_sim.model.data.blades import no_cut_cells
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.records import words_of
-from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, LocalRegion, Settings
-from tissue_sim.model.data.shapes import CAPSULE, NO_TOOLS, SPHERE, Shapes
+from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS, LocalRegion, Settings, default_settings
+from tissue_sim.model.data.shapes import NO_TOOLS, Shapes
 from tissue_sim.model.data.state import Region, State, make_state, state_like, take_fields
 from tissue_sim.model.data.world import make_world
 from tissue_sim.model.elasticity.assembly import assemble, model_of
 from tissue_sim.model.elasticity.energy import Energy, energy_of
 from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.elasticity.gravity import acceleration_of
-from tissue_sim.model.regions.region_tables import moves_whole, stiffens_or_relaxes, with_region_tables
-from tissue_sim.model.stepping.critical_step import LONGEST_OF_CELLS, SAFETY, model_step, substeps_for
+from tissue_sim.model.regions.region_tables import possible_region, with_region_tables
+from tissue_sim.model.stepping.critical_step import REGION_STEP, SAFETY, model_step, step_with, substeps_for
 from tissue_sim.model.stepping.equilibrium import residuals, settle
 from tissue_sim.model.stepping.relaxation import stiffest
 from tissue_sim.model.stepping.scratch import make_scratch
@@ -51,15 +51,6 @@ from tissue_sim.model.stepping.world import (
 )
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
-
-# s, however soft the organ. In a longer step a tool that is finer than FINE, m, or of any shape, slips through the
-# tissue that it pushes, and springs oscillate.
-LONGEST_STEP = 5e-4  # with other tools, cells take LONGEST_OF_CELLS
-FINE = 1e-3
-
-# s. In a modal region the nodes' mass is scaled so that they need no shorter step: on a fine organ they are tiny, and
-# no hand feels how fast they vibrate. The organ's own motion is that of its modes.
-REGION_STEP = 1e-3 / 6
 
 
 class Simulation:
@@ -118,14 +109,7 @@ class Simulation:
         if substeps is not None and not 1 <= substeps <= 10_000:
             raise UserError(f"{substeps} substeps are outside 1..10000")
         model = model_of(organ) if model == "auto" else model
-        if model == "cells" and local_region == "frozen":
-            raise UserError(
-                "a frozen region supports springs only; use local region off, modal or auto, or model hybrid"
-            )
-        if local_region == "auto" and ((model == "cells" and moves_whole(organ)) or stiffens_or_relaxes(organ)):
-            local_region = "off"
-        if local_region != "off" and stiffens_or_relaxes(organ):
-            raise UserError("tissue that stiffens or relaxes moves as a whole; use local_region off or auto")
+        local_region = possible_region(organ, model, local_region)
         if len(shapes.blades.body) and (model != "cells" or local_region != "off"):
             raise UserError(
                 f"a blade cuts model cells with local_region off, not model {model} with local_region {local_region};"
@@ -141,20 +125,7 @@ class Simulation:
         self.shapes = shapes
         self.integrator = integrator
         self._fixed_substeps = substeps
-        self.settings = Settings.new()
-        self.settings.tick_time = 1.0 / rate
-        self.settings.friction = 0.6
-        self.settings.toughness = 120.0
-        self.settings.flank_friction = 500.0
-        self.settings.force_clamp = 10.0
-        self.settings.force_slew = 1e3
-        self.settings.stale_time = 0.05
-        self.settings.ramp_time = 0.02
-        self.settings.stiffness_scale = 1.0
-        self.settings.damping_scale = 1.0
-        self.settings.local_region = LocalRegion[local_region.upper()]
-        self.settings.region_force = 0.3
-        self.settings.integrator = Integrator[integrator.upper()]
+        self.settings = default_settings(1.0 / rate, local_region, integrator)
         pulled = acceleration_of(gravity, "gravity")
         borne = pulled if shape_gravity is None else acceleration_of(shape_gravity, "shape_gravity")
         assembled = assemble(organ, model, borne)
@@ -579,9 +550,7 @@ class Simulation:
     @property
     def longest_step(self) -> float:
         """Longest substep allowed, s: the critical step, or what these tools allow however soft the organ is."""
-        blunt = np.isin(self.shapes.kind, (SPHERE, CAPSULE)) & (self.shapes.size[:, 0] >= FINE)
-        allowed = LONGEST_OF_CELLS if self.variant == "cells" and np.all(blunt) else LONGEST_STEP
-        return min(self.critical_step, allowed / SAFETY)
+        return min(self.critical_step, step_with(self.shapes, self.variant == "cells") / SAFETY)
 
     def take_settings(self, settings: Settings) -> None:
         """Apply settings that were computed before, by a run that is repeated.

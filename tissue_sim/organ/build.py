@@ -198,7 +198,7 @@ def make(kind: str, source: Any, request: Request, given: Mapping[str, Any], pro
 
 
 def _kind_of(source: Any, is_seeded: bool) -> str:
-    """Return what a source is: surface, mask or image. Raises UserError for what is none of them."""
+    """Return what a source is: surface, mask or image. Raises UserError for anything else."""
     if isinstance(source, str | os.PathLike):
         from tissue_sim.organ.meshes.mesh_formats import FORMATS
 

@@ -11,7 +11,7 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from tissue_sim.array_types import Floats, Ints, Longs, Mask
 from tissue_sim.errors import UserError
-from tissue_sim.organ.edges import CELL_EDGES, cell_edges, directed_edges
+from tissue_sim.organ.edges import CELL_EDGES, CELL_FACES, cell_edges, directed_edges
 from tissue_sim.organ.inclusions import cell_factors, inclusions_of
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surface_checks import signed_volume
@@ -26,7 +26,6 @@ LEAST_FRACTION = 0.9  # of the volume
 WIDEST = 120.0
 LEAST_CELLS = 4  # of a node, before one of its cells is left out for its angle
 DETOUR = 2.0  # the way along the surface over an edge outside it, above which that edge joins two walls across a gap
-_FACES = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
 
 
 def tetrahedra(points: Floats, surface: Floats, triangles: Ints) -> Longs:
@@ -203,7 +202,7 @@ def _widest_angle(points: Floats, cells: Longs, triangles: Ints) -> Floats:
         corner = np.sort(faces.astype(np.int64), axis=-1)
         return (corner[..., 0] * size + corner[..., 1]) * size + corner[..., 2]
 
-    on = np.isin(keys(np.stack([cells[:, face] for face in _FACES], axis=1)), keys(triangles))
+    on = np.isin(keys(cells[:, CELL_FACES]), keys(triangles))
     corner = points[cells]
     slopes = np.linalg.inv(np.where(on.sum(axis=1)[:, None, None] > 1, corner[:, 1:] - corner[:, :1], np.eye(3)))
     # Gradients of the barycentric coordinates: each points to its corner, across the face opposite to it.

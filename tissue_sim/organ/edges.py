@@ -1,4 +1,4 @@
-"""Edges of triangles and of tetrahedra."""
+"""Edges of triangles, and edges and faces of tetrahedra."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CELL_EDGES = tuple((a, b) for a in range(4) for b in range(a + 1, 4))  # of a tetrahedron, by its corners
+CELL_FACES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])  # the face opposite to each corner
 
 
 def directed_edges[Index: np.integer](triangles: NDArray[Index]) -> NDArray[Index]:

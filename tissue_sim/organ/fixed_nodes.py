@@ -28,7 +28,7 @@ def select_fixed(choice: str | ArrayLike, positions: Floats) -> Ints:
     Raises
     ------
     UserError
-        For a choice that is none of these, or names nodes that aren't there.
+        For a choice that is not one of these, or names nodes that aren't there.
     """
     if not isinstance(choice, str):
         return _indices(np.asarray(choice), len(positions), "fixed")

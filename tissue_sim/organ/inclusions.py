@@ -104,11 +104,6 @@ def with_inclusions(organ: Organ, inclusions: Sequence[Inclusion]) -> Organ:
     inclusions : Sequence[Inclusion]
         The new inclusions.
 
-    Returns
-    -------
-    Organ
-        The organ with them.
-
     Raises
     ------
     UserError

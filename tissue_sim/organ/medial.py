@@ -122,11 +122,6 @@ def represent(
     atom : ArrayLike | None, shape (n,), optional
         Atom B of each spoke; None for the nearest.
 
-    Returns
-    -------
-    MedialRepresentation
-        The medial representation.
-
     Raises
     ------
     UserError

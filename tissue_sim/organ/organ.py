@@ -308,11 +308,6 @@ class Organ:
         path : str | os.PathLike[str]
             The file.
 
-        Returns
-        -------
-        Organ
-            The organ.
-
         Raises
         ------
         UserError

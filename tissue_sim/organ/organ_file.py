@@ -57,7 +57,7 @@ def read_fields(path: str | os.PathLike[str], arrays: Collection[str]) -> dict[s
         raise UserError(f"organ file {path} can't be read: {error.strerror}") from None
     except ValueError as error:
         if other := wrong_kind(Path(path), ORGAN):
-            raise UserError(f"{path} {other}, and no organ file; make one with 'tissue_sim build'") from None
+            raise UserError(f"{path} {other}, and not an organ file; make one with 'tissue_sim build'") from None
         raise UserError(
             f"organ file {path} is damaged or not an organ file ({shown(str(error), 200)}); build it again"
         ) from None
@@ -121,7 +121,7 @@ def check_law(whose: str, **law: float) -> None:
 
 
 def _header(text: str) -> JsonObject | None:
-    """Return what an organ file's header says; None where it is no header."""
+    """Return what an organ file's header says; None where it is not a header."""
     try:
         header = json.loads(text)
         header["schema_version"] = int(header["schema_version"])
@@ -148,11 +148,6 @@ def content_digest(text: str, arrays: Mapping[str, Array]) -> str:
         The header.
     arrays : Mapping[str, Array]
         Arrays by name.
-
-    Returns
-    -------
-    str
-        The digest.
     """
     digest = hashlib.sha256(text.encode())
     for key in sorted(arrays):

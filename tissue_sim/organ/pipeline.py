@@ -15,6 +15,7 @@ from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.inclusions import Inclusion
 from tissue_sim.organ.length_units import ORGAN_SIZE, is_organ
+from tissue_sim.organ.normals import triangle_area
 from tissue_sim.organ.refinement import wanted_edges
 from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
@@ -54,11 +55,6 @@ def organ_from_image(
         Parameters of the segmentation; None for the usual ones.
     progress : Progress | None, optional
         Receives the lines, the progress and the results of the stages.
-
-    Returns
-    -------
-    Organ
-        The organ.
 
     Raises
     ------
@@ -111,11 +107,6 @@ def organ_from_mask(mask: Volume, request: Request, progress: Progress | None = 
         What the organ is to be made with.
     progress : Progress | None, optional
         Receives the lines, the progress and the results of the stages.
-
-    Returns
-    -------
-    Organ
-        The organ.
 
     Raises
     ------
@@ -206,11 +197,6 @@ def organ_from_mesh(
         Whether the surface's points and their order are kept.
     progress : Progress | None, optional
         Receives the lines, the progress and the results of the stages.
-
-    Returns
-    -------
-    Organ
-        The organ.
 
     Raises
     ------
@@ -366,7 +352,7 @@ def _place(inclusion: Inclusion, positions: Floats, triangles: Ints, progress: P
 def wall_distance(wall: Wall, positions: Floats, triangles: Ints) -> float:
     """Return the mean distance, mm, of the triangles from the wall: at corners, edge centres and centroids, by area."""
     corner = positions[triangles]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    area = triangle_area(positions, triangles)
     weights = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=float)
     weights /= weights.sum(axis=1, keepdims=True)
     probes = np.einsum("wk,tkd->twd", weights, corner)

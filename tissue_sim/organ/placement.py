@@ -26,11 +26,6 @@ def placed(
     quaternion : Sequence[float], x, y, z, w, optional
         Unit quaternion of the rotation.
 
-    Returns
-    -------
-    Organ
-        The placed organ.
-
     Raises
     ------
     UserError

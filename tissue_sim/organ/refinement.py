@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.edges import directed_edges
+from tissue_sim.organ.normals import triangle_area
 from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.surfaces.sizing import GROWTH, Wanted, distance_to_line, local_edges, thickness
 from tissue_sim.organ.tool_resolution import relative_size
@@ -164,7 +165,7 @@ def points_with(refinement: Refinement, positions: Floats, triangles: Ints, fixe
     size = wanted(places.reshape(-1, 3)).reshape(len(triangles), 4)
     length = local_edges(positions, triangles)[triangles].mean(axis=1, keepdims=True) / closer
     times = np.maximum(length / size, 1.0)
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    area = triangle_area(positions, triangles)
     return round(len(positions) * closer**2 * float((area * (times**2).mean(axis=1)).sum() / area.sum()))
 
 

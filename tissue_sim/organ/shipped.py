@@ -40,11 +40,6 @@ def shipped_organ(name: str = "kidney") -> Path:
     name : str, optional
         Name of the organ.
 
-    Returns
-    -------
-    Path
-        The path.
-
     Raises
     ------
     UserError

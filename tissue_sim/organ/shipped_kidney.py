@@ -33,11 +33,6 @@ def build_default_kidney(progress: Progress | None = None) -> Organ:
     ----------
     progress : Progress | None, optional
         Receives the lines, the progress and the results of the stages.
-
-    Returns
-    -------
-    Organ
-        The kidney.
     """
     parameters = PhantomParameters()
     phantom = make_phantom(parameters)

@@ -18,6 +18,7 @@ from tissue_sim.organ.edges import cell_edges, directed_edges
 from tissue_sim.organ.inclusions import Inclusion, inclusions_of, spring_factors, with_inclusions
 from tissue_sim.organ.interior import distribute_interior_atoms
 from tissue_sim.organ.medial import nearest_atoms
+from tissue_sim.organ.normals import triangle_area
 from tissue_sim.organ.organ import Organ, SpringKind
 from tissue_sim.organ.surface_checks import check_surface, signed_volume
 
@@ -195,11 +196,6 @@ def assemble_like(organ: Organ, **changes: Any) -> Organ:
     changes : Any
         Arguments of assemble_organ.
 
-    Returns
-    -------
-    Organ
-        The new organ.
-
     Raises
     ------
     UserError
@@ -363,12 +359,6 @@ def cell_pieces(cells: Ints | Longs, n: int) -> Longs:
     links = coo_array((np.ones(len(ends[0])), ends), shape=(n, n))
     pieces: Longs = connected_components(links, directed=False)[1]
     return pieces
-
-
-def triangle_area(positions: Floats, triangles: Ints) -> Floats:
-    """Return the area of each triangle, (n_triangles,) m^2."""
-    a, b, c = (positions[triangles[:, k]] for k in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def node_area(positions: Floats, triangles: Ints) -> Floats:

@@ -211,7 +211,7 @@ def checked(vertices: ArrayLike, triangles: ArrayLike, fraction: ArrayLike | Non
     Raises
     ------
     UserError
-        Where they are no surface.
+        Where they are not a surface.
     """
     points, faces = np.asarray(vertices, dtype=np.float64), np.asarray(triangles, dtype=np.int64)
     if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not np.isfinite(points).all():

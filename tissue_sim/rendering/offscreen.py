@@ -162,7 +162,7 @@ class Offscreen:
         Raises
         ------
         UserError
-            Where they are no surface.
+            Where they are not a surface.
         """
         shape = checked(vertices, triangles, fraction)
         self.remove(name)

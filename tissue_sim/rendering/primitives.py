@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.directions import across
 
 AROUND, UPWARD, ALONG = 28, 9, 24  # points around an axis, on a quarter of a cap's outline, along a shaft
 AROUND_TUBE = 8
@@ -68,10 +69,7 @@ def tubes(ends: Floats, radius: float) -> tuple[Floats, Longs]:
     """
     way = ends[:, 1] - ends[:, 0]
     way = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
-    # The axis that a line is farthest from gives a direction across it.
-    first = np.cross(way, np.eye(3)[np.argmin(np.abs(way), axis=1)])
-    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
-    second = np.cross(way, first)
+    first, second = across(way)
     angles = np.linspace(0.0, 2.0 * np.pi, AROUND_TUBE, endpoint=False)
     ring = np.einsum("a,kx->kax", np.cos(angles), first) + np.einsum("a,kx->kax", np.sin(angles), second)
     vertices = ends[:, :, None] + radius * ring[:, None]  # (k, 2, AROUND_TUBE, 3)

@@ -6,9 +6,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from helpers.bars import bar
-from tissue_sim.bench.cutting.split_mesh import FACES, opened, split
+from tissue_sim.bench.cutting.split_mesh import opened, split
 from tissue_sim.calibration.fe_mesh import Grading, Source, graded
 from tissue_sim.model.cutting.sheet import sheet_of
+from tissue_sim.organ.edges import CELL_FACES
 
 TOP = 0.02
 FLAT = [[0.018, 0.0087, TOP], [0.042, 0.0112, TOP]]
@@ -58,9 +59,9 @@ def test_both_sides_have_walls_of_their_own_that_lie_on_each_other():
     side = sheet.place(found.points[found.cells].mean(axis=1)).across
     assert side[np.isin(found.cells, found.below).any(axis=1)].max() < 0.0
     assert side[np.isin(found.cells, found.above).any(axis=1)].min() > 0.0
-    faces = np.sort(found.cells[:, FACES].reshape(-1, 3), axis=1)
+    faces = np.sort(found.cells[:, CELL_FACES].reshape(-1, 3), axis=1)
     faces, count = np.unique(faces, axis=0, return_counts=True)
-    _, before = np.unique(np.sort(mesh.cells[:, FACES].reshape(-1, 3), axis=1), axis=0, return_counts=True)
+    _, before = np.unique(np.sort(mesh.cells[:, CELL_FACES].reshape(-1, 3), axis=1), axis=0, return_counts=True)
     assert (count == 1).sum() == (before == 1).sum() + 2 * len(mesh.walls)
     front = np.setdiff1d(np.unique(mesh.walls), found.original[np.concatenate([found.below, found.above])])
     assert len(front) > 5, "the walls meet at the front"

@@ -45,7 +45,7 @@ class Pressed:
         height = float((rest[node] - a) @ across)
         self.x[node] = rest[node] - (1.0 - share) * height * across
         self.v[node] = -np.sign(height) * speed * across
-        cell_forces(self.x, handle(self.model.tissue), np.zeros_like(rest))
+        cell_forces(self.x, handle(self.model.tissue), 1.0, np.zeros_like(rest))
         self.before = swelling(self.model, self.x)
         self.x[node] += STEP * self.v[node]
         self.mobility = self.model.inverse_mass.copy()

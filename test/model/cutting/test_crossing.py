@@ -6,7 +6,7 @@ import pytest
 from helpers.bars import bar
 from helpers.scenes import ball_of_cells
 from tissue_sim.errors import UserError
-from tissue_sim.model.cutting.crossing import SECTIONS, crossing_of, fractions_of, section_of
+from tissue_sim.model.cutting.crossing import SECTIONS, crossing_among, fractions_of, section_of
 from tissue_sim.model.cutting.sheet import sheet_of
 
 DOWN = [0.0, 0.0, -1.0]
@@ -44,7 +44,7 @@ def test_sections_face_the_negative_side():
 
 def test_a_section_has_the_area_of_the_bar():
     organ = bar()
-    found = crossing_of(organ.rest_positions, organ.cell_nodes, sheet_of(organ, ACROSS, DOWN, 0.03))
+    found = crossing_among(organ.rest_positions, organ.cell_nodes, sheet_of(organ, ACROSS, DOWN, 0.03))[0]
     assert found.area == pytest.approx(0.02**2, rel=1e-12)
     np.testing.assert_array_equal(found.cut_fraction, 1.0)
     assert len(found.cells) == 24  # all of a layer of cubes
@@ -52,7 +52,7 @@ def test_a_section_has_the_area_of_the_bar():
 
 def test_the_front_is_moved_by_a_part_of_an_edge():
     organ = bar()
-    found = crossing_of(organ.rest_positions, organ.cell_nodes, sheet_of(organ, ACROSS, DOWN, 0.011))
+    found = crossing_among(organ.rest_positions, organ.cell_nodes, sheet_of(organ, ACROSS, DOWN, 0.011))[0]
     mean = 0.01 * (3.0 + 2.0 * np.sqrt(2.0) + np.sqrt(3.0)) / 6.0  # edges and diagonals of a cube
     assert found.advance == pytest.approx(0.6 * mean, rel=1e-12)
     assert found.area == pytest.approx(0.02 * 0.01, rel=0.02)  # the front cells' sections are sampled
@@ -64,7 +64,7 @@ def test_the_front_is_moved_by_a_part_of_an_edge():
 def test_no_node_lies_on_the_sheet():
     organ = bar()
     through = [[0.05, -0.01, 0.021], [0.05, 0.03, 0.021]]  # a layer of nodes
-    found = crossing_of(organ.rest_positions, organ.cell_nodes, sheet_of(organ, through, DOWN, 0.03))
+    found = crossing_among(organ.rest_positions, organ.cell_nodes, sheet_of(organ, through, DOWN, 0.03))[0]
     assert np.abs(found.height).min() > 1e-4
     assert found.area == pytest.approx(0.02**2, rel=1e-6)
 

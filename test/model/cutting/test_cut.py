@@ -45,7 +45,7 @@ def labels(organ):
 
 def forces(simulation, x):
     pushed = np.zeros_like(x)
-    elastic_forces(simulation.model, x, pushed)
+    elastic_forces(simulation.model, x, 1.0, pushed)
     return pushed
 
 

@@ -119,7 +119,7 @@ def test_each_piece_has_the_energy_of_its_own_volume(cuts):
         wanted += density * volume[one]
     assert energy_of(made.model, x, np.zeros_like(x)).elastic == pytest.approx(wanted, rel=1e-12)
     pushed = np.zeros_like(x)
-    elastic_forces(made.model, x, pushed)
+    elastic_forces(made.model, x, 1.0, pushed)
     for one in free:
         assert np.abs(pushed[piece == one].sum(axis=0)).max() < 1e-12 * np.abs(pushed).max()
 
@@ -208,7 +208,7 @@ def test_at_the_moment_of_a_crossing_cut_nothing_jumps(depth, change):
     found, wanted = (np.zeros((organ.n_nodes, 3)) for _ in range(2))
     for simulation, sums in ((after, found), (before, wanted)):
         pushed = np.zeros_like(simulation.positions)
-        elastic_forces(simulation.model, simulation.positions, pushed)
+        elastic_forces(simulation.model, simulation.positions, 1.0, pushed)
         np.add.at(sums, np.concatenate([np.arange(organ.n_nodes), simulation.organ.virtual_of]), pushed)
     np.testing.assert_allclose(found, wanted, atol=30.0 * change * np.abs(wanted).max())
     assert after.cuts[1].critical_step_after > 0.9 * after.cuts[0].critical_step_before

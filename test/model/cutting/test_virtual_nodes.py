@@ -7,7 +7,7 @@ import pytest
 
 from helpers.bars import bar
 from helpers.scenes import ball_of_cells
-from tissue_sim.model.cutting.crossing import crossing_of
+from tissue_sim.model.cutting.crossing import crossing_among
 from tissue_sim.model.cutting.sheet import sheet_of
 from tissue_sim.model.cutting.virtual_nodes import copies_of
 
@@ -17,7 +17,7 @@ BENT = [[-0.02, 0.001, 0.03], [0.001, 0.001, 0.03], [0.001, 0.02, 0.03]], DOWN, 
 
 
 def made(organ, cut):
-    crossing = crossing_of(organ.rest_positions, organ.cell_nodes, sheet_of(organ, *cut))
+    crossing = crossing_among(organ.rest_positions, organ.cell_nodes, sheet_of(organ, *cut))[0]
     return crossing, copies_of(organ.cell_nodes, crossing, organ.fixed, organ.n_nodes)
 
 

@@ -51,7 +51,7 @@ def shaken(size, seed=1):
 
 def forces(x, model=MODEL):
     force = np.zeros_like(x)
-    cell_forces(x, model.tissue, force)
+    cell_forces(x, model.tissue, 1.0, force)
     return force
 
 
@@ -158,7 +158,7 @@ def test_blocks_repeat_bit_for_bit_and_fill_up_with_nothing():
     few = tissue_of(MODEL.rest, cells[:odd], *moduli[:, :odd])
     assert len(few.nodes) == 2
     force = np.zeros_like(x)
-    cell_forces(x, few, force)
+    cell_forces(x, few, 1.0, force)
     untouched = np.setdiff1d(np.arange(len(x)), cells[:odd])
     assert not force[untouched].any()
     wanted = naive_cells(x, MODEL._replace(tissue=few))
@@ -235,7 +235,7 @@ def test_forces_of_some_cells_are_those_of_an_organ_that_has_no_others():
     constants[:, 9 * BLOCK :] = 0.0
     cell_forces_among(x, among, nodes, constants, MODEL.tissue, np.zeros(9 * BLOCK), found)
     wanted = np.zeros_like(x)
-    cell_forces(x, tissue, wanted)
+    cell_forces(x, tissue, 1.0, wanted)
     assert np.abs(found - wanted).max() < 1e-12 * np.abs(wanted).max()
     assert not found[np.setdiff1d(np.arange(len(x)), among)].any()
 

@@ -82,7 +82,7 @@ def test_energy_decays_where_it_is_damped():
 def kept_energy(simulation):
     """What symplectic Euler keeps where nothing damps, J: the energy, and h/2 v.f that swings between its kinds."""
     model, force = simulation.model, np.zeros_like(simulation.positions)
-    elastic_forces(model, simulation.positions, force)
+    elastic_forces(model, simulation.positions, 1.0, force)
     step = 1e-3 / simulation.state.status.substeps
     nodes = model.moving
     return simulation.energy.total + 0.5 * step * np.vdot(simulation.velocities[nodes], force[nodes])

@@ -58,7 +58,7 @@ def angular(x, model=MODEL):
 def everything(x, model=MODEL):
     """Both kinds on the same edges, as the tick has them."""
     force = np.zeros_like(x)
-    elastic_forces(model, x, force)
+    elastic_forces(model, x, 1.0, force)
     return force
 
 
@@ -210,11 +210,11 @@ def test_energy_of_a_state_is_that_of_the_twins():
     assert energy.kinetic == pytest.approx(kinetic, rel=1e-12)
 
 
-def test_forces_are_added_to_what_is_there():
+def test_forces_times_a_factor_take_the_place_of_what_is_there():
     x = deformed()
-    force = np.ones_like(x)
-    elastic_forces(MODEL, x, force)
-    np.testing.assert_allclose(force, 1.0 + everything(x), rtol=1e-12)
+    force = np.full_like(x, np.nan)
+    elastic_forces(MODEL, x, 0.7, force)
+    np.testing.assert_allclose(force, 0.7 * everything(x), rtol=1e-12)
 
 
 def test_linear_forces_are_the_stiffness_matrix_times_the_displacement():

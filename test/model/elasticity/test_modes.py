@@ -25,8 +25,8 @@ def differences(model):
         step = np.zeros(size)
         step[column] = 1e-8
         ahead, behind = np.zeros_like(model.rest), np.zeros_like(model.rest)
-        elastic_forces(model, model.rest + step.reshape(-1, 3), ahead)
-        elastic_forces(model, model.rest - step.reshape(-1, 3), behind)
+        elastic_forces(model, model.rest + step.reshape(-1, 3), 1.0, ahead)
+        elastic_forces(model, model.rest - step.reshape(-1, 3), 1.0, behind)
         matrix[:, column] = (behind - ahead).ravel() / 2e-8
     return matrix
 

@@ -33,7 +33,7 @@ def shaken(size, seed=1):
 
 def forces(x, model=MODEL):
     force = np.zeros_like(x)
-    cell_forces(x, model.tissue, force)
+    cell_forces(x, model.tissue, 1.0, force)
     return force
 
 
@@ -121,8 +121,8 @@ def test_neo_hookean_cells_keep_their_bits_and_have_no_rows():
     assert plain.tissue.groups.stiffening.shape == (0, ROWS * BLOCK)
     nothing = tissue_of(MODEL.rest, PLAIN.cell_nodes, PLAIN.cell_mu, PLAIN.cell_lambda, 0.0)
     found, again = np.zeros_like(x), np.zeros_like(x)
-    cell_forces(x, nothing, found)
-    cell_forces(x, tissue_of(MODEL.rest, PLAIN.cell_nodes, PLAIN.cell_mu, PLAIN.cell_lambda), again)
+    cell_forces(x, nothing, 1.0, found)
+    cell_forces(x, tissue_of(MODEL.rest, PLAIN.cell_nodes, PLAIN.cell_mu, PLAIN.cell_lambda), 1.0, again)
     np.testing.assert_array_equal(found, again)
     assert plain.tissue.shortening[0] == 1
 

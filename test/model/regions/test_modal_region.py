@@ -12,7 +12,7 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.model.data.state import Region
 from tissue_sim.model.elasticity.modes import stiffness_matrix
 from tissue_sim.model.regions import reduction
-from tissue_sim.model.regions.active_region import CALM_TIME, RETURN_SHARE
+from tissue_sim.model.regions.active_region import CALM_TIME, RETURN_FRACTION
 from tissue_sim.model.regions.modal_region import MOST_BOUNDARY, MOST_DRIVE
 from tissue_sim.model.simulation import Simulation
 
@@ -311,8 +311,8 @@ def test_hand_feels_no_step_when_auto_goes_whole_and_when_it_comes_back(organ):
     assert [int(regions[tick]) for tick in changes] == [Region.WHOLE, Region.MODAL]
     size = np.linalg.norm(forces, axis=1)
     assert size[changes[0]] == pytest.approx(limit, rel=0.1)
-    assert size[changes[1]] <= RETURN_SHARE * limit
-    assert changes[1] - np.flatnonzero(size > RETURN_SHARE * limit)[-1] >= CALM_TIME * 1000.0 - 1
+    assert size[changes[1]] <= RETURN_FRACTION * limit
+    assert changes[1] - np.flatnonzero(size > RETURN_FRACTION * limit)[-1] >= CALM_TIME * 1000.0 - 1
     for change in changes:
         around = forces[change - 1 : change + 6]
         trend = (forces[change - 1] - forces[change - 21]) / 20.0

@@ -17,7 +17,7 @@ from tissue_sim.model.stepping.integrators import symplectic_euler
 
 def force_at(model, x):
     force = np.zeros_like(x)
-    elastic_forces(model, x, force)
+    elastic_forces(model, x, 1.0, force)
     return force
 
 

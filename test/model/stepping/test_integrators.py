@@ -214,7 +214,7 @@ def advance(model, integrator, x, v, step, steps):
     kernel, path = KERNELS[integrator], []
     for _ in range(steps):
         force = np.zeros_like(x)
-        elastic_forces(model, x, force)
+        elastic_forces(model, x, 1.0, force)
         kernel(x, v, force, model.moving, model.inverse_mass, model.damping, 1.0, step)
         path.append(x.copy())
     return np.array(path)

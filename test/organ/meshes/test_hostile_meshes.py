@@ -108,5 +108,5 @@ def test_a_glb_chunk_of_gigabytes_asks_for_no_room(tmp_path):
     assert len(read_mesh(tmp_path / "box.glb").triangles) == len(TRIANGLES)
     longer = data + struct.pack("<II", 2**32 - 4, 0x004E4942) + bytes(16)
     (tmp_path / "box.glb").write_bytes(longer)
-    with pytest.raises(UserError, match="cut off, damaged or no GLB"):
+    with pytest.raises(UserError, match="cut off, damaged or not GLB"):
         read_mesh(tmp_path / "box.glb")

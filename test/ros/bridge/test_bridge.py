@@ -8,6 +8,7 @@ from geometry_msgs.msg import Point, PoseStamped
 from rclpy.qos import qos_profile_sensor_data
 from shape_msgs.msg import Mesh
 
+from helpers.exit_codes import exit_code_of
 from helpers.ros.clearance import clearance
 from helpers.ros.participant import Participant
 from helpers.ros.processes import STAND_IN, Process
@@ -176,11 +177,7 @@ def test_no_node_is_one_line_and_exit_code_1(capfd):
     ],
 )
 def test_wrong_use_is_one_line_and_exit_code_2(words, message, capfd):
-    try:
-        code = main(["bridge", *words])
-    except SystemExit as end:
-        code = end.code
-    assert code == 2
+    assert exit_code_of("bridge", *words) == 2
     error = capfd.readouterr().err
     assert message in error
     assert error.count("\n") == 1

@@ -13,10 +13,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
+from helpers.exit_codes import exit_code_of
 from helpers.patience import wait_for
 from helpers.ros.pictures import EYE, LOOKING, POSE, first_hit, pixels, stamp_of, together
 from helpers.ros.processes import FAKE_TF, UNHURRIED, running_node, shipped
-from tissue_sim.cli import main
 from tissue_sim.rendering.offscreen import Light
 from tissue_sim.rendering.pinhole import inverse_of, matrix_of
 from tissue_sim.ros.shared import client
@@ -209,15 +209,10 @@ def test_nothing_is_drawn_until_somebody_subscribes(node, graph, begin, listen):
 )
 def test_what_it_cannot_do_is_said_in_one_line(words, reason, capsys, monkeypatch):
     monkeypatch.setattr("tissue_sim.ros.node.input.tf_lookup.tf2_ros", None)
-    try:
-        code = main(["camera", "--nice=0", *words])
-    except SystemExit as error:  # of argparse
-        code = error.code
-    assert code == 2
+    assert exit_code_of("camera", "--nice=0", *words) == 2
     assert reason in capsys.readouterr().err
 
 
 def test_help_names_the_reach_that_the_light_has(capsys):
-    with pytest.raises(SystemExit):
-        main(["camera", "--help"])
+    assert exit_code_of("camera", "--help") == 0
     assert f"(default: {Light().reach:g})" in " ".join(capsys.readouterr().out.split())

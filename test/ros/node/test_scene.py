@@ -222,7 +222,7 @@ def test_a_breath_that_is_published_is_followed_and_refused_where_it_is_none(sce
         assert client.spin_until(lambda: tell(0.8) > 0.00385), height()
         assert client.spin_until(lambda: tell(0.2) < 0.00115), height()
         for wrong in ((), (1.5,), (float("nan"),)):
-            name = {(): "no_position", (1.5,): "no_share"}.get(wrong, "nan_position")
+            name = {(): "no_position", (1.5,): "no_fraction"}.get(wrong, "nan_position")
             key = f"respiration.refused.{name}"
             before = int(client.diagnostics.get(key, 0))
             assert client.spin_until(

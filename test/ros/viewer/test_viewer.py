@@ -16,6 +16,7 @@ from shape_msgs.msg import Mesh, MeshTriangle
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
+from helpers.exit_codes import exit_code_of
 from helpers.patience import LIMIT
 from helpers.ros.processes import STAND_IN, Process
 from helpers.ros.stand_in import ball, cloud
@@ -240,9 +241,5 @@ def test_a_taken_port_is_one_line_and_exit_code_2(capfd):
 
 @pytest.mark.parametrize("words", [["--host", "no such host"], ["--port", "0"], ["--tools", "left,left"]])
 def test_wrong_use_is_one_line_and_exit_code_2(words, capfd):
-    try:
-        code = main(["view", *words])
-    except SystemExit as end:
-        code = end.code
-    assert code == 2
+    assert exit_code_of("view", *words) == 2
     assert capfd.readouterr().err.count("\n") == 1

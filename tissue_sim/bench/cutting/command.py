@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="make each organ's surface finer where the cut will be, and calibrate it: some minutes for each cut, once",
     )
-    parser.add_argument("--only", metavar="TEXT", help="compare only cuts whose name has this in it, such as '20 x 5'")
+    parser.add_argument("--only", metavar="TEXT", help="compare only cuts whose name contains this, such as '20 x 5'")
     parser.add_argument(
         "--remake",
         action="store_true",

@@ -61,8 +61,8 @@ class CutBody:
 
     At the front of the cut, as at the clamp's edge, the middles of edges are moved to quarter points (Barsoum 1976).
 
-    sizes: sizes of the elements; parted: whether the cut is open (the same mesh without it is that of the uncut organ).
-    Raises UserError as fill does.
+    parted: whether the cut is open (the same mesh without it is that of the uncut organ). Raises UserError as fill
+    does.
     """
 
     def __init__(self, organ: Organ, sheet: Sheet, sizes: Sizes = COARSE, *, parted: bool = True) -> None:

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.cases import Surface, surface_of, tractions
+from tissue_sim.directions import across
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.sheet import Sheet, sheet_of
 from tissue_sim.organ.organ import Organ
@@ -98,10 +99,9 @@ def placed(organ: Organ, cut: Cut) -> Place:
     near = np.argsort(np.linalg.norm(surface.positions - on, axis=1))[:PATCH]
     into = -surface.normal[near].mean(axis=0)
     into /= np.linalg.norm(into)
-    first = np.cross(into, np.eye(3)[np.argmin(np.abs(into))])
-    first /= np.linalg.norm(first)
+    first, second = across(into)
     turn = np.radians(cut.turn)
-    along = np.cos(turn) * first + np.sin(turn) * np.cross(into, first)
+    along = np.cos(turn) * first + np.sin(turn) * second
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)
     axes = np.stack([along, np.cross(into, along)])
     best: tuple[float, Place] | None = None
@@ -165,10 +165,7 @@ OPENING, CLOSING = "both lips apart", "both lips together"
 
 
 def loads_of(organ: Organ, place: Place) -> Loads:
-    """Return nine loads of 1 N on each patch: at the lips, beside the cut, and far from it.
-
-    place: where the cut lies.
-    """
+    """Return nine loads of 1 N on each patch: at the lips, beside the cut, and far from it."""
     surface = surface_of(organ)
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)
     _, along, into, across, sheet = place

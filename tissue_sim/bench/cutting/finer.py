@@ -48,8 +48,6 @@ def onto_finer(organ: Organ, finer: Organ, sheet: Sheet) -> Onto:
 
     As in the finite elements, the force at a node is a traction that falls to 0 across the triangles around it, and
     acts on its own side of the cut.
-
-    finer: the finer organ.
     """
     positions = finer.surface_positions
     corner, hat = places_on(organ, positions)

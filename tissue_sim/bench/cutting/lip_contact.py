@@ -16,7 +16,8 @@ from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.calibration.cholesky import Cholesky, NotPositive
 from tissue_sim.calibration.solid import Solid
 from tissue_sim.contact.triangles import nearest_among
-from tissue_sim.model.cutting.cut_surface import FACES
+from tissue_sim.organ.edges import CELL_FACES
+from tissue_sim.organ.normals import triangle_area
 
 STIFF = 40.0  # a wall's stiffness, in Young's moduli over its mean edge
 DEEP = 0.25  # mean edges of a wall by which the lips pass through each other, from which contact begins at rest
@@ -94,7 +95,7 @@ class Lips:
         twins = np.unique(np.stack([above.ravel(), below.ravel()], axis=1), axis=0)
         self._above, self._below = twins[twins[:, 0] != twins[:, 1]].T  # those at the front are the same
         corners = points[below[:, :3]]
-        area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        area = triangle_area(points, below[:, :3])
         weight = np.bincount(above[:, SUB].ravel(), np.repeat(area / 12.0, 12), int(above.max()) + 1)
         self._area = weight[self._above]
         self._edge = float(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1).mean())
@@ -177,7 +178,7 @@ class Lips:
 def _points_into_tissue(triangles: Longs, points: Floats, cells: Longs) -> Mask:
     """Return which triangles (w,) of elements have normals that point into their element."""
     n = len(points)
-    faces = cells[:, FACES].reshape(-1, 3)
+    faces = cells[:, CELL_FACES].reshape(-1, 3)
 
     def keys(corners: Longs) -> Longs:
         corners = np.sort(corners, axis=1)

@@ -66,7 +66,7 @@ class Modelled:
     """The real-time model of an organ, with a cut or without.
 
     place: where it is cut, None for the uncut organ; onto: how forces on the organ of which this one is a finer form
-    act on this one, None where it is none. Raises UserError as Simulation.cut does.
+    act on this one, None where it is not one. Raises UserError as Simulation.cut does.
     """
 
     def __init__(self, organ: Organ, place: Place | None, onto: Onto | None = None) -> None:

@@ -67,12 +67,12 @@ def measure(priority: int = 0) -> list[CutInNode]:
 
 
 def served_by(graph: Graph, *parameters: str) -> Child:
-    """Start a node that serves the kidney. graph: the ROS graph; parameters: parameters of the node."""
+    """Start a node that serves the kidney."""
     return graph.start_node(str(shipped_organ()), *parameters)
 
 
 def beside(organ: Organ, place: Place) -> CutPlace:
-    """Return a cut and where a hand presses beside it: some edges away, on the surface. place: where the cut lies."""
+    """Return a cut and where a hand presses beside it: some edges away, on the surface."""
     from tissue_sim.ros.probes.cut_probe import CutPlace
 
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)

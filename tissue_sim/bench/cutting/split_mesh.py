@@ -15,14 +15,13 @@ from scipy.sparse.csgraph import connected_components
 
 from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.model.cutting.sheet import Sheet
-from tissue_sim.organ.edges import cell_edges
+from tissue_sim.organ.edges import CELL_FACES, cell_edges
 
 SNAP, SNAP_FRONT = 0.4, 0.3  # of a node's shortest edge, from which it is moved onto the sheet, and onto its front
 LEAST_VOLUME = 0.15  # of an element's volume, which it keeps when a corner is moved
 ON = 0.12  # of an edge, within which a node that can't be moved counts as on the sheet, or on the front
 STEP = 1e-6  # m, for slopes
 ROUNDS = 3  # of Newton's method and of regula falsi
-FACES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])
 
 
 class Mesh(NamedTuple):
@@ -134,7 +133,7 @@ def _shortest(points: Floats, cells: Longs) -> Floats:
 
 def _outer_faces(cells: Longs) -> Longs:
     """Return the faces (f, 3) of one tetrahedron only."""
-    faces, count = np.unique(np.sort(cells[:, FACES].reshape(-1, 3), axis=1), axis=0, return_counts=True)
+    faces, count = np.unique(np.sort(cells[:, CELL_FACES].reshape(-1, 3), axis=1), axis=0, return_counts=True)
     return faces[count == 1]
 
 
@@ -242,7 +241,7 @@ def _walls(points: Floats, cells: Longs, on: Mask, fronts: _Fronts) -> Longs:
     across = np.where(on, 0.0, fronts.across(points))
     side = np.where(across[cells].sum(axis=1) < 0.0, -1, 1)
     here = np.flatnonzero(on[cells].sum(axis=1) >= 3)
-    faces = np.sort(cells[here][:, FACES].reshape(-1, 3), axis=1)
+    faces = np.sort(cells[here][:, CELL_FACES].reshape(-1, 3), axis=1)
     faces, place, count = np.unique(faces, axis=0, return_inverse=True, return_counts=True)
     total = np.bincount(place.ravel(), np.repeat(side[here], 4))
     between = (count == 2) & (total == 0) & on[faces].all(axis=1)
@@ -318,8 +317,8 @@ def opened(mesh: Mesh, sheet: Sheet) -> Opened:
 
 
 def _links(cells: Longs, around: Longs, corner: Longs, walls: Longs, n: int) -> Iterator[Longs]:
-    """Yield pairs (k, 2) of corners of one node in neighbours whose common face is no wall."""
-    faces = np.sort(cells[around][:, FACES].reshape(-1, 3), axis=1)
+    """Yield pairs (k, 2) of corners of one node in neighbours whose common face is not a wall."""
+    faces = np.sort(cells[around][:, CELL_FACES].reshape(-1, 3), axis=1)
     keys = (faces[:, 0] * n + faces[:, 1]) * n + faces[:, 2]
     shut = np.isin(keys, (walls[:, 0] * n + walls[:, 1]) * n + walls[:, 2])
     order = np.argsort(keys, kind="stable")

@@ -39,7 +39,7 @@ class Rate(NamedTuple):
 def built(name: str, positions: Floats, triangles: Ints, fixed: str, material: Material) -> Organ:
     """Return the organ of a surface, with the pipeline's atoms and springs.
 
-    positions (n, 3) m: points; triangles (t, 3): corner indices; fixed: choice of the held nodes, as for select_fixed.
+    positions (n, 3) m; triangles (t, 3): corner indices; fixed: choice of the held nodes, as for select_fixed.
     """
     given = {key: getattr(material, key) for key in ("youngs_modulus", "poisson_ratio", "density")}
     request = Request(name=name, fixed=fixed, **given)
@@ -88,7 +88,7 @@ def solve_prescribed_surface(solid: Solid, led: Floats) -> Floats:
 def timed(simulation: Simulation, ticks: int, watch: Callable[[], None] | None = None) -> Rate:
     """Run a number of ticks and time them.
 
-    ticks: number of ticks; watch: called after each, outside the timed part. Returns times and faults.
+    watch: called after each, outside the timed part. Returns times and faults.
     """
     took, before = np.empty(ticks), int(simulation.state.count.faults)
     for tick in range(ticks):

@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> Result:
 
 
 def parse_radii(given: str | None) -> tuple[float, ...]:
-    """Return the radii, mean edges, of a text like `0.5,1,2`. Raises UserError for what is none or out of range."""
+    """Return the radii, mean edges, of a text like `0.5,1,2`. Raises UserError for others, or out of range."""
     if given is None:
         return RADII
     try:

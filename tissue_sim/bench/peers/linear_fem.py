@@ -110,10 +110,7 @@ class Compliance:
 
 
 def compliance_table(body: Body) -> NDArray[np.float32]:
-    """Return the displacements of the surface nodes under a unit force on any of them, (3 n, 3 n) m/N.
-
-    body: the finite-element body.
-    """
+    """Return the displacements of the surface nodes under a unit force on any of them, (3 n, 3 n) m/N."""
     n = body.organ.n_surface
     table = np.empty((3 * n, 3 * n), dtype=np.float32)
     for first in range(0, 3 * n, AT_ONCE):

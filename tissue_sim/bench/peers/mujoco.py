@@ -17,8 +17,8 @@ DAMPING = 0.1  # s, proportional to stiffness: it changes how an organ settles, 
 class Mujoco:
     """Organ of tetrahedra as a MuJoCo flex.
 
-    mesh: its tetrahedra; step: time step, s; longest: simulated time after which it counts as not settled, s. Raises
-    ModuleNotFoundError without mujoco; UserError where MuJoCo can't load the organ.
+    step: time step, s; longest: simulated time after which it counts as not settled, s. Raises ModuleNotFoundError
+    without mujoco; UserError where MuJoCo can't load the organ.
     """
 
     def __init__(self, organ: Organ, mesh: Tetrahedra, step: float, longest: float = 2.0) -> None:

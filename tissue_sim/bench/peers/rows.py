@@ -38,8 +38,8 @@ class Row(NamedTuple):
 def rows_of(variants: Variants, tuning: Sequence[Load], *, own: bool, quick: bool) -> Iterator[Row]:
     """Yield the rows of one size.
 
-    variants: variants of the organ; tuning: loads on which XPBD is tuned; own: whether it is the organ's own size,
-    which has the paper's springs, too; quick: whether rows that differ only in their steps are left out.
+    tuning: loads on which XPBD is tuned; own: whether it is the organ's own size, which has the paper's springs, too;
+    quick: whether rows that differ only in their steps are left out.
     """
     plain, groups, cells = variants
     points, balanced = plain.n_surface, cells[BALANCED]

@@ -122,8 +122,8 @@ def tuned(organ: Organ, mesh: Tetrahedra, loads: Sequence[Load], iterations: Seq
     Its equilibrium depends on its iterations, which it stops before they converge, as real time requires. So for each
     number of iterations the stiffness is scaled by how much the answers are too small or too large.
 
-    mesh: its tetrahedra; loads: loads of the tuning; iterations: numbers of iterations that are tried. Raises
-    ModuleNotFoundError without pypbd.
+    loads: loads of the tuning; iterations: numbers of iterations that are tried. Raises ModuleNotFoundError without
+    pypbd.
     """
     best = math.inf, Settings()
     for count in iterations:

@@ -154,7 +154,7 @@ class _Watch:
     def _push(self, position: Floats) -> Floats:
         """Return elastic forces (n, 3) N at a position, with the tissue's stiffness scaled by 1."""
         force = np.zeros_like(position)
-        elastic_forces(self.simulation.model, position, force)
+        elastic_forces(self.simulation.model, position, 1.0, force)
         return force
 
 

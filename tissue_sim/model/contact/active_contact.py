@@ -61,11 +61,6 @@ def gather_contacts(world: World, step: float, spread: bool) -> int:
         The substep.
     spread : bool
         True when add_contact_impulses has already applied these impulses, whatever the tool's normal is now.
-
-    Returns
-    -------
-    int
-        Number of the points.
     """
     state, shapes, scratch = world.state, world.shapes, world.scratch
     if scratch.watching[0] == 0:

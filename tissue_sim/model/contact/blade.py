@@ -294,9 +294,9 @@ def end_blades(world: World, found: int, step: float) -> None:
 
 @kernel
 def _released(sample: BladeSample, pushed: float, step: float) -> float:
-    """Return how far what yields at a place pushes it on, m, besides by the way that it yields less.
+    """Return how much farther a place cuts, m, by the energy that is released where its force changes.
 
-    Where the tissue ahead resists less, the force falls at once, and with the energy that this releases more is cut.
+    Where the tissue ahead resists less, the force falls at once, and what had yielded at the place springs back.
     """
     change = pushed - sample.force[0] * step
     return 0.5 * GIVE / step * change * change / pushed if pushed > 0.0 else 0.0

@@ -95,12 +95,8 @@ def times(matrix: Floats, x: float, y: float, z: float) -> tuple[float, float, f
     ----------
     matrix : Floats, shape (9,)
         The matrix.
-    x : float
-        Component of the vector.
-    y : float
-        Component of the vector.
-    z : float
-        Component of the vector.
+    x, y, z : float
+        The vector.
     """
     return (
         matrix[0] * x + matrix[1] * y + matrix[2] * z,

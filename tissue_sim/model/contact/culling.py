@@ -70,7 +70,7 @@ def largest_tissue_speed(state: State) -> float:
     Parameters
     ----------
     state : State
-        State of the simulation; updated.
+        State of the simulation.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def largest_tissue_speed(state: State) -> float:
 
 @kernel
 def larger(most: float, value: float) -> float:
-    """Return the larger of two numbers, the first one where the second is none."""
+    """Return the larger of two numbers, the first one where the second is NaN."""
     return value if value > most else most
 
 

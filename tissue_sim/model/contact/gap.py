@@ -24,7 +24,7 @@ def point_in_body(
     Parameters
     ----------
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     entry : int
         Index of the contact point in the contact set.
     origin : Floats, shape (T, 3), m
@@ -91,18 +91,13 @@ def is_touched(state: State, shapes: Shapes, origin: Floats, rotation: Floats) -
     Parameters
     ----------
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     shapes : Shapes
         Shapes of the bodies.
     origin : Floats, shape (T, 3), m
         Origins of the tools.
     rotation : Floats, shape (T, 9)
         Rotations of the tools.
-
-    Returns
-    -------
-    bool
-        True where one does.
     """
     for entry in range(state.contacts.header.points):
         body = state.contacts.body[entry]
@@ -128,12 +123,8 @@ def gap_and_normal(
         Index of the body.
     r : Floats, shape (9,)
         Rotation of the tool.
-    lx : float, m
-        Coordinate of the point in the tool's frame.
-    ly : float, m
-        Coordinate of the point in the tool's frame.
-    lz : float, m
-        Coordinate of the point in the tool's frame.
+    lx, ly, lz : float, m
+        The point in the tool's frame.
 
     Returns
     -------

@@ -30,7 +30,7 @@ def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scra
     settings : Settings
         Settings of the simulation.
     scratch : Scratch
-        Working memory; updated.
+        Working memory.
     """
     cut = held_back = False
     for tool in range(len(state.wrench)):
@@ -119,7 +119,7 @@ def sum_haptic_output(worlds: Sequence[World], wrench: Floats) -> None:
     Parameters
     ----------
     worlds : Sequence[World]
-        Worlds of the organs; updated.
+        Worlds of the organs.
     wrench : Floats, shape (b, 6), N and N m
         Receives the sums.
     """

@@ -43,11 +43,6 @@ def find_lips(lips: Lips, state: State, mobility: Floats, step: float) -> int:
         Velocity of each node for a unit impulse.
     step : float, s
         The substep.
-
-    Returns
-    -------
-    int
-        The number.
     """
     if len(lips.upper) == 0:
         return 0
@@ -164,11 +159,6 @@ def press_lips(lips: Lips, state: State, mobility: Floats, found: int, step: flo
         Number of the listed places.
     step : float, s
         The substep.
-
-    Returns
-    -------
-    bool
-        True when the impulses changed little.
     """
     change = total = 0.0
     lips.counts[1] = 0

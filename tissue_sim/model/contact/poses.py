@@ -16,10 +16,8 @@ def distance_along_path(pose: Floats, other: Floats, extent: float) -> float:
 
     Parameters
     ----------
-    pose : Floats, shape (7,)
-        A pose.
-    other : Floats, shape (7,)
-        Another pose.
+    pose, other : Floats, shape (7,)
+        The poses.
     extent : float, m
         Largest distance of its points from its origin.
 
@@ -40,10 +38,8 @@ def distance(pose: Floats, other: Floats) -> float:
 
     Parameters
     ----------
-    pose : Floats, shape (7,)
-        A pose.
-    other : Floats, shape (7,)
-        Another pose.
+    pose, other : Floats, shape (7,)
+        The poses.
 
     Returns
     -------
@@ -59,10 +55,8 @@ def quaternion_distance(pose: Floats, other: Floats) -> float:
 
     Parameters
     ----------
-    pose : Floats, shape (7,)
-        A pose.
-    other : Floats, shape (7,)
-        Another pose.
+    pose, other : Floats, shape (7,)
+        The poses.
     """
     less = more = 0.0
     for c in range(3, 7):

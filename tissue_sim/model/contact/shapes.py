@@ -72,12 +72,8 @@ def signed_distance(shapes: Shapes, body: int, x: float, y: float, z: float) -> 
         Shapes of the bodies.
     body : int
         Index of the body.
-    x : float, m
-        Coordinate of the point.
-    y : float, m
-        Coordinate of the point.
-    z : float, m
-        Coordinate of the point.
+    x, y, z : float, m
+        The point.
 
     Returns
     -------

@@ -182,11 +182,6 @@ def enforce_volume_limit(state: State, scratch: Scratch, found: int, step: float
         Number of the listed cells.
     step : float, s
         The substep.
-
-    Returns
-    -------
-    bool
-        True when the impulses changed little.
     """
     change = total = 0.0
     for index in range(found):

@@ -29,7 +29,7 @@ def find_walls(model: Model, state: State, scratch: Scratch) -> None:
     model : Model
         Constants of the model.
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     scratch : Scratch
         Working memory; updated.
     """

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats
+from tissue_sim.directions import across
 from tissue_sim.errors import UserError
-from tissue_sim.model.cutting.sheet import LEAST_DEPTH, Coagulation, Sheet, across, heights
+from tissue_sim.model.cutting.sheet import LEAST_DEPTH, Coagulation, Sheet, heights
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.line_hits import line_hits

@@ -115,26 +115,6 @@ def fractions_of(height: Floats) -> Floats:
     return fractions
 
 
-def crossing_of(rest: Floats, cells: Ints | Longs, sheet: Sheet) -> Crossing:
-    """Return the cells that a sheet divides, as the only one.
-
-    Parameters
-    ----------
-    rest : Floats, shape (n, 3), m
-        Rest positions of the nodes.
-    cells : Ints | Longs, shape (c, 4)
-        Node indices of the cells.
-    sheet : Sheet
-        The sheet.
-
-    Returns
-    -------
-    Crossing
-        The cells; none where the sheet passes between them.
-    """
-    return crossing_among(rest, cells, sheet)[0]
-
-
 def crossing_among(
     rest: Floats,
     cells: Ints | Longs,

@@ -140,11 +140,6 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     sheet : Sheet
         The cut.
 
-    Returns
-    -------
-    CutOrgan
-        The organ after.
-
     Raises
     ------
     UserError

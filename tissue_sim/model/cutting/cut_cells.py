@@ -8,9 +8,9 @@ import numpy as np
 
 from tissue_sim.array_types import Longs
 from tissue_sim.model.cutting.cut import CutOrgan
-from tissue_sim.model.cutting.cut_surface import FACES
 from tissue_sim.model.data.blades import CORNERS, CutCells
 from tissue_sim.model.elasticity.cells import shapes_of
+from tissue_sim.organ.edges import CELL_FACES
 from tissue_sim.organ.organ import Organ
 
 
@@ -68,7 +68,7 @@ def cut_cells_of(organ: Organ, sides: Sides | None = None) -> CutCells:
 
 def _neighbours(cells: Longs) -> Longs:
     """Return the cell (c, 4) behind the face opposite to each corner, -1 where there is none."""
-    faces = np.sort(cells[:, FACES].reshape(-1, 3), axis=1)
+    faces = np.sort(cells[:, CELL_FACES].reshape(-1, 3), axis=1)
     order = np.lexsort(faces.T)
     same = np.flatnonzero((faces[order[1:]] == faces[order[:-1]]).all(axis=1))
     first, second = order[same], order[same + 1]

@@ -14,10 +14,10 @@ from tissue_sim.model.cutting.holes import hole_triangles, open_edges
 from tissue_sim.model.cutting.meeting_surface import Made, meeting_surface
 from tissue_sim.model.cutting.parts import CutCells
 from tissue_sim.model.cutting.virtual_nodes import Copies
+from tissue_sim.organ.edges import CELL_FACES
 from tissue_sim.organ.organ import Organ, signed_volume
 
 MOST_LOST = 1e-4  # of the volume, by holes that are filled where cuts meet
-FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # corners of a cell's face opposite to each
 
 
 class CutSurface(NamedTuple):
@@ -74,11 +74,6 @@ def cut_surface(organ: Organ, cuts: Sequence[CutCells]) -> CutSurface:
         The organ before.
     cuts : Sequence[CutCells]
         What cuts, or those that meet, divide; no two have a node in common.
-
-    Returns
-    -------
-    CutSurface
-        The surface.
 
     Raises
     ------
@@ -182,7 +177,7 @@ def _partners(points: _Points, crossing: Crossing, n: int) -> tuple[Longs, Longs
 def _owners(organ: Organ) -> Longs:
     """Return the cell (t,) of which each triangle is a face; -1 where it was too flat to be made."""
     n = organ.n_nodes
-    faces = _face_keys(organ.cell_nodes[:, FACES].reshape(-1, 3), n)
+    faces = _face_keys(organ.cell_nodes[:, CELL_FACES].reshape(-1, 3), n)
     order = np.argsort(faces, kind="stable")
     key = _face_keys(organ.surface_triangles, n)
     place = order[np.searchsorted(faces[order], key).clip(0, len(faces) - 1)]

@@ -102,11 +102,6 @@ def put_together(organ: Organ, count: int, cuts: Sequence[CutCells]) -> Parts:
         Number of cuts.
     cuts : Sequence[CutCells]
         What they divide; no two have a node in common.
-
-    Returns
-    -------
-    Parts
-        The cells.
     """
     own = len(organ.cell_nodes)
     nodes: list[Longs] = [organ.cell_nodes.astype(np.int64)]

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from tissue_sim.arguments import finite, floats_of
 from tissue_sim.array_types import Floats, Mask
+from tissue_sim.directions import across
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.refinement import Along, Refinement, points_with
@@ -168,11 +169,6 @@ def sheet_of(organ: Organ, polyline: ArrayLike, direction: ArrayLike, depth: flo
     depth : float, m
         How far it is moved.
 
-    Returns
-    -------
-    Sheet
-        The sheet.
-
     Raises
     ------
     UserError
@@ -244,13 +240,6 @@ def finer_organ(organ: Organ, sheet: Sheet) -> str:
         f" FINER (about {count} points in place of {len(positions)}, and ticks {count / len(positions):.1f} times as"
         " long)"
     )
-
-
-def across(direction: Floats) -> Floats:
-    """Return two unit vectors (2, 3) across a direction (3,)."""
-    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(direction, first)])
 
 
 def _samples(corners: Floats, step: Floats, spacing: float) -> Floats:

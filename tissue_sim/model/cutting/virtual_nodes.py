@@ -49,11 +49,6 @@ def copies_of(cells: Ints | Longs, crossing: Crossing, fixed: Ints, first: int) 
     first : int
         Number of the first virtual node.
 
-    Returns
-    -------
-    Copies
-        The copies.
-
     References
     ----------
     .. [1] N. Molino, Z. Bao and R. Fedkiw, "A virtual node algorithm for changing mesh topology during simulation",

@@ -31,11 +31,6 @@ def pack(nodes: Ints, constants: Floats, filling: Floats) -> Blocks:
         Constants of the springs.
     filling : Floats, shape (k,)
         Constants of springs that only fill the last block.
-
-    Returns
-    -------
-    Blocks
-        The blocks.
     """
     blocks = -(-len(nodes) // BLOCK)
     ends = np.zeros((blocks * BLOCK, nodes.shape[1]), dtype=np.int32)
@@ -79,11 +74,6 @@ def empty_blocks(count: int, nodes: int, constants: int) -> Blocks:
         Number of nodes of a spring.
     constants : int
         Number of constants of a spring.
-
-    Returns
-    -------
-    Blocks
-        The blocks.
     """
     blocks = -(-count // BLOCK)
     return Blocks(np.zeros((blocks, BLOCK, nodes), dtype=np.int32), np.zeros((blocks, constants * BLOCK)))

@@ -93,11 +93,6 @@ def contact_set_words(n_bodies: int, points: int = MOST_POINTS) -> int:
         Number of bodies.
     points : int, optional
         Number of points.
-
-    Returns
-    -------
-    int
-        The number.
     """
     return size_of(_fields(n_bodies)) + _POINT_WORDS * points
 
@@ -113,11 +108,6 @@ def contact_set(n_bodies: int, points: int = MOST_POINTS, words: Longs | None = 
         Number of points that it has room for.
     words : Longs | None, shape (contact_set_words(),), optional
         Memory; None for memory of its own.
-
-    Returns
-    -------
-    ContactSet
-        The contact set.
     """
     if words is None:
         words = np.zeros(contact_set_words(n_bodies, points), dtype=np.int64)
@@ -135,11 +125,6 @@ def used_words(contacts: ContactSet) -> int:
     ----------
     contacts : ContactSet
         The contact set.
-
-    Returns
-    -------
-    int
-        The number.
     """
     return len(contacts.words) - _POINT_WORDS * (len(contacts.body) - contacts.header.points)
 

@@ -20,11 +20,6 @@ def size_of(fields: Mapping[str, Field]) -> int:
     ----------
     fields : Mapping[str, Field]
         Fields by name.
-
-    Returns
-    -------
-    int
-        The number.
     """
     return sum(map(_words, fields.values()))
 

@@ -36,11 +36,6 @@ def make_links(count: int) -> Links:
     ----------
     count : int
         Number of links.
-
-    Returns
-    -------
-    Links
-        The links.
     """
     return Links(
         organ=np.full((count, 2), POINT, dtype=np.int64),

@@ -32,9 +32,9 @@ class Lips(NamedTuple):
     weight: Floats  # (q, ENDS) the same on both sides
     slide: Floats  # (q,) m that the sides may have slid along each other and still touch there
     triangles: Longs  # (f, 3) of the upper wall, between places; counter-clockwise seen from the lower one
-    place: Floats  # (2, q, 3) room: where they are on the upper side and on the lower one, m
-    normal: Floats  # (2, q, 3) room: that of the wall there, m^2, from the lower side to the upper one
-    contacts: Records  # (q,) LipContact: room
+    place: Floats  # (2, q, 3) buffer: where they are on the upper side and on the lower one, m
+    normal: Floats  # (2, q, 3) buffer: that of the wall there, m^2, from the lower side to the upper one
+    contacts: Records  # (q,) LipContact: buffer
     counts: Longs  # (3,) searches so far; places that touched in the last substep, and those that were listed
 
 

@@ -94,7 +94,7 @@ class Model(NamedTuple):
     shape_gravity: Floats  # (3,) m/s^2, that the rest shape is the shape under
     unloaded: Floats  # (n, 3) m, shape of the cells without it
     tissue: Tissue | None  # of cells; None: springs
-    work: Floats  # (9 BLOCK,) room for the force kernels
+    work: Floats  # (9 BLOCK,) buffer of the force kernels
     lips: Lips  # of cuts
     cut_cells: CutCells  # in which blades find their places; none where no blade can be
     relaxation: Floats  # (2,) rate 1/T, 1/s, and g / (1 - g) of tissue that relaxes; (0,): elastic

@@ -98,11 +98,6 @@ def words_of(record: Any) -> Longs:
     ----------
     record : Any
         The record.
-
-    Returns
-    -------
-    Longs
-        The words.
     """
     return array_of(record).reshape(1).view(np.int64)
 
@@ -132,11 +127,6 @@ def copy_of[R](record: R) -> R:
     ----------
     record : R
         The record.
-
-    Returns
-    -------
-    R
-        The copy.
     """
     words = words_of(record).copy()
     made: R = words.view(record.dtype).view(np.recarray)[0]  # type: ignore[attr-defined]

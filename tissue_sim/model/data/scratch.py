@@ -47,11 +47,11 @@ class Scratch(NamedTuple):
     active: Records  # (N,) ActiveContact: contact points resolved in this substep
     work: Floats  # (9 BLOCK,)
     blade_rows: Records  # (S,) BladeRow: places of blades resolved in this substep
-    blade_stretch: Floats  # (9,) room: a deformation gradient, and
+    blade_stretch: Floats  # (9,) buffer: a deformation gradient, and
     blade_back: Floats  # (9,) its inverse
-    blade_way: Floats  # (3,) room for vectors, and
+    blade_way: Floats  # (3,) buffer for vectors, and
     blade_at: Floats  # (3,)
-    blade_weight: Floats  # (8,) room for barycentric weights
+    blade_weight: Floats  # (8,) buffer for barycentric weights
     compressed: Records  # (S,) CompressedCell: cells resolved in this substep
     compressing: Longs  # (1,) how many
     candidates: Longs  # (C,) contact points that may touch in this tick

@@ -49,3 +49,26 @@ class Settings(Record):
     region_substeps: int  # in a tick of a local region
     integrator: int  # Integrator
     local_region: int  # LocalRegion
+
+
+def default_settings(tick_time: float, local_region: str, integrator: str) -> Settings:
+    """Return the settings of a simulation before those that depend on its organ.
+
+    Parameters
+    ----------
+    tick_time : float, s
+        Duration of a tick.
+    local_region : str
+        One of LOCAL_REGIONS.
+    integrator : str
+        One of INTEGRATORS.
+    """
+    made = Settings.new()
+    made.tick_time = tick_time
+    made.friction, made.toughness, made.flank_friction = 0.6, 120.0, 500.0
+    made.force_clamp, made.force_slew = 10.0, 1e3
+    made.stale_time, made.ramp_time = 0.05, 0.02
+    made.stiffness_scale = made.damping_scale = 1.0
+    made.region_force = 0.3
+    made.local_region, made.integrator = LocalRegion[local_region.upper()], Integrator[integrator.upper()]
+    return made

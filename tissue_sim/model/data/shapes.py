@@ -62,11 +62,6 @@ def make_shapes(
         Tool of each body; None for one of its own.
     measures : Sequence[tuple[float, float]] | None, shape (T, 2), m, optional
         `Shapes.finest` and `Shapes.extent` of each; None for those of spheres and capsules.
-
-    Returns
-    -------
-    Shapes
-        The shapes.
     """
     kinds = np.asarray(kind, dtype=np.int64).reshape(-1)
     n = len(kinds)

@@ -19,11 +19,6 @@ def adjacency_of(model: Model) -> Adjacency:
     ----------
     model : Model
         Constants of the model.
-
-    Returns
-    -------
-    Adjacency
-        The adjacency.
     """
     n = len(model.rest)
     edge_start, edges = _rows(model.edges.nodes, np.arange(len(model.angular_nodes)), n)
@@ -42,11 +37,6 @@ def with_cell_neighbours(model: Model) -> Model:
     ----------
     model : Model
         Constants of the model.
-
-    Returns
-    -------
-    Model
-        The model.
     """
     assert model.tissue is not None
     ends = cells_of(model.tissue)[0].astype(np.int64)

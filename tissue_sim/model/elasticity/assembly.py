@@ -80,11 +80,6 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
         Gravity under which the organ's shape was taken. Cells get the shape that they would have without it; springs
         keep theirs.
 
-    Returns
-    -------
-    Model
-        The model.
-
     Raises
     ------
     UserError
@@ -224,7 +219,7 @@ def _bearing(model: Model, cells: Ints, law: Law) -> Model:
         unloaded=unloaded, tissue=with_penalty(tissue_of(unloaded, cells, law.mu, law.lam), law.penalty)
     )
     pushed = np.zeros_like(weight)
-    elastic_forces(bearing, model.rest, pushed)
+    elastic_forces(bearing, model.rest, 1.0, pushed)
     return bearing._replace(borne=-pushed)
 
 
@@ -235,11 +230,6 @@ def model_of(organ: Organ) -> ModelName:
     ----------
     organ : Organ
         The organ.
-
-    Returns
-    -------
-    ModelName
-        The variant.
     """
     return "cells" if len(organ.cell_nodes) else "hybrid"
 

@@ -49,11 +49,6 @@ def cell_groups_of(
         Lame's first constant of each cell.
     stiffening : float, optional
         Demiray's b; 0 for neo-Hookean cells.
-
-    Returns
-    -------
-    Fans
-        The groups.
     """
     quads = cells.astype(np.int64)
     members = paths(rest, quads)
@@ -229,27 +224,7 @@ def _apart(count: int) -> Longs:
 
 
 @kernel
-def cell_forces(position: Floats, tissue: Tissue, force: Floats) -> None:
-    """Add the forces of all cells, and list those that are compressed.
-
-    Parameters
-    ----------
-    position : Floats, shape (n, 3), m
-        Positions of the nodes, surface first.
-    tissue : Tissue
-        Cells of the model.
-    force : Floats, shape (n, 3), N
-        Forces on the nodes; updated.
-    """
-    push_cells(position, tissue)
-    rows = tissue.rows
-    for node in range(len(force)):
-        for axis in range(3):
-            force[node, axis] += rows[node, WIDTH + axis]
-
-
-@kernel
-def write_cell_forces(position: Floats, tissue: Tissue, scale: float, force: Floats) -> None:
+def cell_forces(position: Floats, tissue: Tissue, scale: float, force: Floats) -> None:
     """Write the forces of all cells times a factor, and list those that are compressed.
 
     Parameters
@@ -267,7 +242,7 @@ def write_cell_forces(position: Floats, tissue: Tissue, scale: float, force: Flo
     rows = tissue.rows
     for node in range(len(force)):
         for axis in range(3):
-            force[node, axis] = scale * (0.0 + rows[node, WIDTH + axis])  # no -0.0, as where they are added
+            force[node, axis] = scale * (0.0 + rows[node, WIDTH + axis])  # no -0.0
 
 
 @kernel

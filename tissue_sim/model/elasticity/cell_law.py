@@ -53,18 +53,7 @@ def minor(a: float, d: float, b: float, c: float) -> float:
 
     Parameters
     ----------
-    a : float
-        Factor.
-    d : float
-        Factor.
-    b : float
-        Factor.
-    c : float
-        Factor.
-
-    Returns
-    -------
-    float
-        The difference.
+    a, d, b, c : float
+        The factors.
     """
     return fused(a, d, -(b * c))

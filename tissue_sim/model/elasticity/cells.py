@@ -40,11 +40,6 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats, stiffening: fl
         Lame's first constant of each cell.
     stiffening : float, optional
         Demiray's b; 0 for neo-Hookean cells.
-
-    Returns
-    -------
-    Tissue
-        The cells.
     """
     slope, volume = shapes_of(rest, cells)
     metric = np.einsum("cax,cbx->cab", slope[:, 1:], slope[:, 1:]) * (mu * volume)[:, None, None]
@@ -131,11 +126,6 @@ def with_penalty(tissue: Tissue, penalty: Floats) -> Tissue:
         Cells of the model.
     penalty : Floats, shape (c,), J/m^3
         Penalty.
-
-    Returns
-    -------
-    Tissue
-        The cells.
     """
     constants = aligned(tissue.constants)
     rows = np.zeros(len(tissue.nodes) * BLOCK)

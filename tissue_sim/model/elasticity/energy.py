@@ -37,11 +37,6 @@ def energy_of(model: Model, position: Floats, velocity: Floats) -> Energy:
         Positions of the nodes, surface first.
     velocity : Floats, shape (n, 3), m/s
         Velocities of the nodes.
-
-    Returns
-    -------
-    Energy
-        The energy.
     """
     moving = model.moving
     kinetic = 0.5 * float(np.sum(velocity[moving] ** 2 / model.inverse_mass[moving, None]))

@@ -13,7 +13,7 @@ from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.data.blocks import BLOCK
 from tissue_sim.model.data.model import Model
-from tissue_sim.model.elasticity.cell_groups import cell_forces, write_cell_forces
+from tissue_sim.model.elasticity.cell_groups import cell_forces
 
 # Of its rest length, below which a spring's push decreases to zero where its ends meet. Equation (1) alone reverses
 # there by twice its largest force: no step is short enough for that, and energy is created.
@@ -320,49 +320,24 @@ def return_forces(position: Floats, rest: Floats, nodes: Ints, stiffness: Floats
 
 
 @kernel
-def _by_cells(model: Model, position: Floats, force: Floats) -> None:
-    cell_forces(position, model.tissue, force)
+def _of_cells(model: Model, position: Floats, scale: float, force: Floats) -> None:
+    cell_forces(position, model.tissue, scale, force)
 
 
 @kernel
-def _by_springs(model: Model, position: Floats, force: Floats) -> None:
+def _of_springs(model: Model, position: Floats, scale: float, force: Floats) -> None:
+    force[:] = 0.0
     edge_forces(position, model.edges.nodes, model.edges.constants, model.work, force)
     spring_forces(position, model.links.nodes, model.links.constants, model.work, force)
     return_forces(position, model.rest, model.return_nodes, model.return_stiffness, force)
-
-
-@chosen(lambda model, *_: _by_cells if has(model, "tissue") else _by_springs)
-def elastic_forces(model: Model, position: Floats, force: Floats) -> None:
-    """Add the forces of the model's springs, or of its cells.
-
-    Parameters
-    ----------
-    model : Model
-        Constants of the model.
-    position : Floats, shape (n, 3), m
-        Positions of the nodes, surface first.
-    force : Floats, shape (n, 3), N
-        Forces on the nodes; updated.
-    """
-
-
-@kernel
-def _write_cells(model: Model, position: Floats, scale: float, force: Floats) -> None:
-    write_cell_forces(position, model.tissue, scale, force)
-
-
-@kernel
-def _write_springs(model: Model, position: Floats, scale: float, force: Floats) -> None:
-    force[:] = 0.0
-    _by_springs(model, position, force)
     if scale != 1.0:
         for node in range(len(force)):
             for axis in range(3):
                 force[node, axis] *= scale
 
 
-@chosen(lambda model, *_: _write_cells if has(model, "tissue") else _write_springs)
-def write_elastic_forces(model: Model, position: Floats, scale: float, force: Floats) -> None:
+@chosen(lambda model, *_: _of_cells if has(model, "tissue") else _of_springs)
+def elastic_forces(model: Model, position: Floats, scale: float, force: Floats) -> None:
     """Write the forces of the model's springs, or of its cells, times a factor.
 
     Parameters

@@ -59,5 +59,5 @@ def _dot(one: Floats, other: Floats) -> float:
 
 def _force(model: Model, held: Model, displacement: Floats) -> Floats:
     force = np.zeros_like(model.rest)
-    elastic_forces(held, model.rest + displacement, force)
+    elastic_forces(held, model.rest + displacement, 1.0, force)
     return force

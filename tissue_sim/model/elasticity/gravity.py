@@ -37,11 +37,6 @@ def is_heavy(model: Model, settings: Settings) -> bool:
         Constants of the model.
     settings : Settings
         Settings of the simulation.
-
-    Returns
-    -------
-    bool
-        True where forces have to be added.
     """
     return len(model.borne) > 0 or is_out_of_balance(model, settings)
 
@@ -56,11 +51,6 @@ def is_out_of_balance(model: Model, settings: Settings) -> bool:
         Constants of the model.
     settings : Settings
         Settings of the simulation.
-
-    Returns
-    -------
-    bool
-        True where it differs.
     """
     gx, gy, gz = excess(model, settings)
     return gx != 0.0 or gy != 0.0 or gz != 0.0 or (len(model.borne) > 0 and settings.stiffness_scale != 1.0)

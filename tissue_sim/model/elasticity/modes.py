@@ -74,11 +74,6 @@ def strains_of(model: Model) -> Strains:
     ----------
     model : Model
         Constants of the model.
-
-    Returns
-    -------
-    Strains
-        The strains.
     """
     if model.tissue is not None:
         cells, moduli, _ = cells_of(model.tissue)
@@ -108,11 +103,6 @@ def lowest_modes(model: Model, count: int = N_MODES) -> Modes:
         Constants of the model.
     count : int, optional
         Number of modes; fewer when the model has fewer.
-
-    Returns
-    -------
-    Modes
-        The modes.
 
     Raises
     ------

@@ -27,7 +27,7 @@ from tissue_sim.model.regions.moved_nodes import checked_nodes
 
 # Fraction of the region force and of the steepest edge: below both, an organ that moved as a whole takes a region
 # again.
-RETURN_SHARE = 0.5
+RETURN_FRACTION = 0.5
 CALM_TIME = 0.2  # s for which it has to be below
 SLOWEST = 1.01  # of the time in which the far field follows a load: longest tick of a modal region
 # Gradient of the displacement at a region's edge from which on the whole model moves: a modal region is then off by 5 %
@@ -220,7 +220,7 @@ def _change(world: World) -> None:
             leave_region(model, state, settings, scratch)
             status.calm = 0
         return
-    if settings.local_region == LocalRegion.FROZEN or load > RETURN_SHARE * settings.region_force or load == 0.0:
+    if settings.local_region == LocalRegion.FROZEN or load > RETURN_FRACTION * settings.region_force or load == 0.0:
         status.calm = 0
         return
     status.calm += 1
@@ -312,12 +312,7 @@ def is_shown(state: State) -> bool:
     Parameters
     ----------
     state : State
-        State of the simulation; updated.
-
-    Returns
-    -------
-    bool
-        True where they are.
+        State of the simulation.
     """
     return state.status.region != Region.MODAL or state.status.asleep
 
@@ -342,14 +337,9 @@ def inertia_of(state: State, settings: Settings) -> float:
     Parameters
     ----------
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     settings : Settings
         Settings of the simulation.
-
-    Returns
-    -------
-    float
-        The factor.
     """
     return settings.region_inertia if state.status.region == Region.MODAL else 1.0
 
@@ -363,14 +353,9 @@ def damping_of(state: State, settings: Settings) -> float:
     Parameters
     ----------
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     settings : Settings
         Settings of the simulation.
-
-    Returns
-    -------
-    float
-        The factor.
     """
     scale = settings.damping_scale
     return max(scale, 1.0) if state.status.region == Region.MODAL else scale
@@ -387,7 +372,7 @@ def restore_shape(model: Model, state: State, scratch: Scratch) -> None:
     state : State
         State of the simulation; updated.
     scratch : Scratch
-        Working memory; updated.
+        Working memory.
     """
     if state.status.region == Region.MODAL:
         copy_nodes(state.good_position, state.position, checked_nodes(model, state, scratch))
@@ -417,7 +402,7 @@ def enter_region(world: World) -> None:
     static_load.absorb_load(state, settings, scratch, 1.0)
     modal_region.keep_offset(model, state, settings, scratch)
     modal_region.move_edge(model, state, settings, scratch)
-    if is_strongly_deformed(model, state, scratch, RETURN_SHARE):
+    if is_strongly_deformed(model, state, scratch, RETURN_FRACTION):
         drop_region(state)
 
 

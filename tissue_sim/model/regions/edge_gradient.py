@@ -24,14 +24,9 @@ def edge_gradient(model: Model, state: State, scratch: Scratch) -> float:
     model : Model
         Constants of the model.
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     scratch : Scratch
-        Working memory; updated.
-
-    Returns
-    -------
-    float
-        The norm.
+        Working memory.
     """
     count, nodes, moved, rest = state.status.region_boundary, scratch.boundary_node, scratch.edge_move, model.rest
     mean_x = mean_y = mean_z = 0.0

@@ -149,9 +149,9 @@ def driving(state: State, scratch: Scratch) -> Ints:
     Parameters
     ----------
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     scratch : Scratch
-        Working memory; updated.
+        Working memory.
 
     Returns
     -------
@@ -350,7 +350,7 @@ def clear_force(state: State, scratch: Scratch) -> None:
     Parameters
     ----------
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     scratch : Scratch
         Working memory; updated.
     """
@@ -365,7 +365,7 @@ def scale_force(state: State, scratch: Scratch, scale: float) -> None:
     Parameters
     ----------
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     scratch : Scratch
         Working memory; updated.
     scale : float

@@ -56,11 +56,6 @@ def hops_of(model: Model) -> int:
     ----------
     model : Model
         Constants of the model.
-
-    Returns
-    -------
-    int
-        The number.
     """
     return local_region.MODAL_HOPS if len(model.reduction.compliance) > 0 else local_region.UNTABLED_HOPS
 
@@ -72,12 +67,7 @@ def fits(state: State) -> bool:
     Parameters
     ----------
     state : State
-        State of the simulation; updated.
-
-    Returns
-    -------
-    bool
-        True where it is.
+        State of the simulation.
     """
     boundary = state.status.region_boundary
     return boundary <= MOST_BOUNDARY and state.status.region_nodes + boundary <= MOST_DRIVE
@@ -202,7 +192,7 @@ def place_joined(model: Model, state: State, settings: Settings, scratch: Scratc
     settings : Settings
         Settings of the simulation.
     scratch : Scratch
-        Working memory; updated.
+        Working memory.
     first : int
         Index in region_node of the first of them.
     """

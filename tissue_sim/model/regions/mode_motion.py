@@ -80,7 +80,7 @@ def project_load(state: State, scratch: Scratch) -> None:
     Parameters
     ----------
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     scratch : Scratch
         Working memory; updated.
     """
@@ -131,7 +131,7 @@ def set_mode_move(model: Model, state: State, scratch: Scratch) -> None:
     model : Model
         Constants of the model.
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     scratch : Scratch
         Working memory; updated.
     """
@@ -148,12 +148,7 @@ def modes_are_finite(state: State) -> bool:
     Parameters
     ----------
     state : State
-        State of the simulation; updated.
-
-    Returns
-    -------
-    bool
-        True where they are.
+        State of the simulation.
     """
     finite = True
     for k in range(len(state.mode_position)):

@@ -23,9 +23,9 @@ def integrated_nodes(model: Model, state: State, scratch: Scratch) -> Ints:
     model : Model
         Constants of the model.
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     scratch : Scratch
-        Working memory; updated.
+        Working memory.
 
     Returns
     -------
@@ -44,9 +44,9 @@ def checked_nodes(model: Model, state: State, scratch: Scratch) -> Ints:
     model : Model
         Constants of the model.
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     scratch : Scratch
-        Working memory; updated.
+        Working memory.
 
     Returns
     -------
@@ -88,11 +88,6 @@ def are_placed(model: Model, state: State, scratch: Scratch, nodes: Longs | Ints
         Working memory; updated.
     nodes : Longs | Ints, shape (k,)
         The nodes.
-
-    Returns
-    -------
-    Any
-        True where they are.
     """
 
 
@@ -105,9 +100,9 @@ def largest_motion(model: Model, state: State, scratch: Scratch) -> tuple[float,
     model : Model
         Constants of the model.
     state : State
-        State of the simulation; updated.
+        State of the simulation.
     scratch : Scratch
-        Working memory; updated.
+        Working memory.
 
     Returns
     -------

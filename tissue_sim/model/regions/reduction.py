@@ -32,11 +32,6 @@ def reduce_model(model: Model, largest: int = LARGEST_TABLE) -> Reduction:
     largest : int, optional
         Number of nodes beyond which there is no table.
 
-    Returns
-    -------
-    Reduction
-        The reduction.
-
     Raises
     ------
     UserError

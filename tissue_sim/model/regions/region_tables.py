@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tissue_sim.errors import UserError
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.elasticity.adjacency import adjacency_of, with_cell_neighbours
 from tissue_sim.model.elasticity.hop_distances import hop_table
@@ -24,15 +25,32 @@ def moves_whole(organ: Organ) -> bool:
     return len(organ.cell_nodes) <= MOST_WHOLE
 
 
-def stiffens_or_relaxes(organ: Organ) -> bool:
-    """Return whether an organ's tissue stiffens or relaxes, which is computed for the whole organ only.
+def possible_region(organ: Organ, model: str, local_region: str) -> str:
+    """Return the local region that a model of an organ has: off instead of auto where `auto` always moves all of it.
 
     Parameters
     ----------
     organ : Organ
         The organ.
+    model : str
+        Name of the model.
+    local_region : str
+        One of LOCAL_REGIONS.
+
+    Raises
+    ------
+    UserError
+        Where the model has no such region.
     """
-    return organ.stiffening > 0.0 or organ.relaxation_fraction > 0.0
+    of_cells = model == "cells"
+    if of_cells and local_region == "frozen":
+        raise UserError("a frozen region supports springs only; use local region off, modal or auto, or model hybrid")
+    only_whole = organ.stiffening > 0.0 or organ.relaxation_fraction > 0.0
+    if local_region == "auto" and ((of_cells and moves_whole(organ)) or only_whole):
+        return "off"
+    if local_region != "off" and only_whole:
+        raise UserError("tissue that stiffens or relaxes moves as a whole; use local_region off or auto")
+    return local_region
 
 
 def with_region_tables(model: Model, local_region: str) -> Model:

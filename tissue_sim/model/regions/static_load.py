@@ -113,11 +113,6 @@ def load_fraction(model: Model, settings: Settings) -> float:
         Constants of the model.
     settings : Settings
         Settings of the simulation.
-
-    Returns
-    -------
-    float
-        The fraction.
     """
     frequency, seconds = model.reduction.frequency, LOAD_TIME
     if len(frequency) > 0:

@@ -40,7 +40,7 @@ class Kept(NamedTuple):
 
     breath: Longs  # the words of a Breath
     pairs: OrganContactSet
-    pressed: Floats  # (p,) N, as in pairs.Pairs
+    pressed: Floats  # (p,) N, as in OrganContacts
     held: Floats  # (p, 3) N
     version: Longs  # (MOST_ORGANS,) as in OrganContacts
 
@@ -69,11 +69,6 @@ def make_joined_box(n_bodies: int) -> JoinedBox:
     ----------
     n_bodies : int
         Number of bodies.
-
-    Returns
-    -------
-    JoinedBox
-        The mailboxes.
     """
     taken, words = organ_contact_set(), np.zeros(1 + 6 * n_bodies, dtype=np.int64)
     return JoinedBox(
@@ -154,7 +149,7 @@ def keep_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
     Parameters
     ----------
     joined : CoupledOrgans
-        What joins the organs; updated.
+        What joins the organs.
     box : JoinedBox
         Mailboxes of the joined organs; updated.
     tick : int

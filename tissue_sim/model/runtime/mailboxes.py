@@ -50,11 +50,6 @@ def mailbox(most: int, addressees: int = 1) -> Mailbox:
         Largest number of words of a message.
     addressees : int, optional
         Number of addressees.
-
-    Returns
-    -------
-    Mailbox
-        The mailbox.
     """
     counts = np.zeros(addressees, dtype=np.int64), np.zeros((addressees, SLOTS), dtype=np.int64)
     return Mailbox(*counts, np.zeros((addressees, SLOTS, most), dtype=np.int64))
@@ -186,11 +181,6 @@ def make_mailboxes(state: State) -> Mailboxes:
     ----------
     state : State
         The state.
-
-    Returns
-    -------
-    Mailboxes
-        The mailboxes.
     """
     n_bodies = len(state.body_pose)
     body_words = BodyInputs.words()
@@ -238,11 +228,6 @@ def put(box: Mailbox, addressee: int, message: Longs) -> int:
         Index of the addressee.
     message : Longs, shape (l,)
         Words.
-
-    Returns
-    -------
-    int
-        Its sequence number.
     """
     sequence = box.sequence[addressee] + 1
     slot = sequence % SLOTS
@@ -390,7 +375,7 @@ def keep_states(worlds: Sequence[World], boxes: Sequence[Mailboxes]) -> None:
     Parameters
     ----------
     worlds : Sequence[World]
-        Worlds of the organs; updated.
+        Worlds of the organs.
     boxes : Sequence[Mailboxes]
         Mailboxes of every organ; updated.
     """

@@ -141,9 +141,9 @@ def weigh(settings: Settings, carried: Carried, organ: int, fraction: float) -> 
     Parameters
     ----------
     settings : Settings
-        Settings of the simulation.
+        Settings of the simulation; updated.
     carried : Carried
-        How organs follow the breath; updated.
+        How organs follow the breath.
     organ : int
         Index of the organ.
     fraction : float

@@ -18,7 +18,7 @@ from tissue_sim.model.data.contact_set import POINT_NODES
 from tissue_sim.model.data.records import Record, Vector
 
 MOST_PAIRS = 4096
-MOST_POINTS = 4096  # cut points
+MOST_CUT_POINTS = 4096
 MOST_ORGANS = 16
 MOST_BEARERS = 2 * POINT_NODES  # nodes of both organs that bear a pair's force
 
@@ -57,14 +57,9 @@ def organ_contact_set(words: Longs | None = None) -> OrganContactSet:
     ----------
     words : Longs | None, optional
         Words of another set; None for memory of its own.
-
-    Returns
-    -------
-    OrganContactSet
-        The set.
     """
     if words is None:
-        words = np.zeros(POINTS_AT + 1 + MOST_POINTS * POINT_WORDS, dtype=np.int64)
+        words = np.zeros(POINTS_AT + 1 + MOST_CUT_POINTS * POINT_WORDS, dtype=np.int64)
     rows, points = words[1:POINTS_AT].view(_PAIR), words[POINTS_AT + 1 :].view(_POINT)
     of_pairs = words[:1], rows["organ"], rows["node"], rows["weight"]
     of_points = (points[name] for name in ("organ", "number", "version", "node", "weight"))
@@ -78,11 +73,6 @@ def used_words(found: OrganContactSet) -> Longs:
     ----------
     found : OrganContactSet
         The set.
-
-    Returns
-    -------
-    Longs
-        The words.
     """
     pairs, points = found.words[: 1 + int(found.found[0]) * PAIR_WORDS], int(found.points[0])
     if points == 0:
@@ -111,7 +101,7 @@ def set_of_words(words: Longs) -> OrganContactSet:
     if not 0 <= count <= MOST_PAIRS or len(words) < most:
         raise ValueError(f"it counts {count} organ contacts, but contains another number")
     points = words[most:]
-    if len(points) and not (0 <= points[0] <= MOST_POINTS and len(points) == 1 + int(points[0]) * POINT_WORDS):
+    if len(points) and not (0 <= points[0] <= MOST_CUT_POINTS and len(points) == 1 + int(points[0]) * POINT_WORDS):
         raise ValueError(f"it counts {count} organ contacts, but contains another number, or other points of cuts")
     made.words[:most] = words[:most]
     made.words[POINTS_AT : POINTS_AT + len(points)] = points
@@ -147,8 +137,8 @@ class OrganContacts(NamedTuple):
     loaded: Floats  # (p, 3) N that the node bears in this tick's loads
     friction: Floats  # (1,) Coulomb coefficient
     before: Longs  # (p,) buffer: index in the previous set, or -1
-    pressed_before: Floats  # (p,) room
-    held_before: Floats  # (p, 3) room
+    pressed_before: Floats  # (p,) buffer
+    held_before: Floats  # (p, 3) buffer
     plane: ContactPlane  # of the pair that was measured last
     corner: Floats  # (3, 3) m, of that pair's triangle
     caught: Longs  # (MOST_ORGANS,) buffer: 1 for an organ released in this tick
@@ -161,11 +151,6 @@ def make_organ_contacts(friction: float = 0.0) -> OrganContacts:
     ----------
     friction : float, optional
         Coulomb coefficient.
-
-    Returns
-    -------
-    Pairs
-        The pairs.
     """
     return OrganContacts(
         found=np.zeros(1, dtype=np.int64),
@@ -173,11 +158,11 @@ def make_organ_contacts(friction: float = 0.0) -> OrganContacts:
         node=np.zeros((MOST_PAIRS, 4), dtype=np.int64),
         weight=np.zeros((MOST_PAIRS, 3)),
         points=np.zeros(1, dtype=np.int64),
-        point_organ=np.zeros(MOST_POINTS, dtype=np.int64),
-        point_number=np.zeros(MOST_POINTS, dtype=np.int64),
-        point_version=np.zeros(MOST_POINTS, dtype=np.int64),
-        point_node=np.zeros((MOST_POINTS, POINT_NODES), dtype=np.int64),
-        point_weight=np.zeros((MOST_POINTS, POINT_NODES)),
+        point_organ=np.zeros(MOST_CUT_POINTS, dtype=np.int64),
+        point_number=np.zeros(MOST_CUT_POINTS, dtype=np.int64),
+        point_version=np.zeros(MOST_CUT_POINTS, dtype=np.int64),
+        point_node=np.zeros((MOST_CUT_POINTS, POINT_NODES), dtype=np.int64),
+        point_weight=np.zeros((MOST_CUT_POINTS, POINT_NODES)),
         bearing=np.zeros((MOST_PAIRS, 2), dtype=np.int64),
         bearer=np.zeros((MOST_PAIRS, MOST_BEARERS), dtype=np.int64),
         part=np.zeros((MOST_PAIRS, MOST_BEARERS)),

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from tissue_sim.model.data.model import Model
+from tissue_sim.model.data.shapes import CAPSULE, SPHERE, Shapes
 
 SAFETY = 0.9
-LONGEST_OF_CELLS = 1e-3  # s, longest substep of an organ of cells
+# s, however soft the organ. In a longer step a tool that is finer than FINE, m, or of any shape, slips through the
+# tissue that it pushes, and springs oscillate.
+LONGEST_STEP = 5e-4
+LONGEST_OF_CELLS = 1e-3  # with blunt tools
+FINE = 1e-3
+# s. In a modal region the nodes' mass is scaled so that they need no shorter step: on a fine organ they are tiny, and
+# no hand feels how fast they vibrate. The organ's own motion is that of its modes.
+REGION_STEP = 1e-3 / 6
 MOST_SUBSTEPS = 10_000  # in a tick; where the critical step is shorter, only the guard is left
 
 
@@ -79,6 +89,20 @@ def model_step(
         return math.inf
     least_damping = damping_scale * float((model.damping[moving] * model.inverse_mass[moving]).min())
     return critical_step(scaled, least_damping / (2.0 * scaled), integrator)
+
+
+def step_with(shapes: Shapes, of_cells: bool) -> float:
+    """Return the longest substep that tools allow, s.
+
+    Parameters
+    ----------
+    shapes : Shapes
+        The tools.
+    of_cells : bool
+        Whether the organ consists of cells, not of springs.
+    """
+    blunt = np.isin(shapes.kind, (SPHERE, CAPSULE)) & (shapes.size[:, 0] >= FINE)
+    return LONGEST_OF_CELLS if of_cells and np.all(blunt) else LONGEST_STEP
 
 
 def substeps_for(tick_time: float, longest_step: float) -> int:

@@ -134,8 +134,7 @@ def residuals(simulation: Steppable, forces: Floats | float = 0.0) -> Floats:
         Residual forces.
     """
     force = np.zeros_like(simulation.model.rest)
-    elastic_forces(simulation.model, simulation.state.position, force)
-    force *= simulation.settings.stiffness_scale
+    elastic_forces(simulation.model, simulation.state.position, float(simulation.settings.stiffness_scale), force)
     weigh_world(simulation.world, force)
     force[: simulation.model.n_surface] += forces
     step = float(simulation.settings.tick_time) / max(1, simulation.state.status.substeps)

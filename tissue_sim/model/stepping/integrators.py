@@ -59,8 +59,6 @@ def symplectic_euler_whole(
 ) -> None:
     """Step all coordinates by symplectic Euler, with the same result to the last bit; flat arrays.
 
-    push: h / m, s/kg; shrink: 1 / (1 + h d/m), worked out before since they seldom change.
-
     Parameters
     ----------
     position : Floats, shape (3n,), m
@@ -72,7 +70,7 @@ def symplectic_euler_whole(
     push : Floats, shape (3n,), s/kg
         h / m.
     shrink : Floats, shape (3n,)
-        1 / (1 + h d/m); computed beforehand, since it rarely changes.
+        1 / (1 + h d/m); computed beforehand, as `push` is, since both rarely change.
     step : float, s
         Step h.
     """

@@ -86,9 +86,9 @@ def measure_links(
     Parameters
     ----------
     worlds : Sequence[World]
-        Worlds of the organs; updated.
+        Worlds of the organs.
     carried : Carried
-        How organs follow the breath; updated.
+        How organs follow the breath.
     links : Links
         The links; updated.
     threshold : WakeThreshold
@@ -147,7 +147,7 @@ def pull_links(
     worlds : Sequence[World]
         Worlds of the organs; updated.
     carried : Carried
-        How organs follow the breath; updated.
+        How organs follow the breath.
     links : Links
         The links; updated.
     threshold : WakeThreshold

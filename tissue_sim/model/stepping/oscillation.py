@@ -56,11 +56,6 @@ def is_oscillation_checked(model: Model, state: State, substeps: int) -> bool:
         State of the simulation; updated.
     substeps : int
         Number of substeps of the tick.
-
-    Returns
-    -------
-    bool
-        True where it is.
     """
     status = state.status
     if status.oscillating > 0:

@@ -93,7 +93,7 @@ def sleep_if_at_rest(model: Model, state: State, scratch: Scratch) -> None:
     state : State
         State of the simulation; updated.
     scratch : Scratch
-        Working memory; updated.
+        Working memory.
     """
     status = state.status
     speed, away = largest_motion(model, state, scratch)

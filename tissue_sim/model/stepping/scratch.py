@@ -28,11 +28,6 @@ def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
         Number of bodies.
     n_samples : int, optional
         Number of places of blades.
-
-    Returns
-    -------
-    Scratch
-        The memory.
     """
     n, hinges, links = len(model.rest), len(model.edges.nodes) * BLOCK, len(model.links.nodes) * BLOCK
     modes = len(model.reduction.frequency)

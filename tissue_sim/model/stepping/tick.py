@@ -28,7 +28,7 @@ from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.settings import Integrator, Settings
 from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.data.world import World
-from tissue_sim.model.elasticity.forces import write_elastic_forces
+from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.elasticity.gravity import add_weight, is_out_of_balance, write_masses
 from tissue_sim.model.elasticity.stiffening import shortening_of
 from tissue_sim.model.regions.active_region import (
@@ -109,7 +109,7 @@ def plan_tick(world: World) -> bool:
     # The first forces tell how stiff the cells are.
     plan.whole = status.region == Region.WHOLE
     if plan.whole:
-        write_elastic_forces(model, state.position, settings.stiffness_scale, scratch.force)
+        elastic_forces(model, state.position, settings.stiffness_scale, scratch.force)
     plan.regional = is_region_of_cells(model, state)
     if plan.regional:
         region_forces(model, state, settings, scratch, False)
@@ -154,7 +154,7 @@ def take_substep(world: World, substep: int) -> None:
         if state.status.region != Region.WHOLE:
             region_forces(model, state, settings, scratch, substep == substeps - 1)
         else:
-            write_elastic_forces(model, state.position, settings.stiffness_scale, scratch.force)
+            elastic_forces(model, state.position, settings.stiffness_scale, scratch.force)
     if len(state.relaxing) > 0:
         relax(model, state, scratch.force, step)
     add_loads(world)

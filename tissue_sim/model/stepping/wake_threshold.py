@@ -139,7 +139,7 @@ def apply_wake_threshold(worlds: Sequence[World], carried: Carried, threshold: W
     worlds : Sequence[World]
         Worlds of the organs; updated.
     carried : Carried
-        How organs follow the breath; updated.
+        How organs follow the breath.
     threshold : WakeThreshold
         The bounds; updated.
     breathes : bool

@@ -57,7 +57,7 @@ def is_world_out_of_balance(world: World) -> bool:
     Parameters
     ----------
     world : World
-        World of the organ; updated.
+        World of the organ.
     """
     return is_out_of_balance(world.model, world.settings)
 
@@ -85,7 +85,7 @@ def pace_of_world(world: World) -> float:
     Parameters
     ----------
     world : World
-        World of the organ; updated.
+        World of the organ.
 
     Returns
     -------

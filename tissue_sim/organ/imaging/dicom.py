@@ -36,11 +36,6 @@ def read_stack(folder: Path, series: str | None = None) -> Stack:
     series : str | None, optional
         UID of the series, or its number in the list that a refusal shows.
 
-    Returns
-    -------
-    Stack
-        The voxels and where they lie.
-
     Raises
     ------
     UserError

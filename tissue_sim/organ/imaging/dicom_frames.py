@@ -154,11 +154,6 @@ def read_frames(file: Path, notes: tuple[str, ...] = ()) -> Stack:
     notes : tuple[str, ...], optional
         Remarks that are passed on to the result.
 
-    Returns
-    -------
-    Stack
-        The voxels and where they lie.
-
     Raises
     ------
     UserError

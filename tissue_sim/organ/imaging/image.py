@@ -111,11 +111,6 @@ class Volume:
         upper : Sequence[int], x, y, z
             Last voxel, inclusive, clipped to the image.
 
-        Returns
-        -------
-        Volume
-            The cropped image.
-
         Raises
         ------
         UserError
@@ -205,11 +200,6 @@ def placed(array: Array, image: sitk.Image, name: str, notes: tuple[str, ...] = 
         Name for messages.
     notes : tuple[str, ...], optional
         Remarks, one line each.
-
-    Returns
-    -------
-    Volume
-        The volume.
     """
     direction = np.array(image.GetDirection()).reshape(3, 3)
     return Volume(array, np.array(image.GetSpacing()), np.array(image.GetOrigin()), direction, name, notes)

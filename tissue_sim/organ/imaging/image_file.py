@@ -52,11 +52,6 @@ def read_image(path: str | Path, series: str | None = None) -> Volume:
     series : str | None, optional
         Series to take when a folder holds several, by UID or number.
 
-    Returns
-    -------
-    Volume
-        The image.
-
     Raises
     ------
     UserError
@@ -96,11 +91,6 @@ def of_stack(stack: Stack, name: str) -> Volume:
         The series.
     name : str
         Name for messages.
-
-    Returns
-    -------
-    Volume
-        The volume.
     """
     return Volume(stack.array, stack.spacing, stack.origin, stack.direction, name, stack.notes)
 
@@ -171,7 +161,7 @@ def _check_kind(path: Path) -> None:
     """Refuse a file that is empty, or of another kind than an image."""
     try:
         if other := wrong_kind(path, IMAGE):
-            raise UserError(f"{path} {other}, and no image; name a {FORMATS}")
+            raise UserError(f"{path} {other}, and not an image; name a {FORMATS}")
     except OSError as error:
         raise UserError(f"{path} can't be read: {error.strerror}") from None
 

@@ -61,11 +61,6 @@ def read_mask(path: str | Path, label: int | str | None = None) -> Volume:
     label : int | str | None, optional
         Number or name of the part; None for the only one.
 
-    Returns
-    -------
-    Volume
-        The mask.
-
     Raises
     ------
     UserError

@@ -31,11 +31,6 @@ def read_meta_header(path: Path) -> Header:
     path : Path
         The file.
 
-    Returns
-    -------
-    Header
-        What ITK leaves out.
-
     Raises
     ------
     UserError

@@ -20,11 +20,6 @@ def read_nrrd_header(path: Path) -> Header:
     path : Path
         The file.
 
-    Returns
-    -------
-    Header
-        What ITK leaves out.
-
     Raises
     ------
     UserError

@@ -211,12 +211,8 @@ def ellipsoid(x: Singles, y: Singles, z: Singles, semi_axes: Triple) -> Singles:
 
     Parameters
     ----------
-    x : Singles, mm
-        Coordinate from the centre.
-    y : Singles, mm
-        Coordinate from the centre.
-    z : Singles, mm
-        Coordinate from the centre.
+    x, y, z : Singles, mm
+        Coordinates from the centre.
     semi_axes : Triple, mm
         Semi-axes along x, y, z.
 

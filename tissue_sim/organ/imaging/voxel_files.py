@@ -107,7 +107,7 @@ def data_file(path: Path, name: str) -> Path:
     Raises
     ------
     UserError
-        Where the file isn't in the image's folder, or is none.
+        Where it isn't a file in the image's folder.
     """
     if name.split(None, 1)[:1] == ["LIST"] or "%" in name:
         raise UserError(f"{path} has its voxels in several files; save it as one, as NRRD or MHA")

@@ -42,7 +42,7 @@ def surface_of(positions: Floats, cells: Mapping[str, Longs]) -> tuple[Floats, L
     faces = np.concatenate([triangles, quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     if not len(faces):
         raise MeshError("no triangles and no tetrahedra")
-    # Other points that no element uses are reported by who repairs the surface; the middles of sides are none of these.
+    # Other points that no element uses are reported where the surface is repaired; the middles of sides are not.
     return (*_used(positions, faces), notes) if is_curved else (positions, faces, notes)
 
 

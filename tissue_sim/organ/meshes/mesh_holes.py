@@ -187,22 +187,3 @@ def capped_volume(positions: Floats, triangles: Longs, gaps: Sequence[Hole]) -> 
         rim = positions[hole.rim] - centre
         total += float(np.einsum("ij,j->", np.cross(rim, np.roll(rim, -1, axis=0)), rim.mean(axis=0)))
     return total / 6.0
-
-
-def area_of(positions: Floats, triangles: Longs) -> float:
-    """Return the area of the triangles.
-
-    Parameters
-    ----------
-    positions : Floats, shape (n, 3)
-        Points of the surface.
-    triangles : Longs, shape (t, 3)
-        Corner indices, counter-clockwise seen from outside.
-
-    Returns
-    -------
-    float
-        Area, in the square of the points' unit.
-    """
-    a, b, c = (positions[triangles[:, k]] for k in range(3))
-    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())

@@ -17,18 +17,19 @@ from tissue_sim.organ.length_units import UNITS, is_organ
 from tissue_sim.organ.meshes.mesh_error import MeshError
 from tissue_sim.organ.meshes.mesh_file import MeshFile, Piece
 from tissue_sim.organ.meshes.mesh_formats import FORMATS, read_pieces
-from tissue_sim.organ.meshes.mesh_holes import area_of, capped_volume
+from tissue_sim.organ.meshes.mesh_holes import capped_volume
 from tissue_sim.organ.meshes.mesh_parts import choose, closed_part, split
 from tissue_sim.organ.meshes.mesh_repair import longest_side
 from tissue_sim.organ.meshes.mesh_union import merged
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
+from tissue_sim.organ.normals import triangle_area
 from tissue_sim.organ.surface_checks import signed_volume
 
 _METRES = (".glb", ".gltf")  # the format fixes the unit
 _LONGEST_AXIS = 128  # voxels along the longest side
 _MOST_VOXELS = 3e5  # inside
 _SHORTEST = 1e-12  # of the longest side in the file's unit
-_FARTHEST = 1e12  # of a coordinate in the file's unit: volumes of larger ones are no numbers
+_FARTHEST = 1e12  # of a coordinate in the file's unit: volumes of larger ones are not finite
 _THIN = 0.1  # relative volume that voxels may miss
 _FEW_TRIANGLES = 2000  # of about 1000 points: walls thinner than their edges are more than such a model can follow
 
@@ -87,11 +88,6 @@ def read_mesh(
         Part to take where the mesh falls into several, by number (1 is the largest) or by its name in the file.
     merge_parts : bool, optional
         Whether everything that the parts enclose is joined, with new points.
-
-    Returns
-    -------
-    SurfaceMesh
-        The surface.
 
     Raises
     ------
@@ -233,7 +229,7 @@ def _factor(unit: str | None, longest: float | None) -> float | None:
 def _load(source: Path) -> MeshFile:
     try:
         if other := wrong_kind(source, MESH):
-            raise UserError(f"surface {source} {other}, and no mesh; name a mesh file ({', '.join(FORMATS)})")
+            raise UserError(f"surface {source} {other}, and not a mesh; name a mesh file ({', '.join(FORMATS)})")
         found = read_pieces(source)
     except MeshError as error:
         raise UserError(f"surface {source} can't be read as a mesh ({_reason(error)}); export it again") from None
@@ -244,7 +240,7 @@ def _load(source: Path) -> MeshFile:
     except Exception:  # trimesh, meshio and their loaders raise anything on damaged files
         suffix = source.suffix[1:].upper()
         raise UserError(
-            f"surface {source} can't be read as a mesh (it is cut off, damaged or no {suffix}); export it again"
+            f"surface {source} can't be read as a mesh (it is cut off, damaged or not {suffix}); export it again"
         ) from None
     return _checked(found, source)
 
@@ -291,11 +287,6 @@ def voxelize(surface: SurfaceMesh, name: str, longest_axis: int = _LONGEST_AXIS)
     longest_axis : int, optional
         Number of voxels along the longest side.
 
-    Returns
-    -------
-    Volume
-        The bool volume.
-
     Raises
     ------
     UserError
@@ -315,7 +306,7 @@ def voxelize(surface: SurfaceMesh, name: str, longest_axis: int = _LONGEST_AXIS)
             f"surface {name} is too thin, or intersects itself: {found * 1e-3:.1f} mL of voxels for"
             f" {exact * 1e-3:.1f} mL of solid"
         )
-    area = area_of(points, surface.triangles.astype(np.int64))
+    area = float(triangle_area(points, surface.triangles).sum())
     thickness, edge = _wall_thickness(solid) * pitch, float(np.sqrt(area / _FEW_TRIANGLES * 4.0 / np.sqrt(3.0)))
     if thickness < edge:
         raise UserError(

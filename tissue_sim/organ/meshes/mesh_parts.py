@@ -84,7 +84,7 @@ def split(pieces: Sequence[Piece], scale: float) -> list[Part]:
     triangles = np.concatenate([piece.triangles + n for piece, n in zip(pieces, first, strict=False)])
     owner = np.searchsorted(first, np.arange(len(positions)), side="right") - 1
     closed, repairs = close_seams(positions, triangles, across=True)
-    if len(once_used_edges(closed)):  # the gaps between separate parts are no seams
+    if len(once_used_edges(closed)):  # the gaps between separate parts are not seams
         closed, repairs = close_seams(positions, triangles, across=False)
     closed, doubles = without_doubles(closed)
     if doubles:
@@ -152,11 +152,6 @@ def choose(parts: Sequence[Part], name: str, wanted: int | str | None) -> Part:
         Name for messages.
     wanted : int | str | None
         Number or name of the part; None for the one that dominates.
-
-    Returns
-    -------
-    Part
-        The part.
 
     Raises
     ------

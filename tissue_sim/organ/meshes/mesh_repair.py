@@ -58,11 +58,6 @@ def crowded_edges(triangles: Longs) -> int:
     ----------
     triangles : Longs, shape (t, 3)
         Corner indices, counter-clockwise seen from outside.
-
-    Returns
-    -------
-    int
-        The number.
     """
     _, keys, count = _edges(triangles)
     return len(np.unique(keys[count > 2]))

@@ -41,11 +41,6 @@ def merged(parts: Sequence[Part], name: str) -> Part:
     name : str
         Name for messages.
 
-    Returns
-    -------
-    Part
-        The part.
-
     Raises
     ------
     UserError

@@ -235,17 +235,12 @@ def text_lines(found: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
 
 
 def is_nested(value: Any) -> bool:
-    """Return whether a value needs lines of its own: a mapping that is no range, or a list of lists or mappings.
+    """Return whether a value needs lines of its own: a mapping that is not a range, or a list of lists or mappings.
 
     Parameters
     ----------
     value : Any
         The value.
-
-    Returns
-    -------
-    bool
-        True where it is nested.
     """
     if isinstance(value, Mapping):
         return not is_range(value)
@@ -264,11 +259,6 @@ def label(key: str) -> str:
     ----------
     key : str
         The key.
-
-    Returns
-    -------
-    str
-        The words.
     """
     if key in _NAMES:
         return _NAMES[key]
@@ -285,11 +275,6 @@ def shown(value: Any) -> str:
     ----------
     value : Any
         The value.
-
-    Returns
-    -------
-    str
-        The text.
     """
     if is_range(value):
         return f"{shown(value['least'])} to {shown(value['largest'])}, median {shown(value['median'])}"

@@ -95,11 +95,6 @@ def surface_picture(view: View, surface: Surface, *, cubes: bool) -> Picture:
         The surface, mm.
     cubes : bool
         Whether it has the colour of marching cubes; otherwise that of the balloon.
-
-    Returns
-    -------
-    Picture
-        The picture.
     """
     skin = _CUBES_SKIN if cubes else _BALLOON_SKIN
     edge = float(np.linalg.norm(surface[0][surface[1][:, 0]] - surface[0][surface[1][:, 1]], axis=1).mean())
@@ -121,11 +116,6 @@ def skeleton_picture(view: View, surface: Surface, atoms: Floats, links: Ints) -
         Medial atoms.
     links : Ints, shape (m, 2)
         Pairs of neighbouring atoms.
-
-    Returns
-    -------
-    Picture
-        The picture.
     """
     return _with_bar(view, draw(view, _skeleton(view, atoms, links), Solid(*surface, _GLASS)))
 
@@ -147,11 +137,6 @@ def spokes_picture(view: View, nodes: Floats, surface: int, atoms: Floats, links
         Pairs of neighbouring atoms.
     spokes : Ints, shape (s, 2)
         Pairs of nodes.
-
-    Returns
-    -------
-    Picture
-        The picture.
     """
     solids = [*_skeleton(view, atoms, links), rods(nodes, spokes, 0.45 / view.scale, _SPOKE, 4)]
     return _with_bar(view, draw(view, [*solids, balls(nodes[:surface], 1.2 / view.scale, _BALLOON_SKIN)]))
@@ -188,11 +173,6 @@ def histograms(sets: Sequence[tuple[str, str, Floats, Floats]]) -> bytes:
     ----------
     sets : Sequence[tuple[str, str, Floats, Floats]]
         Label, colour, edge lengths (e,) mm and angles (a,) degrees of each set.
-
-    Returns
-    -------
-    bytes
-        The PNG file.
     """
     with styled_figure(9.0, 2.9) as figure:
         left, right = figure.subplots(1, 2)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tissue_sim.array_types import Floats, Ints
+from tissue_sim.directions import across
 from tissue_sim.jit import kernel
 
 _SUPERSAMPLING = 2
@@ -100,11 +101,6 @@ def view_of(points: ArrayLike, towards: ArrayLike, up: ArrayLike, size: tuple[in
         Width and height, pixels.
     margin : float, optional
         Fraction of the size that stays free at each border.
-
-    Returns
-    -------
-    View
-        The view.
     """
     forward = np.asarray(towards, dtype=np.float64) / np.linalg.norm(towards)
     right = np.cross(np.asarray(up, dtype=np.float64), forward)
@@ -285,11 +281,7 @@ def rods(points: Floats, links: Ints, radius: float, colour: tuple[float, float,
     """
     start, end = points[links[:, 0]], points[links[:, 1]]
     along = end - start
-    helper = np.eye(3)[np.argmin(np.abs(along), axis=1)]
-    one = np.cross(along, helper)
-    one /= np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-300)
-    two = np.cross(along, one)
-    two /= np.maximum(np.linalg.norm(two, axis=1, keepdims=True), 1e-300)
+    one, two = across(along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300))
     turn = 2.0 * np.pi * np.arange(sides) / sides
     ring = radius * (np.cos(turn)[:, None] * one[:, None] + np.sin(turn)[:, None] * two[:, None])
     positions = np.concatenate([start[:, None] + ring, end[:, None] + ring], axis=1).reshape(-1, 3)

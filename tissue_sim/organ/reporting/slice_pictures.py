@@ -97,11 +97,6 @@ def slices(source: Source, outlines: Sequence[tuple[str, str, Surface]], atoms: 
         Medial atoms, shown where they lie near a slice.
     centre : Floats, shape (3,), mm
         Point through which the slices go.
-
-    Returns
-    -------
-    bytes
-        The PNG file.
     """
     ct, seed = source.ct, source.seed
     everything = np.concatenate([surface[0] for _, _, surface in outlines])

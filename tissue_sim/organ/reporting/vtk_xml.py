@@ -41,11 +41,6 @@ def polydata(
         Point indices of lines.
     comment : str, optional
         Comment in the file.
-
-    Returns
-    -------
-    bytes
-        The file.
     """
     root, piece = _begun("PolyData", positions, {"PointData": point_data}, comment)
     for name, index in {"Verts": None, "Lines": lines, "Strips": None, "Polys": polygons}.items():
@@ -77,11 +72,6 @@ def tetrahedra(
         Arrays of cell data, shape (c,), by name.
     comment : str, optional
         Comment in the file.
-
-    Returns
-    -------
-    bytes
-        The file.
     """
     root, piece = _begun("UnstructuredGrid", positions, {"PointData": point_data, "CellData": cell_data}, comment)
     piece.set("NumberOfCells", str(len(cells)))

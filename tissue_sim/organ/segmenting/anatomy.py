@@ -90,11 +90,6 @@ def anatomy_of(organ: str | None) -> Anatomy:
     organ : str | None
         Name of the organ; None for the bounds of any organ.
 
-    Returns
-    -------
-    Anatomy
-        The bounds.
-
     Raises
     ------
     UserError
@@ -114,11 +109,6 @@ def measure_shape(mask: Volume) -> Shape:
     ----------
     mask : Volume
         The voxels of the organ.
-
-    Returns
-    -------
-    Shape
-        The measures.
     """
     surface = _outermost(mask.array)
     points = np.unique(mask.to_points(surface), axis=0)

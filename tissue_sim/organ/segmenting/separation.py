@@ -45,11 +45,6 @@ def part(depth: NDArray[np.float64], neck: float) -> Parts:
         Distance to the region's border, positive inside.
     neck : float
         Fraction of the smaller lobe's depth below which a neck separates.
-
-    Returns
-    -------
-    Parts
-        The bodies.
     """
     padded = np.pad(depth, 1)
     flat = padded.ravel()

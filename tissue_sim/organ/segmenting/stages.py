@@ -93,11 +93,6 @@ def point_text(point: NDArray[np.float64]) -> str:
     ----------
     point : NDArray[np.float64], shape (3,), mm
         The point.
-
-    Returns
-    -------
-    str
-        The text.
     """
     return ",".join(f"{value:g}" for value in np.round(point, 1))
 
@@ -197,11 +192,6 @@ def segment_crop(
         Result of `smooth_for`, when several windows are tried on one crop.
     largest : float, mL, optional
         Volume from which an eroded region has leaked and isn't dilated.
-
-    Returns
-    -------
-    Segmentation
-        The segmentation.
     """
     point, mean, deviation = start
     h = float(crop.spacing[0])

@@ -46,11 +46,6 @@ def resample(ct: Volume, box: ArrayLike, spacing: float) -> Volume:
         Lower and upper corner.
     spacing : float, mm
         Spacing of the grid.
-
-    Returns
-    -------
-    Volume
-        The resampled image.
     """
     corners = _corners(np.asarray(box, dtype=np.float64))
     index = ct.to_index(corners)

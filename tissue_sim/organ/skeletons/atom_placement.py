@@ -26,11 +26,6 @@ def place_atoms(lines: list[Line], atoms: int) -> Tree:
     atoms : int
         Number of atoms.
 
-    Returns
-    -------
-    Tree
-        The tree.
-
     Raises
     ------
     UserError

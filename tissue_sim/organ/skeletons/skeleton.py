@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from skimage.measure import euler_number
 
 from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.directions import across
 from tissue_sim.errors import UserError
 from tissue_sim.organ.skeletons.atom_placement import place_atoms
 from tissue_sim.organ.skeletons.polyline import arc_length
@@ -98,11 +99,6 @@ def extract(wall: Wall, atoms: int, branches: str = "auto") -> Skeleton:
         Number of atoms.
     branches : str, optional
         `auto` follows branches that are long and round enough (`skeleton_tree`), `none` gives a chain.
-
-    Returns
-    -------
-    Skeleton
-        The skeleton.
 
     Raises
     ------
@@ -291,9 +287,7 @@ def _centre(line: Floats, field: NDArray[np.float32], h: float) -> Floats:
     for _ in range(_CENTRING_STEPS):
         along = np.gradient(line, axis=0)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-        first = np.cross(along, np.eye(3)[np.abs(along).argmin(axis=1)])
-        first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
-        second = np.cross(along, first)
+        first, second = across(along)
         radius = np.maximum(_sample(field, line, h), h)
         offset = _WINDOW * radius[:, None, None] * (first[:, None] * u[:, None] + second[:, None] * v[:, None])
         depth = _sample(field, (line[:, None] + offset).reshape(-1, 3), h).reshape(len(line), -1)

@@ -3,7 +3,7 @@
 Wan & Liang (2002) take the farthest descendants off the centreline as branches and drop the short ones. Here the
 voxel farthest past the surface of the skeleton so far (the balls around its voxels) is a candidate's tip, its path in
 the distance-mapping tree the candidate. It is a branch where it is long past that surface, long against its own
-radius, and round: the ridges that lead from the middle of a flat organ to its rim are none.
+radius, and round: the ridges that lead from the middle of a flat organ to its rim are not.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from scipy.ndimage import label, map_coordinates, uniform_filter1d
 
 from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.directions import across
 from tissue_sim.organ.skeletons.polyline import arc_length
 from tissue_sim.organ.skeletons.voxel_tree import approach
 
@@ -173,7 +174,7 @@ def _rerooted(parent: Longs, chain: Longs) -> Longs:
 
 
 def _judged(depth: Floats, ids: Longs, skeleton: Longs, inner_end: InnerEnd) -> Limb | None:
-    """Return the branch along a path of voxels from a tip to the skeleton; None where it is none."""
+    """Return the branch along a path of voxels from a tip to the skeleton; None where it is not one."""
     path, thickness = _places(ids, depth.shape), depth.ravel()[ids]
     middle, reach = _places(skeleton, depth.shape), depth.ravel()[skeleton]
     gap = np.linalg.norm(path[:, None] - middle, axis=2) - reach
@@ -201,13 +202,11 @@ def _flatness(depth: Floats, path: Floats, thickness: Floats) -> float:
         along = path[min(k + away, len(path) - 1)] - path[max(k - away, 0)]
         if not along.any():
             continue
-        along /= np.linalg.norm(along)
-        u = np.cross(along, np.eye(3)[np.abs(along).argmin()])
-        u /= np.linalg.norm(u)
+        u, v = across(along / np.linalg.norm(along))
         step = max(0.25 * r, 0.5)
         reach = int(5.0 * r / step)
         a, b = np.meshgrid(*(step * np.arange(-reach, reach + 1),) * 2)
-        places = path[k] + a[..., None] * u + b[..., None] * np.cross(along, u)
+        places = path[k] + a[..., None] * u + b[..., None] * v
         inside = map_coordinates(depth, np.moveaxis(places, -1, 0)[::-1], order=1, mode="constant") > 0.25
         parts, _ = label(inside)
         own = parts[reach, reach]
@@ -300,11 +299,6 @@ def join(lines: list[Line], limb: Floats, own: float, centre: Floats, reach: flo
         Centre of the parent's ball at its base.
     reach : float, mm
         Radius of that ball.
-
-    Returns
-    -------
-    Line
-        The line.
     """
     base = limb[-1]
     arc = arc_length(limb)

@@ -122,11 +122,6 @@ def inflate(
     progress : Progress | None, optional
         Called with the fraction done, 0 to 1, never falling.
 
-    Returns
-    -------
-    Balloon
-        The balloon.
-
     Raises
     ------
     UserError

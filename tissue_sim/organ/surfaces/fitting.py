@@ -260,12 +260,8 @@ def sample(level, h, x, y, z):  # type: ignore[no-untyped-def]
         Signed distance, negative inside.
     h : mm
         Spacing of the grid.
-    x : mm
-        Coordinate on the grid.
-    y : mm
-        Coordinate on the grid.
-    z : mm
-        Coordinate on the grid.
+    x, y, z : mm
+        Coordinates on the grid.
     """
     nz, ny, nx = level.shape
     u, v, w = x / h, y / h, z / h

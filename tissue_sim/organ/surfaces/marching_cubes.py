@@ -77,11 +77,6 @@ def marching_cubes_report(source: Wall | Volume) -> MarchingCubesReport:
     source : Wall | Volume
         The wall or the mask.
 
-    Returns
-    -------
-    MarchingCubesReport
-        The report.
-
     Raises
     ------
     UserError

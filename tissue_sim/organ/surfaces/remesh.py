@@ -43,11 +43,6 @@ def stars(triangles: Ints, n: int) -> Stars:
     n : int
         Number of points.
 
-    Returns
-    -------
-    Stars
-        The triangles.
-
     Raises
     ------
     ValueError

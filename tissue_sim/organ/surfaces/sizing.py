@@ -25,11 +25,6 @@ def mean_edge(positions: Floats, triangles: Ints) -> float:
         Points of the surface.
     triangles : Ints, shape (t, 3)
         Corner indices, counter-clockwise seen from outside.
-
-    Returns
-    -------
-    float
-        The mean.
     """
     edges = positions[triangles] - positions[np.roll(triangles, 1, axis=1)]
     return float(np.linalg.norm(edges, axis=2).mean())

@@ -169,11 +169,6 @@ def make_wall(mask: Volume) -> Wall:
     mask : Volume
         The voxels of the organ.
 
-    Returns
-    -------
-    Wall
-        The wall.
-
     Raises
     ------
     UserError
@@ -353,11 +348,6 @@ def wall_of_surface(positions: Floats, triangles: Ints, wall: Wall) -> Wall:
         Corner indices, outward.
     wall : Wall
         The wall that gives the grid.
-
-    Returns
-    -------
-    Wall
-        The wall.
 
     Raises
     ------

@@ -8,6 +8,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.edges import directed_edges
+from tissue_sim.organ.normals import triangle_area
 from tissue_sim.organ.surface_checks import signed_volume
 from tissue_sim.organ.surfaces.intersections import intersecting_pairs
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
@@ -23,11 +24,6 @@ class SurfaceComparison:
     mean: float  # symmetric: mean of the two mean distances, each by area
     volume_ratio: float  # enclosed by the surface, over the reference's
 
-    @property
-    def volume_difference(self) -> float:
-        """Relative difference of the enclosed volumes, without sign."""
-        return abs(self.volume_ratio - 1.0)
-
 
 def compare(reference: tuple[Floats, Ints], surface: tuple[Floats, Ints]) -> SurfaceComparison:
     """Return the distances between two closed surfaces.
@@ -41,11 +37,6 @@ def compare(reference: tuple[Floats, Ints], surface: tuple[Floats, Ints]) -> Sur
         Points, shape (n, 3), and outward triangles, shape (t, 3).
     surface : tuple[Floats, Ints]
         Points and outward triangles.
-
-    Returns
-    -------
-    SurfaceComparison
-        The comparison.
 
     References
     ----------
@@ -63,7 +54,7 @@ def compare(reference: tuple[Floats, Ints], surface: tuple[Floats, Ints]) -> Sur
 def _samples(positions: Floats, triangles: Ints, count: int = _SAMPLES) -> Floats:
     """Return points (count, 3) spread by area: even steps through the summed areas, a low-discrepancy place in each."""
     corner = positions[triangles]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    area = triangle_area(positions, triangles)
     total = np.cumsum(area)
     k = np.arange(count)
     chosen = np.minimum(np.searchsorted(total, (k + 0.5) / count * total[-1]), len(area) - 1)
@@ -97,11 +88,6 @@ def measure(positions: Floats, triangles: Ints) -> SurfaceQuality:
         Points of the surface.
     triangles : Ints, shape (t, 3)
         Corner indices, counter-clockwise seen from outside.
-
-    Returns
-    -------
-    SurfaceQuality
-        The measures.
     """
     edges = np.sort(directed_edges(triangles), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)

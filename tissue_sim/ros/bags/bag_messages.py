@@ -33,7 +33,7 @@ class BagMessages:
     def put(self, name: str, raw: bytes) -> bool:
         """Record a message as it is.
 
-        name: its topic; raw: its bytes. Returns whether there is a bag with room for it.
+        name: its topic. Returns whether there is a bag with room for it.
         """
         return self.spool is not None and self.spool.put(name, raw)
 

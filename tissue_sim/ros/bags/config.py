@@ -17,7 +17,7 @@ Fits = Callable[[object], bool]
 def read_config(text: str) -> JsonObject:
     """Return a bag's configuration from its JSON, checked as far as every format has it.
 
-    text: the JSON. Raises ValueError when it is none.
+    Raises ValueError when it is not JSON.
     """
     config = json.loads(text)
     if not isinstance(config, dict):

@@ -67,7 +67,7 @@ class JoinedRecorder:
 
         Call it with `together` held since they were posted.
 
-        sequence: number of the set; ticks (k,): ticks of the surfaces that they were found from; found: the pairs.
+        ticks (k,): ticks of the surfaces that they were found from.
         """
         self._newest = sequence, used_words(found).copy()
         if not self._messages.active:
@@ -83,8 +83,7 @@ class JoinedRecorder:
 
         Call it with `together` held.
 
-        organ: index of the organ; number: number of the cut; is_cut: whether the organ has cuts on it, and not none
-        after their reset.
+        number: number of the cut; is_cut: whether the organ has cuts on it, and not none after their reset.
         """
         row = organ, number, int(self._box.pairs.sequence[0]) + 1
         self._surfaces.pop(organ, None)
@@ -96,7 +95,7 @@ class JoinedRecorder:
     def respiration(self, sequence: int, fraction: float) -> None:
         """Record where the breath is to be; call it with `together` held since it was posted.
 
-        sequence: number of the message; fraction: fraction of the breath's way.
+        fraction: fraction of the breath's way.
         """
         self._newest_fraction = sequence, fraction
         if self._messages.active:

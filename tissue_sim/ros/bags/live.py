@@ -38,8 +38,8 @@ KEEP = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 def play_live(recording: Recording, target: str) -> tuple[list[str], Shown]:
     """Send all inputs to a running node.
 
-    target: name of the node. Returns notes, and what the node showed by the recording's ticks. Raises UserError when
-    the node is not there, does not follow /clock, or has other tools.
+    Returns notes, and what the node showed by the recording's ticks. Raises UserError when the node is not there, does
+    not follow /clock, or has other tools.
     """
     if recording.is_scene:
         raise UserError("--live needs the bag of a single organ, and this one contains a scene")

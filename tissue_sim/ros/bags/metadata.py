@@ -76,7 +76,7 @@ def as_yaml(values: object) -> str:
 def write(folder: Path, files: Sequence[File], connections: Sequence[Connection]) -> None:
     """Write a bag's metadata.yaml, as a whole or not at all.
 
-    folder: folder of the bag; connections: its topics. Raises OSError when it can't be written.
+    connections: its topics. Raises OSError when it can't be written.
     """
     path = folder / f"{NAME}.tmp"
     with path.open("w", encoding="utf-8") as stream:

@@ -48,7 +48,7 @@ class _Notes:
 class OrganRecorder:
     """Recorder of what an organ applied and showed, while `messages` has a bag open.
 
-    below: the topics' absolute prefix; physics: the organ's simulation.
+    below: the topics' absolute prefix.
     """
 
     def __init__(self, messages: BagMessages, below: str, physics: Physics) -> None:
@@ -132,8 +132,6 @@ class OrganRecorder:
         """Record which contact set is the first that was found on the surface after the newest cut.
 
         Call it with `together` held.
-
-        first_set: number of the set.
         """
         numbers = {"number": np.array(self.physics.version), "first_set": np.array(first_set)}
         if self._cut is not None:
@@ -144,8 +142,7 @@ class OrganRecorder:
     def surface(self, tick: int, surface: bytes, skeleton: bytes, markers: bytes | None) -> None:
         """Record a published surface, skeleton and, if wanted, markers.
 
-        tick: the tick that they show; surface: bytes of the surface; skeleton: bytes of the skeleton; markers: bytes of
-        the markers.
+        tick: the tick that they show.
         """
         with self.together:
             if not self.active:
@@ -200,8 +197,7 @@ class OrganRecorder:
 
         Call it with `together` held since it was posted.
 
-        sequence: number of the set; ticks: tick of its surface, and of the tools' places; found: the contact set;
-        bodies: rows of its bodies.
+        ticks: tick of its surface, and of the tools' places; bodies: rows of its bodies.
         """
         self._newest_set = sequence, found
         if not self.active:

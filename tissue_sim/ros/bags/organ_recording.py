@@ -18,7 +18,7 @@ from tissue_sim.ros.bags.recorded_cut import RecordedCut, organ_in, recorded_cut
 from tissue_sim.ros.shared.cdr import parse_cloud, parse_octets
 
 TOO_SHORT = "it was recorded too briefly or broken off, so that nothing of it can be replayed: delete it"
-ADDED = ("toughness", "flank_friction")  # settings that older bags lack, whose tools are no blades
+ADDED = ("toughness", "flank_friction")  # settings that older bags lack, whose tools are not blades
 NO_LONGER = ("factor_slot",)  # settings of older bags that this version has no use for
 
 

@@ -104,8 +104,8 @@ def replay_bag(path: Path, asked: Asked, prefix: str = "") -> Outcome:
 def replay_live(path: Path, asked: Asked, node: str) -> Outcome:
     """Send a bag's inputs to a running node, and compare what it shows with a replay at the same ticks.
 
-    path: folder of the bag; asked: how it is to be compared; node: name of the node. Raises UserError when this can't
-    be done with the bag or the node.
+    path: folder of the bag; asked: how it is to be compared. Raises UserError when this can't be done with the bag or
+    the node.
     """
     try:
         from tissue_sim.ros.bags.live import play_live

@@ -24,8 +24,7 @@ LEAST = 1e-18  # stands for a deviation of zero: the axis is logarithmic
 def picture_path(given: str, bag: Path) -> Path:
     """Return the file of a picture: the given one that ends in .png, or the bag's name in a folder, which is made.
 
-    given: file or folder; bag: folder of the bag. Raises UserError without matplotlib, or when the folder can't be
-    made.
+    Raises UserError without matplotlib, or when the folder can't be made.
     """
     if importlib.util.find_spec("matplotlib") is None:
         raise UserError("--plot needs matplotlib: pip install matplotlib")

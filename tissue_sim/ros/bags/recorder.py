@@ -108,8 +108,8 @@ class Recorder:
     def add_topic(self, tool: str, topic: str, name: str = "", qos: QoSProfile = STREAM) -> str:
         """Give bags a tool's topic, of TOOL_TOPICS or GRIPPER_TOPICS.
 
-        tool: name of the tool; topic: name in those tables; name: name of the bridge's own topic, where a bag holds its
-        very bytes; qos: how it is delivered. Returns its name in the bag.
+        topic: name in those tables; name: name of the bridge's own topic, where a bag holds its very bytes; qos: how it
+        is delivered. Returns its name in the bag.
         """
         name = self._tool_topics.setdefault(f"{tool}/{topic}", name or f"{self._node_name}/{tool}/{topic}")
         self._tool_qos[name] = qos
@@ -264,7 +264,7 @@ class Recorder:
     def received(self, name: str, raw: bytes) -> None:
         """Record a pose or force that was accepted, as it came; call it before it is posted.
 
-        name: its topic; raw: its bytes.
+        name: its topic.
         """
         if self.active:
             self._messages.put(name, raw)
@@ -272,7 +272,7 @@ class Recorder:
     def wrench(self, name: str, tool: int, tick: int, raw: bytes) -> None:
         """Record a published servo_cf.
 
-        name: its topic; tool: index of the tool; tick: the tick that it shows; raw: its bytes.
+        name: its topic; tool: index of the tool; tick: the tick that it shows.
         """
         with self.together:
             if self.active and self._messages.put(name, raw):

@@ -43,7 +43,7 @@ def is_interrupted(folder: Path) -> bool:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse what is no folder of a bag. Raises UserError."""
+    """Raise UserError for what is not the folder of a bag."""
     if not folder.exists():
         raise UserError(f"bag {folder} does not exist")
     if not folder.is_dir():
@@ -71,8 +71,8 @@ def report_incomplete_records(folder: Path) -> Iterator[None]:
 def listed(folder: Path) -> list[Path]:
     """Return the files that a bag's metadata lists, as a reader would open them.
 
-    folder: folder of the bag. Raises UserError for another storage, and for files or messages that are compressed
-    beyond the storage's own chunks: their unpacked size is unknown.
+    Raises UserError for another storage, and for files or messages that are compressed beyond the storage's own chunks:
+    their unpacked size is unknown.
     """
     said = metadata.read(folder)
     packed = str(said.get("compression_mode") or "none").lower()
@@ -89,8 +89,8 @@ def listed(folder: Path) -> list[Path]:
 def opened(folder: Path, of_node: bool = True) -> Iterator[Sequence[Reader | McapReader]]:
     """Yield readers of a bag, the oldest first: one of a whole bag, or one for each file of a bag that was broken off.
 
-    folder: folder of the bag; of_node: whether a bag that was broken off must be one of this package. Raises UserError
-    for a bag that can't be read.
+    of_node: whether a bag that was broken off must be one of this package. Raises UserError for a bag that can't be
+    read.
     """
     check_folder(folder)
     with report_incomplete_records(folder):
@@ -107,7 +107,7 @@ def opened(folder: Path, of_node: bool = True) -> Iterator[Sequence[Reader | Mca
 def messages(folder: Path) -> Iterator[tuple[Connection, int, bytes]]:
     """Yield the messages of a bag that was broken off, in their order.
 
-    folder: folder of the bag. Yields topic, stamp (ns) and bytes of every whole message.
+    Yields topic, stamp (ns) and bytes of every whole message.
     """
     with _opened(folder) as readers:
         for reader in readers:
@@ -117,7 +117,7 @@ def messages(folder: Path) -> Iterator[tuple[Connection, int, bytes]]:
 def complete(folder: Path) -> str:
     """Give a bag what it lacks at its end; return a line about it.
 
-    folder: folder of the bag. Raises UserError when it is empty, still being recorded, or damaged.
+    Raises UserError when it is empty, still being recorded, or damaged.
     """
     with ExitStack() as stack, report_incomplete_records(folder):
         for path in folder.glob("*.mcap"):
@@ -247,7 +247,7 @@ def check_lengths(file: Path) -> None:
 def _records(bio: BinaryIO) -> Iterator[tuple[int, int, int]]:
     """Yield each record's opcode, its length, and where the next one begins, with the file at the record's content.
 
-    Raises ReaderError for a file that is no MCAP file.
+    Raises ReaderError for a file that is not MCAP.
     """
     bio.seek(0)
     if bio.read(len(MAGIC)) != MAGIC:

@@ -79,7 +79,7 @@ class Spool:
     def put(self, name: str, raw: bytes) -> bool:
         """Keep a message of a topic until it is written.
 
-        name: the topic; raw: its bytes. Returns whether there was room for it.
+        name: the topic. Returns whether there was room for it.
         """
         size = len(raw) + _HEADER.size
         with self._lock:

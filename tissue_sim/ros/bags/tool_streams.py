@@ -76,7 +76,7 @@ def topics_of(path: Path, pose_topic: str, wrench_topic: str) -> ToolStream:
     try:
         poses = np.array([unit_pose(pose) for pose in poses])
     except ValueError as error:
-        raise UserError(f"bag {path}: {pose_topic} has a pose that is none: {error}") from None
+        raise UserError(f"bag {path}: {pose_topic} has an invalid pose: {error}") from None
     known = (wrench_time >= pose_time[0]) & (wrench_time <= pose_time[-1])
     if not known.any():
         raise UserError(f"bag {path}: {pose_topic} and {wrench_topic} have no time in common")
@@ -98,12 +98,12 @@ def in_pose_axes(stream: ToolStream) -> ToolStream:
 def in_organ_axes(stream: ToolStream, organ_pose: Sequence[float]) -> ToolStream:
     """Return a stream in the axes of an organ whose pose (7,), m and xyzw, is given in the stream's axes.
 
-    Raises UserError for a pose that is none.
+    Raises UserError for an invalid pose.
     """
     try:
         pose = unit_pose(np.array(organ_pose, dtype=np.float64))
     except ValueError as error:
-        raise UserError(f"--organ-pose is no pose: {error}") from None
+        raise UserError(f"--organ-pose is invalid: {error}") from None
     back = Rotation.from_quat(pose[3:]).inv()
     return stream._replace(positions=back.apply(stream.positions - pose[:3]), forces=back.apply(stream.forces))
 

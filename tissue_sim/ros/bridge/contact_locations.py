@@ -103,7 +103,7 @@ class Surface:
             found = [self.touch(point, FRONT, depth) for point in self.ball.centre + shift * sideways + line]
             touches = [touch for touch in found if touch]
             jumps = np.abs(np.diff([touch.place @ FRONT for touch in touches]))
-            # A line that leaves the organ, or jumps at an edge, is no stroke.
+            # A line that leaves the organ, or jumps at an edge, is not a stroke.
             if len(touches) == len(line) and jumps.max() < 2.0 * length / (len(line) - 1):
                 return touches
         raise UserError("found no path on the organ's front to stroke; leave 'stroke' out of the script")

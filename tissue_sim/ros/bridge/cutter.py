@@ -23,8 +23,7 @@ from tissue_sim.ros.shared.qos import RELIABLE
 class Cutter:
     """What cuts an organ of a running node.
 
-    node: the client's node; target: name of the other node; below: what comes before the topics of the organ; longest:
-    longest wait for each answer, s.
+    below: what comes before the topics of the organ; longest: longest wait for each answer, s.
     """
 
     def __init__(self, node: Node, target: str, below: str, longest: float, stop: client.Stop) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim import progress
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.bridge.served import served_by, write_missing
@@ -155,7 +155,7 @@ def link_of(values: JsonObject, args: argparse.Namespace, task: Task) -> ToolLin
     return link
 
 
-def goal_of(vertices: Floats, triangles: Any, args: argparse.Namespace, task: Task) -> Goal:
+def goal_of(vertices: Floats, triangles: Longs, args: argparse.Namespace, task: Task) -> Goal:
     """Return the goal at the surface point nearest to the place that is chosen, or a grasp from its side."""
     from tissue_sim.contact.grasp import lower_pole
     from tissue_sim.environments.tasks import Retract

@@ -57,8 +57,8 @@ class Done(NamedTuple):
 class DrivenTool:
     """A tool, its wrench in the organ's frame, and the surface.
 
-    node: the client's node; target: name of the other node; below: what comes before the topics of the organ; rest:
-    points of its surface at rest, and their normals, shapes (n, 3) m and (n, 3).
+    below: what comes before the topics of the organ; rest: points of its surface at rest, and their normals, shapes (n,
+    3) m and (n, 3).
     """
 
     def __init__(self, node: Node, target: str, link: ToolLink, below: str, rest: tuple[Floats, Floats]) -> None:
@@ -86,7 +86,7 @@ class DrivenTool:
     def drive(self, learned: Learned, goal: Goal, start: Floats, steps: int, stop: client.Stop) -> Done:
         """Let an agent move the tool, until its goal is met as in its environment, or for so many steps.
 
-        learned: the agent; goal: what it is to do; start (3,) m: where the tool is; steps: steps of 20 ms at most.
+        goal: what it is to do; start (3,) m: where the tool is; steps: steps of 20 ms at most.
         """
         task, tip, held, met, late, count = task_of(learned.task), start, 0, 0, 0, 0
         way = BladeWay(Line(goal.place, goal.half, goal.outward, goal.wanted)) if task.has_blade else None

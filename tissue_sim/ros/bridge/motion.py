@@ -167,10 +167,7 @@ class Path:
         )
 
     def retreat(self, index: int) -> Path:
-        """Return a path from one of the poses straight out; jaws open first, or they would take along what they hold.
-
-        index: index of the pose.
-        """
+        """Return a path from one of the poses straight out; jaws open first, or they would keep what they hold."""
         here = {name: getattr(self, name)[index : index + 1] for name in ("phases", "poses", "angles", "outward")}
         inside = {tool: way for tool, way in enumerate(self.outward[index]) if way.any()}
         opened = {tool: float(self.angles[:, tool].max()) for tool in inside}

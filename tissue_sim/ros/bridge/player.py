@@ -31,8 +31,7 @@ Cast = tuple[list[ToolLink], tuple[str, ...], dict[str, Jaws], float]
 def cast(values: JsonObject, args: argparse.Namespace) -> Cast:
     """Choose the tools and the script by a node's parameters; a node without them counts as one with the defaults.
 
-    values: parameters of the node; args: arguments of the command. Raises UserError when the node lacks a tool, or a
-    gripper to grip with.
+    Raises UserError when the node lacks a tool, or a gripper to grip with.
     """
     there = tuple(values.get("tools", ()))
     for name in args.tools or ():

@@ -30,9 +30,8 @@ class Served(NamedTuple):
 def served_by(node: Node, args: argparse.Namespace, parameters: NodeParameters, stop: client.Stop) -> Served | None:
     """Return what the node serves; None after a line on the standard error, when a signal came or it doesn't answer.
 
-    node: the rclpy node that asks; args: arguments `node`, `organ` and `wait` of the command, and `command`, its name;
-    parameters: parameters of the node; stop: whether a signal has come. Raises UserError for an organ that the node
-    doesn't have.
+    args: arguments `node`, `organ` and `wait` of the command, and `command`, its name; stop: whether a signal has come.
+    Raises UserError for an organ that the node doesn't have.
     """
     from shape_msgs.msg import Mesh
 

@@ -34,9 +34,8 @@ def plan(
 
     The first tool strokes and pokes; a nip takes the first two; a grip the first that has jaws.
 
-    surface: the surface, and the radius of the spheres; tools: names of the tools; script: the actions; grippers: jaws
-    by the tools' names; rate: poses per second, Hz. Raises UserError when a tool is missing, or the organ has no place
-    for an action.
+    surface: the surface, and the radius of the spheres; script: the actions; grippers: jaws by the tools' names; rate:
+    poses per second, Hz. Raises UserError when a tool is missing, or the organ has no place for an action.
     """
     check(script, tools)
     holders = [(index, grippers[tool]) for index, tool in enumerate(tools) if grippers and tool in grippers]

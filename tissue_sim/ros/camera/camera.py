@@ -37,8 +37,7 @@ SECOND = 1_000_000_000  # ns
 class Camera:
     """A camera beside the node `target`; `update` is called for each picture.
 
-    node: the rclpy node that subscribes and publishes; target: name of the node that is seen; settings: the camera;
-    viewpoint: where it is; bag: folder of a bag, and those of TOPICS that it holds, of each eye.
+    settings: the camera; viewpoint: where it is; bag: folder of a bag, and those of TOPICS that it holds, of each eye.
     """
 
     def __init__(

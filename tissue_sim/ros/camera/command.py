@@ -64,14 +64,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=client.number(0.005, 2.0, "m"),
         help="distance from the light at which tissue is exposed well, m (default: 0.12)",
     )
-    add("--record", metavar="BAG", help="folder for a bag of the compressed images, made again")
+    add("--record", metavar="BAG", help="new folder for a bag of the compressed images")
     add("--record-depth", action="store_true", help="with --record, the images of depth and segmentation, too")
     add(
         "--nice",
         type=int,
         choices=range(20),
         metavar="0..19",
-        help="how much it stands back behind other processes (default: as much as it can, SCHED_IDLE)",
+        help="niceness of its process (default: SCHED_IDLE, it runs only while no other process does)",
     )
 
 

@@ -30,8 +30,7 @@ SILENT_AFTER = 3.0  # s without markers, after which the tools' poses are unknow
 class SeenOrgan:
     """An organ whose topics lie below a node's name, or below its own there.
 
-    node: the node that subscribes; drawn: what draws it; target: name of the node that serves it; name: its name in a
-    scene (empty for a single organ); label: its label in a segmentation.
+    drawn: what draws it; name: its name in a scene (empty for a single organ); label: its label in a segmentation.
     """
 
     def __init__(self, node: Node, drawn: Offscreen, target: str, name: str, label: int) -> None:
@@ -97,7 +96,7 @@ class SeenOrgan:
 class SeenLigaments:
     """The ligaments of a node's scene, as its markers show them.
 
-    node: the node that subscribes; drawn: what draws them; target: name of the node that serves them.
+    drawn: what draws them.
     """
 
     def __init__(self, node: Node, drawn: Offscreen, target: str) -> None:
@@ -126,7 +125,7 @@ class SeenLigaments:
 class SeenTools:
     """The tools of a node, as its markers show them.
 
-    node: the node that subscribes; drawn: what draws them; target: name of the node that serves them.
+    drawn: what draws them.
     """
 
     def __init__(self, node: Node, drawn: Offscreen, target: str) -> None:
@@ -188,7 +187,7 @@ def screen(colour: Colour) -> tuple[float, float, float]:
 
 
 def shape_of(marker: Marker) -> tuple[Floats, Longs] | None:
-    """Return vertices (n, 3) m and triangles (t, 3) of a marker; None for one that is no body.
+    """Return vertices (n, 3) m and triangles (t, 3) of a marker; None for one that is not a body.
 
     marker: a sphere, a cylinder or a list of triangles.
     """

@@ -21,8 +21,8 @@ Keep = Callable[[str, int, bytes], None]  # takes a topic, a time, ns, and a mes
 class EyeTopics:
     """Publishers of one camera, which make only what is subscribed to or recorded.
 
-    node: the node that publishes; settings: size, lens and names; eye: left or right of a stereo pair (empty for a
-    single camera); recorded: those of TOPICS that are recorded; keep: records a message.
+    settings: size, lens and names; eye: left or right of a stereo pair (empty for a single camera); recorded: those of
+    TOPICS that are recorded; keep: records a message.
     """
 
     def __init__(self, node: Node, settings: CameraSettings, eye: str, recorded: frozenset[str], keep: Keep) -> None:

@@ -55,7 +55,7 @@ class Fixed:
 class FromTopic:
     """The newest pose of a topic, in the organ's frame, in `base_frame`, or in one that tf knows.
 
-    node: the node that subscribes; topic: topic of a PoseStamped; warn: takes a line about a pose that can't be used.
+    topic: topic of a PoseStamped; warn: takes a line about a pose that can't be used.
     """
 
     def __init__(self, node: Node, topic: str, axes: Transform, warn: Callable[[str], object]) -> None:
@@ -131,7 +131,7 @@ def _placed(frame: Transform, axes: Transform) -> Floats:
 
 
 def _checked(message: PoseStamped) -> list[float]:
-    """Return the pose (7,) of a message; raise ValueError for one that is none, or in another unit."""
+    """Return the pose (7,) of a message; raise ValueError for one that is invalid, or in another unit."""
     place, turn = message.pose.position, message.pose.orientation
     pose = np.array([place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w])
     if not np.isfinite(pose).all():

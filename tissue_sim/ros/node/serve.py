@@ -37,7 +37,7 @@ class LoopEnded(Exception):
 def serve(arguments: list[str], ending: ShutdownHandler) -> int:
     """Run the node until SIGINT or SIGTERM; to be called in the main thread.
 
-    arguments: the program's name, and behind it ROS's arguments; ending: tells when it is asked to end.
+    arguments: the program's name, and behind it ROS's arguments.
     """
     asked = {"-h": usage, "--help": usage, "--version": lambda: f"{PROGRAM} {__version__}"}
     for answer in (asked[word] for word in arguments[1:] if word in asked):
@@ -124,7 +124,7 @@ def usage() -> str:
 
 
 def _check_own(arguments: list[str]) -> None:
-    """Raise UserError for arguments that are none of ROS's: the node has no others."""
+    """Raise UserError for arguments that are not ROS's: the node has no others."""
     own = remove_ros_args(args=arguments)[1:]
     if not own:
         return

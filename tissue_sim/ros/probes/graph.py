@@ -70,8 +70,7 @@ class Graph(ExitStack):
     ) -> Child:
         """Start a module of tissue_sim.ros as a program.
 
-        module: its name below tissue_sim.ros; within: the command, if any, that runs it; environment: its environment
-        variables.
+        module: its name below tissue_sim.ros; within: the command, if any, that runs it.
         """
         command = [*within, sys.executable, "-m", f"tissue_sim.ros.{module}", *words]
         return self._begin(module.rpartition(".")[2], command, environment)
@@ -94,7 +93,7 @@ class Graph(ExitStack):
     ) -> Child:
         """Start the node with an organ and parameters like `rate:=500.0`.
 
-        within: the command, if any, that runs it; environment: its environment variables.
+        within: the command, if any, that runs it.
         """
         return self.serve(f"organ_file:={organ_file}", *parameters, within=within, environment=environment)
 
@@ -109,7 +108,7 @@ class Graph(ExitStack):
     ) -> Child:
         """Start the node with parameters, of which one names its organ or scene.
 
-        within: the command, if any, that runs it; environment: its environment variables.
+        within: the command, if any, that runs it.
         """
         words = [word for parameter in parameters for word in ("-p", parameter)]
         return self.start("node.program", "--ros-args", *words, within=within, environment=environment)

@@ -13,7 +13,7 @@ KEPT = 50  # reports
 class PictureTimes:
     """Reports of a camera of that name, since it was made.
 
-    node: the node that subscribes; camera: name of the camera.
+    camera: name of the camera.
     """
 
     def __init__(self, node: Node, camera: str) -> None:

@@ -56,7 +56,7 @@ def depth_after(seconds: float) -> float:
 class PokeProbe(Hand):
     """A hand that pokes; like a haptic bridge it sends the present pose, and none for a moment that it missed.
 
-    target: name of the node that is poked; rate: poses per second, Hz; priority: real-time priority of the hand.
+    rate: poses per second, Hz; priority: real-time priority of the hand.
     """
 
     def __init__(self, node: Node, target: str, organ: Organ, *, rate: float = 1000.0, priority: int = 0) -> None:
@@ -68,7 +68,7 @@ class PokeProbe(Hand):
     def poke(self, seconds: float, watch: Callable[[], object] = lambda: None) -> PokeFigures:
         """Poke for some time, SHORTEST at least.
 
-        seconds: that time, s; watch: called after each poke. Raises UserError when the node sends no report meanwhile.
+        watch: called after each poke. Raises UserError when the node sends no report meanwhile.
         """
         self._wrenches.take()
         self._reports.take_all()

@@ -28,10 +28,7 @@ ANSWERED = 3  # poses outside that the node answers before a press begins: a too
 
 
 class PressProbe(Hand):
-    """A hand that sends poses at a rate, like a haptic bridge: the present one, and none for a moment missed.
-
-    target: the node.
-    """
+    """A hand that sends poses at a rate, like a haptic bridge: the present one, and none for a moment missed."""
 
     def __init__(self, node: Node, target: str, organ: Organ) -> None:
         super().__init__(node, organ)
@@ -138,7 +135,7 @@ def force_in_the_end(answers: Sequence[tuple[float, Floats]]) -> Floats:
 def pressing(organ_file: str, organ: Organ, parameters: Sequence[str]) -> Iterator[PressProbe]:
     """Start a node with an organ of a file and parameters, and a hand at it.
 
-    organ: the same organ; parameters: parameters of the node. Raises UserError when the node doesn't start.
+    Raises UserError when the node doesn't start.
     """
     with Graph() as graph:
         served = graph.start_node(organ_file, *parameters)

@@ -73,7 +73,7 @@ def swinging(seconds: float) -> float:
 class Probe(Hand):
     """A hand that sends each pose when the last was answered, and measures the times; to the node or to the echo.
 
-    target: name of the node that is measured; rate: poses per second, Hz.
+    rate: poses per second, Hz.
     """
 
     def __init__(self, node: Node, target: str, organ: Organ, rate: float) -> None:
@@ -99,7 +99,7 @@ class Probe(Hand):
     def changes(self, seconds: float, rate: float) -> Trip:
         """Measure from a pose to the first wrench that was computed with it, by steps in contact.
 
-        seconds: duration, s; rate: poses per second, Hz.
+        rate: poses per second, Hz.
         """
         took, lost, before, after = [], 0, DEPTH, DEPTH + STEP
         end = time.monotonic() + seconds
@@ -130,7 +130,7 @@ class Probe(Hand):
     def echoes(self, seconds: float, rate: float) -> Trip:
         """Measure from a pose to the same bytes from the echo; the node gets no poses, and its force fades.
 
-        seconds: duration, s; rate: poses per second, Hz.
+        rate: poses per second, Hz.
         """
         return self._exchange(self._to_echo, seconds, 1.0 / rate, swinging)
 

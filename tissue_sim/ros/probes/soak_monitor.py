@@ -52,7 +52,7 @@ def resident(process: int) -> tuple[float, float]:
 class Watch:
     """Observer of a node from a rclpy node of this process that nothing spins.
 
-    node: that rclpy node; target: name of the monitored node; process: number of its process.
+    process: number of its process.
     """
 
     def __init__(self, node: Node, target: str, process: int) -> None:

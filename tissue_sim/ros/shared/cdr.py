@@ -123,7 +123,7 @@ def _doubles(raw: bytes, at: int, count: int) -> tuple[float, ...]:
 def check_position(position: NDArray[np.float64]) -> None:
     """Check that a position is in metres.
 
-    position (3,) m. Raises ValueError when it is in another unit, or no number.
+    position (3,) m. Raises ValueError when it is in another unit, or not a number.
     """
     distances = [abs(along) for along in position.tolist()]  # three numbers take NumPy longer than Python
     if not all(along <= FARTHEST for along in distances):
@@ -131,13 +131,13 @@ def check_position(position: NDArray[np.float64]) -> None:
 
 
 def check_force(force: NDArray[np.float64]) -> None:
-    """Check that a force (3,) is in newtons. Raises ValueError when it is in another unit, or no number."""
+    """Check that a force (3,) is in newtons. Raises ValueError when it is in another unit, or not a number."""
     if not (hardest := float(np.abs(force).max())) <= HARDEST:
         raise ValueError(f"its force is {hardest:.3g} N; forces are in newtons")
 
 
 class BadQuaternion(ValueError):
-    """A quaternion that is no rotation.
+    """A quaternion that is not a rotation.
 
     counted: what it is counted as.
     """

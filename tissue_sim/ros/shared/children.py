@@ -16,10 +16,7 @@ SECONDS_TO_TERMINATE = 2.0
 
 
 class Child:
-    """A program that runs beside this one, in a session of its own: Ctrl-C in the terminal reaches only the parent.
-
-    name: its name for messages; command: its command line; environment: its environment variables.
-    """
+    """A program that runs beside this one, in a session of its own: Ctrl-C in the terminal reaches only the parent."""
 
     def __init__(self, name: str, command: Sequence[str], environment: Mapping[str, str]) -> None:
         self.name = name

@@ -93,10 +93,7 @@ class Stop:
 # ROS -------------------------------------------------------------------------------------------
 @contextmanager
 def client_node(name: str, target: str) -> Iterator[Node]:
-    """Provide a node beside the node `target`, in the same namespace; rclpy is running meanwhile.
-
-    target: name of the other node.
-    """
+    """Provide a node beside the node `target`, in the same namespace; rclpy is running meanwhile."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
@@ -120,7 +117,7 @@ def client_node(name: str, target: str) -> Iterator[Node]:
 def node_beside(node: Node, what: str) -> Node:
     """Return another node of a program, in the same namespace and with its name before `what`.
 
-    node: node of the program; what: end of the name.
+    what: end of the name.
     """
     import rclpy
 
@@ -176,8 +173,7 @@ class NewestMessage:
 
     No callback runs for the messages in between: a 1 kHz stream costs as little as its reader's rate.
 
-    node: the rclpy node that subscribes; kind: type of the messages; qos: how it is subscribed; raw: whether messages
-    are returned as bytes.
+    qos: how it is subscribed; raw: whether messages are returned as bytes.
     """
 
     def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile, raw: bool = False) -> None:
@@ -219,10 +215,7 @@ def cloud_array(message: PointCloud2) -> Singles:
 
 
 def newest_status(reports: Sequence[DiagnosticArray], target: str) -> DiagnosticStatus | None:
-    """Return a node's newest physics DiagnosticStatus, or None without one.
-
-    reports: diagnostics; target: name of the node.
-    """
+    """Return a node's newest physics DiagnosticStatus, or None without one."""
     name = f"{target.strip('/')}: physics"
     for report in reversed(reports):
         for status in report.status:
@@ -232,9 +225,6 @@ def newest_status(reports: Sequence[DiagnosticArray], target: str) -> Diagnostic
 
 
 def physics_status(reports: Sequence[DiagnosticArray], target: str) -> dict[str, str] | None:
-    """Return the values of a node's newest physics status, or None without one.
-
-    reports: diagnostics; target: name of the node.
-    """
+    """Return the values of a node's newest physics status, or None without one."""
     status = newest_status(reports, target)
     return None if status is None else {item.key: item.value for item in status.values}

@@ -33,7 +33,7 @@ def prepare(environment: MutableMapping[str, str] = os.environ) -> None:
 
 
 def check_domain(environment: Mapping[str, str] = os.environ) -> None:
-    """Raise UserError for a ROS_DOMAIN_ID whose ports don't exist, or that is no number."""
+    """Raise UserError for a ROS_DOMAIN_ID whose ports don't exist, or that is not a number."""
     given = environment.get(DOMAIN, "").strip()
     if given and not (given.isascii() and given.isdecimal() and int(given) <= LAST_DOMAIN):
         raise UserError(
@@ -73,10 +73,7 @@ def use_shipped_profile(environment: MutableMapping[str, str] = os.environ) -> N
 
 
 def describe_discovery(environment: Mapping[str, str] = os.environ) -> str:
-    """Return where a program with this environment is discoverable, for a log.
-
-    environment: the environment variables.
-    """
+    """Return where a program with this environment is discoverable, for a log."""
     reach = environment.get(REACH) or "SUBNET"  # the default of ROS
     if is_local(environment):
         return f"discoverable on this machine only; {REACH}=SUBNET extends that to the subnet"

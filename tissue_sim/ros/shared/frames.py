@@ -17,10 +17,7 @@ def tip_frame(tool: str) -> str:
 
 
 def wrench_frame(tool: str) -> str:
-    """Return the frame of a tool's wrench where `wrench_rotation` turns that away from every other frame.
-
-    tool: name of the tool.
-    """
+    """Return the frame of a tool's wrench where `wrench_rotation` turns that away from every other frame."""
     return f"{tool}_wrench"
 
 

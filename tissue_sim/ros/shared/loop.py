@@ -197,10 +197,9 @@ class Loop:
 
         A held loop takes it up at once.
 
-        organ: index of the organ; made: the simulation, whose `carry_plan` fits the one in use; plan: what changes for
-        all organs, None for an organ alone; patience: how long to wait for the tick, None: as long as a running loop
-        may take, s. Raises UserError when the clock that ticks follow stands; TimeoutError when the loop doesn't
-        answer.
+        made: the simulation, whose `carry_plan` fits the one in use; plan: what changes for all organs, None for an
+        organ alone; patience: how long to wait for the tick, None: as long as a running loop may take, s. Raises
+        UserError when the clock that ticks follow stands; TimeoutError when the loop doesn't answer.
         """
         if self.clock_stands and patience is None:
             raise UserError("the clock that ticks follow stands, so that no tick takes up the cut; publish /clock")

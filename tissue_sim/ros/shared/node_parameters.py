@@ -24,8 +24,6 @@ class NodeParameters:
     """Parameters of the node `target` and of its tools, read for the node `client`.
 
     It has a node of its own, for an executor that handles nothing but the answers.
-
-    client: the client's node; target: name of the other node.
     """
 
     def __init__(self, client: Node, target: str) -> None:
@@ -78,7 +76,7 @@ class NodeParameters:
 def parameters_of(target: str, asker: str, longest: float) -> JsonObject | None:
     """Return the parameters of a node; None where it doesn't answer in time.
 
-    target: name of that node; asker: name of the asking node; longest: that time, s.
+    asker: name of the asking node; longest: that time, s.
     """
     with client_node(asker, target) as own:
         return wait_until(NodeParameters(own, target).poll, longest) or None

@@ -57,7 +57,7 @@ class Organs:
     def post_force(self, body: int, force: Floats) -> int:
         """Post the newest external force at the tip of a body; return its sequence number, the same for all.
 
-        body: index of the body; force (3,) N.
+        force (3,) N.
         """
         sequence = max([one.post_force(body, force) for one in self.each])
         self.loop.wake()

@@ -33,8 +33,6 @@ def usual_topics(tool: str) -> dict[str, str]:
 
     External forces have none: in CRTK a device publishes its own force as measured_cf, which must not return as one on
     the tissue.
-
-    tool: name of the tool.
     """
     names = {topic: f"{tool}/{topic}" for topic in TOOL_TOPICS}
     return names | {"external_cf": "", "measured_js": f"{tool}/gripper/measured_js"}
@@ -55,7 +53,7 @@ def topics_of(values: Values, tool: str) -> ToolTopics:
 def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | None) -> Frames:
     """Return the frames that a tool's poses may come in.
 
-    tool: name of the tool; lookup: transforms other frames to the node's `tf_target`, None without tf.
+    lookup: transforms other frames to the node's `tf_target`, None without tf.
     """
     known, led, to_organ = _known(values, lookup)
     known.setdefault(_frame_of(values, tool), to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"])))
@@ -127,8 +125,6 @@ def placed_frames(values: Values, tools: Sequence[str]) -> Placed:
     """Return the frames that parameters place in base_frame, which is the organ's where none is named.
 
     A tool's frame without a base_pose is left to its driver.
-
-    tools: names of the tools.
     """
     organ_id, base_id = _organ_and_base(values)
     poses = {_frame_of(values, tool): Transform.of_pose(values[f"{tool}.base_pose"]) for tool in tools}

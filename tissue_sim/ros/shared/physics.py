@@ -75,7 +75,7 @@ class Physics:
 
         The next tick applies it; `Loop.wake` requests one, once everything that belongs together has been posted.
 
-        body: index of the body; pose (7,) m and quaternion xyzw; stamp: its time, ns.
+        pose (7,) m and quaternion xyzw; stamp: its time, ns.
         """
         words = np.empty(mb.POSE_WORDS, dtype=np.int64)
         words[:7], words[7] = pose.view(np.int64), stamp
@@ -84,7 +84,7 @@ class Physics:
     def post_force(self, body: int, force: Floats) -> int:
         """Post the newest external force at the tip of a body; return its sequence number.
 
-        body: index of the body; force (3,) N.
+        force (3,) N.
         """
         return int(mb.put(self._force, body, force.view(np.int64)))
 

@@ -23,8 +23,6 @@ class JawSlider:
     """Opening angle of a tool's jaws in degrees; not shown for a tool without.
 
     It shows the present angle, whoever moves the jaws, and publishes only the requests of somebody in a browser.
-
-    server: the viser server; node: the rclpy node that publishes; view: view of the tool.
     """
 
     def __init__(self, server: viser.ViserServer, node: Node, view: ToolView) -> None:

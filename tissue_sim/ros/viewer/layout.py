@@ -39,7 +39,7 @@ def fitted(
 def write(kind: str, node: str) -> int:
     """Print a layout that fits a node as it answers now, or with its defaults; return 0.
 
-    kind: name of the layout, of LAYOUTS; node: name of the node.
+    kind: name of the layout, of LAYOUTS.
     """
     from tissue_sim.ros.shared.node_parameters import parameters_of
 

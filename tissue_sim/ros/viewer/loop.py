@@ -28,8 +28,7 @@ from tissue_sim.ros.viewer.viewed_organ import ViewedOrgan
 class Viewer:
     """Viewer of a node; `update` is called for each picture.
 
-    server: the viser server; node: the rclpy node that subscribes; target: name of the viewed node; tools: names of the
-    tools, or None for those of the node; patience: as in `Poke`, s.
+    tools: names of the tools, or None for those of the node; patience: as in `Poke`, s.
     """
 
     def __init__(

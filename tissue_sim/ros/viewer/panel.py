@@ -60,10 +60,7 @@ def status_text(values: Mapping[str, str]) -> str:
 
 
 def headline(target: str, level: int, message: str) -> str:
-    """Return the node's name, and level and the first part of the message of its DiagnosticStatus, as HTML.
-
-    target: name of the node; level: level of the status; message: message of the status.
-    """
+    """Return the node's name, and level and the first part of the message of its DiagnosticStatus, as HTML."""
     first, *others = message.split(";")
     if level == 0:
         return f"<b>/{target}</b> {html.escape(first)}"
@@ -72,10 +69,7 @@ def headline(target: str, level: int, message: str) -> str:
 
 
 def detail(level: int, message: str) -> str:
-    """Return the whole message of a DiagnosticStatus, a line for each part of it, as HTML.
-
-    level: level of the status; message: message of the status.
-    """
+    """Return the whole message of a DiagnosticStatus, a line for each part of it, as HTML."""
     colour = "inherit" if level == 0 else "#c92a2a"
     lines = "<br>".join(html.escape(part.strip()) for part in message.split(";"))
     return f'<div style="margin:0 0.9em 0.6em;color:{colour};overflow-wrap:anywhere">{lines}</div>'
@@ -142,8 +136,6 @@ class Panel:
         """Show a headline and details (HTML), and the node's values, if there are any.
 
         Parts of varying length come last, where they move nothing.
-
-        values: values of the status.
         """
         if (headline, values, detail) == self._said:
             return

@@ -13,6 +13,7 @@ from rclpy.node import Node
 from scipy.spatial.transform import Rotation
 
 from tissue_sim.array_types import Floats
+from tissue_sim.directions import across
 from tissue_sim.rendering.organ_view import picture_axes
 from tissue_sim.ros.shared.tool_link import ToolLink
 from tissue_sim.ros.viewer.jaws import JawSlider
@@ -41,15 +42,12 @@ def beside(points: Floats, index: int, radius: float) -> tuple[Floats, Floats]:
 
 def pointing(inward: Floats) -> Floats:
     """Return the quaternion (4,) xyzw of a tool whose shaft, along its -z, comes from outside."""
-    aside = np.cross(inward, np.eye(3)[np.abs(inward).argmin()])
-    aside /= np.linalg.norm(aside)
-    return np.asarray(Rotation.from_matrix(np.stack([aside, np.cross(inward, aside), inward], axis=1)).as_quat())
+    return np.asarray(Rotation.from_matrix(np.column_stack([*across(inward), inward])).as_quat())
 
 
 class Poke:
     """A tool that one browser at a time may hold: its checkbox, its gizmo, its poses.
 
-    server: the viser server; node: the rclpy node that publishes; view: view of the tool; index: index of the tool;
     patience: time without an answer after which a page loses the tool, s.
     """
 

@@ -23,8 +23,6 @@ class PokedJaws:
     """Publisher of a tool's measured_js in a separate thread, from a `turn` until the jaws reach the goal.
 
     Their tips move like a held tool: no faster, and without a jump in speed.
-
-    node: the rclpy node that publishes; link: link of the tool.
     """
 
     def __init__(self, node: Node, link: ToolLink) -> None:

@@ -41,8 +41,6 @@ class PokedTool:
     """Publisher of a tool's poses in a separate thread, between `take` and `release`.
 
     The thread keeps publishing while the viewer is busy with a picture, so that no pose gets stale.
-
-    node: the rclpy node that publishes.
     """
 
     def __init__(self, node: Node, name: str) -> None:

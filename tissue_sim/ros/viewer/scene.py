@@ -20,8 +20,8 @@ SKELETON: Colour = (20, 30, 60)
 class InclusionView:
     """Surfaces of inclusions within an organ's, which move along with it; seen while the organ is translucent.
 
-    server: the viser server; vertices (p, 3) m: positions at rest; triangles (t, 3); organ: view of the organ; name:
-    name of the organ in a scene.
+    vertices (p, 3) m: positions at rest; triangles (t, 3); organ: view of the organ; name: name of the organ in a
+    scene.
     """
 
     def __init__(

@@ -22,8 +22,6 @@ class Services:
     """Clients of the node's services `~/reset` and `~/record`.
 
     They have a node of their own, for an executor that handles nothing but their answers.
-
-    viewer: the rclpy node of the viewer; target: name of the node.
     """
 
     def __init__(self, viewer: Node, target: str) -> None:

@@ -18,6 +18,7 @@ from tissue_sim.ros.node.output.markers import ARROW_LENGTH
 TOOL_COLOURS: tuple[Colour, ...] = ((120, 150, 190), (130, 175, 150), (170, 150, 190), (180, 170, 140))
 FORCE: Colour = (0, 60, 220)
 LEAST_FORCE = 0.01  # N, least force with an arrow
+Drawn = viser.MeshHandle | viser.IcosphereHandle | viser.CylinderHandle
 Dragged = Callable[[viser.SceneNodeDragEvent], Coroutine]  # is called when a user drags a part of a tool
 
 
@@ -36,7 +37,7 @@ class ToolView:
         self._scene, self._colour = server.scene, TOOL_COLOURS[index % len(TOOL_COLOURS)]
         self._shapes: dict[int, tuple[float, ...]] = {}
         self._reaches: dict[int, float] = {}
-        self._parts: dict[int, viser.MeshHandle | viser.IcosphereHandle | viser.CylinderHandle] = {}
+        self._parts: dict[int, Drawn] = {}
         self._on_drag: Dragged | None = None
         self._arrow = self._scene.add_arrows(
             f"/forces/{name}",
@@ -122,7 +123,7 @@ class ToolView:
             part.position = (place.x, place.y, place.z)
             part.wxyz = (turn.w, turn.x, turn.y, turn.z)
 
-    def _drawn(self, marker: Marker, scale: tuple[float, float, float]) -> tuple[Any, float]:
+    def _drawn(self, marker: Marker, scale: tuple[float, float, float]) -> tuple[Drawn, float]:
         name = f"/tools/{self.name}/{marker.id}"
         look: dict[str, Any] = {
             "color": self._colour,

@@ -108,16 +108,13 @@ def check_port(host: str, port: int) -> None:
 def page_token(args: argparse.Namespace) -> str | None:
     """Return the token that the page needs, or None.
 
-    args: arguments of the command. Raises UserError when it is invalid.
+    Raises UserError when it is invalid.
     """
     return chosen_token(args.token or os.environ.get(TOKEN_VARIABLE), args.host)
 
 
 def address(host: str, port: int, token: str | None) -> str:
-    """Return the address to open in a browser on this machine.
-
-    host: host of the page; port: port of the page; token: token of the page.
-    """
+    """Return the address to open in a browser on this machine."""
     page = f"http://{shown_host(host)}:{port}"
     return page if token is None else f"{page}/?token={token}"
 

@@ -173,7 +173,7 @@ class OrganContactSearch:
     def exchange(self, organ: int, surface: TouchedSurface, number: int) -> None:
         """Search on another surface of an organ from the next search on, after the loop has gone on with it.
 
-        organ: index of the organ; number: number of the cut.
+        number: number of the cut.
         """
         self._next[organ] = surface, number
 

@@ -52,7 +52,7 @@ class ContactWorker:
     def exchange(self, organ: int, finder: ContactFinder, number: int) -> None:
         """Search on another surface of an organ from the next search on, after the loop has gone on with it.
 
-        organ: index of the organ; finder: the finder on that surface; number: number of the cut.
+        finder: the finder on that surface; number: number of the cut.
         """
         self._searches[organ].exchange(finder)
         if self._pairs is not None:

@@ -61,7 +61,7 @@ class RespirationInput:
         if not math.isfinite(fraction):
             return "nan_position", "it contains a value that is not finite"
         if not 0.0 <= fraction <= 1.0:
-            return "no_share", f"its position is {fraction:g}; expected: 0, exhaled, to 1, inhaled"
+            return "no_fraction", f"its position is {fraction:g}; expected: 0, exhaled, to 1, inhaled"
         if stamp == 0:
             return "no_stamp", "its stamp is 0, which marks invalid data; set header.stamp to the time of measurement"
         if self._clock.now() - self._came < PAUSE and stamp < self._stamp:

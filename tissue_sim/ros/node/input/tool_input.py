@@ -43,8 +43,8 @@ class ToolInput:
     It posts messages to the loop and the bag. Inside, and in a bag, a pose is a PoseStamped and a force a
     WrenchStamped, both in the organ's frame. While the executor is behind by its backlog, some of them are skipped.
 
-    parts: the node and its parts; freshness: freshness of poses and of forces; pose_came: called after each pose that
-    was applied; force_came: called after each force that was applied.
+    freshness: freshness of poses and of forces; pose_came: called after each pose that was applied; force_came: called
+    after each force that was applied.
     """
 
     def __init__(
@@ -294,6 +294,6 @@ class ToolInput:
 
 
 def _check_finite(values: Iterable[float], name: str) -> None:
-    """Raise Refused, under a name, where a value is no number."""
+    """Raise Refused, under a name, where a value is not finite."""
     if not all(map(math.isfinite, values)):
         raise Refused(name, "it contains a value that is not finite")

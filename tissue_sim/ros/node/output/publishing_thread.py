@@ -27,8 +27,7 @@ class PublishingThread:
     Four times a second it checks whether machine and executor keep up, and every second it reports. Where one of these
     fails, the others go on: no force remains because a picture could not be sent.
 
-    parts: the node and its parts; ports: the tools' ports; show: functions that publish markers; live: settings while
-    the node runs; publish_report: publishes the report.
+    show: functions that publish markers; live: settings while the node runs; publish_report: publishes the report.
     """
 
     def __init__(

@@ -49,6 +49,6 @@ def _answer(parts: Parts, *cut: Any) -> tuple[str, object]:
 if __name__ == "__main__":
     os.nice(NICE)
     answering = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is no answer
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is not an answer
     with suppress(BrokenPipeError):  # the node has ended
         serve(sys.stdin.buffer, answering)

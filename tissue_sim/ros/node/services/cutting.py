@@ -135,7 +135,7 @@ class OrganCutting:
             numbers = (at.x, at.y, at.z, q.x, q.y, q.z, q.w)
             size = float(np.linalg.norm(numbers[3:]))
             if not np.all(np.isfinite(numbers)) or abs(size - 1.0) > PARALLEL:
-                raise UserError("it has a pose that is not finite, or whose quaternion has not the length 1")
+                raise UserError("it has a pose that is not finite, or whose quaternion is not of length 1")
             placed = to_organ.of(numbers)
             points.append(placed[:3])
             x, y, z, w = placed[3:]

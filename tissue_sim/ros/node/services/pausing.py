@@ -123,8 +123,8 @@ class Pausing:
         Contacts are found as often as in a node that runs, but the ticks wait for them: what a step does must not
         depend on how busy the machine is.
 
-        ticks: number of ticks. Returns how many were taken: fewer where the node was paused again, goes on, or ends
-        meanwhile. Raises TimeoutError when the loop doesn't answer.
+        Returns how many were taken: fewer where the node was paused again, goes on, or ends meanwhile. Raises
+        TimeoutError when the loop doesn't answer.
         """
         try:
             due, warned = time.monotonic(), False
@@ -184,7 +184,7 @@ class Pausing:
 def step_result(pausing: Pausing, ticks: int) -> tuple[bool, str]:
     """Take the ticks of a step that was begun.
 
-    pausing: takes them; ticks: number of ticks. Returns whether all were taken, and a line about it.
+    pausing: takes them. Returns whether all were taken, and a line about it.
     """
     try:
         taken = pausing.take(ticks)

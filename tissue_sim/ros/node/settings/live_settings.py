@@ -28,8 +28,8 @@ WORTH = 0.9  # halving the rate is worth it if it leaves at most this fraction o
 class LiveSettings:
     """Settings from parameters and the level of degradation, computed and posted; any thread may call it.
 
-    served: the organs; parameters: parameters of the node; post: takes settings of an organ, by its number, to the
-    loop; poses: how often those of each tool come.
+    served: the organs; post: takes settings of an organ, by its number, to the loop; poses: how often those of each
+    tool come.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class LiveSettings:
     def refine(self, organ: int, substeps: int) -> None:
         """Post an organ's settings with more substeps, before it is exchanged for one of a larger frequency.
 
-        organ: number of the organ; substeps: how many the next organ needs (fewer than there are change nothing).
+        substeps: how many the next organ needs (fewer than there are change nothing).
         """
         with self._lock:
             settings = copy_of(self._served.simulations[organ].settings)
@@ -95,10 +95,7 @@ class LiveSettings:
                 self._post(organ, settings)
 
     def renew(self, organ: int) -> None:
-        """Post an organ's settings after it was exchanged for one of another largest frequency.
-
-        organ: number of the organ.
-        """
+        """Post an organ's settings after it was exchanged for one of another largest frequency."""
         with self._lock:
             self._served.joined.set_substeps()
             self._post(organ, copy_of(self._served.simulations[organ].settings))

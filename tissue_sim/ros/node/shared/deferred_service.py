@@ -19,8 +19,6 @@ class DeferredService:
     """Service whose `begin` is called with a request and its response by the executor.
 
     What it returns is done in a thread of its own before the response is sent; None: the response is complete.
-
-    kind: type of the service; begin: begins to answer.
     """
 
     def __init__(self, node: GuardedNode, kind: type, name: str, begin: Callable[[Any, Any], Work | None]) -> None:

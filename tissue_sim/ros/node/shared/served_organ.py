@@ -68,7 +68,7 @@ class ServedScene:
     def of_parameters(cls, values: Parameters, shapes: Shapes) -> ServedScene:
         """Return what a node's parameters name.
 
-        values: parameters of the node; shapes: shapes of the tools. Raises UserError when something can't be used.
+        shapes: shapes of the tools. Raises UserError when something can't be used.
         """
         scene_file, organ_file = values["scene_file"], values["organ_file"]
         if scene_file and organ_file:
@@ -92,10 +92,7 @@ class ServedScene:
         return cls(Path(scene_file).stem, said.names, said.stiffness, said.join(simulations))
 
     def apply(self, values: Parameters) -> None:
-        """Write the parameters that are settings, with the scene's own factors; without the substeps.
-
-        values: parameters of the node.
-        """
+        """Write the parameters that are settings, with the scene's own factors; without the substeps."""
         for simulation, stiffness in zip(self.simulations, self.stiffness, strict=True):
             values.apply(simulation.settings)
             simulation.settings.stiffness_scale *= stiffness

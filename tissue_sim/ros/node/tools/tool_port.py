@@ -28,7 +28,7 @@ class ToolPort:
 
     Where no tick comes, as a clock or the loop stands, it is answered at once.
 
-    parts: the node and its parts; woken: set when there is something new to find contacts for.
+    woken: set when there is something new to find contacts for.
     """
 
     def __init__(self, parts: SharedParts, tool: ServedTool, woken: threading.Event) -> None:
@@ -131,8 +131,6 @@ class ToolPort:
 
         Where that happens many times a second, as with poses that come more seldom than `stale_time`, one line covers
         all of them.
-
-        organ: name of the organ.
         """
         with self._saying:
             self.held_off += 1

@@ -16,7 +16,7 @@ LONGEST = 0.05  # s between checks whether it is to end
 class WrenchReplies:
     """Thread that publishes a tool's wrench once a tick has applied its pose; then contacts are found again.
 
-    ports: the tools' ports; woken: set after the wrenches were published; warn: takes a line about what fails.
+    woken: set after the wrenches were published; warn: takes a line about what fails.
     """
 
     def __init__(
