@@ -8,6 +8,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.datamodel import default_manager, models
 from numba.core.extending import infer_getattr, lower_builtin, lower_getattr_generic
@@ -93,12 +94,20 @@ def _is_record(field: Any) -> bool:
 
 @lower_getattr_generic(Handle)
 def _field(context, builder, kind, value, name):  # type: ignore[no-untyped-def]
-    """Return a field as it lies in the handle, borrowed: kernels hold no references, and count none."""
+    """Return a field as it lies in the handle, borrowed: kernels hold no references, and count none.
+
+    What a handle holds never changes. The compiler is told so: after every store to an array it would read again where
+    all arrays are.
+    """
     memory = context.make_helper(builder, kind, value).meminfo
+    before = len(builder.block.instructions)
     fields = builder.load(cgutils.gep_inbounds(builder, builder.bitcast(memory, _MEMORY.as_pointer()), 0, _PAYLOAD))
     payload = context.data_model_manager[kind.get_data_type()].get_value_type()
     held = context.make_data_helper(builder, kind.get_data_type(), ref=builder.bitcast(fields, payload.as_pointer()))
     field, stored = kind.field_dict[name], getattr(held, name)
+    for one in builder.block.instructions[before:]:
+        if isinstance(one, ir.LoadInstr):
+            one.set_metadata("invariant.load", builder.module.add_metadata([]))
     if _is_record(field):  # by reference: where the array's memory is
         return context.make_helper(builder, field, stored).data
     return impl_ret_borrowed(context, builder, field, stored)

@@ -26,6 +26,8 @@ from numba.extending import overload
 from tissue_sim import progress
 from tissue_sim.result_cache import used_longest_ago, user_cache
 
+# Kernels, what they are given, and the enumerations that are constants in them.
+_COMPILED = b"@kernel", b"@part", b"@short", b"@inner", b"NamedTuple", b"(Record)", b"(IntEnum)"
 VERSIONS = 4  # number of versions of a layer's kernels that are kept; the least recently used are removed
 
 
@@ -43,8 +45,7 @@ def cache_folder(layer: str) -> Path:
     called = [layer] if layer in ("organ", "model") else [layer, "model"]
     for source in (path for one in called for path in sorted((Path(__file__).parent / one).rglob("*.py"))):
         content = source.read_bytes()
-        # Kernels, what they are given, and the enumerations that are constants in them.
-        if any(word in content for word in (b"@kernel", b"@part", b"@short", b"NamedTuple", b"(Record)", b"(IntEnum)")):
+        if any(word in content for word in _COMPILED):
             digest.update(content)
     name = f"{layer}-numba-{numba.__version__}-{digest.hexdigest()[:16]}"
     for base in (user_cache(), Path(tempfile.gettempdir()) / f"tissue_sim-{os.getuid()}"):
@@ -132,6 +133,24 @@ def short(function: Callable[..., Any]) -> Any:
     return _compiled(function, "never", nogil=False)
 
 
+def inner(function: Callable[..., Any]) -> Any:
+    """Compile a small kernel that loops call for each point: its machine code becomes a part of theirs.
+
+    The compiler doesn't always do so by itself, and a call reads again where all arrays are.
+
+    Parameters
+    ----------
+    function : Callable[..., Any]
+        The function.
+
+    Returns
+    -------
+    Any
+        The compiled kernel.
+    """
+    return _compiled(function, "never", forceinline=True)
+
+
 def part(function: Callable[..., Any]) -> Any:
     """Compile a kernel that one other kernel calls, as a part of it.
 
@@ -150,12 +169,14 @@ def part(function: Callable[..., Any]) -> Any:
     return _compiled(function, "always")
 
 
-def _compiled(function: Callable[..., Any], inline: str, *, nogil: bool = True) -> Any:
+def _compiled(function: Callable[..., Any], inline: str, *, nogil: bool = True, forceinline: bool = False) -> Any:
     numba.config.CACHE_DIR = folder_of(function.__module__.split(".")[1])
     # Kernels that allocate nothing need no reference counts around every array that they touch.
     counts = not function.__module__.startswith(("tissue_sim.model.", "tissue_sim.contact."))
     # No kernel is called from C: a wrapper for it would only take time to compile.
     options = {"nogil": nogil, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts, "inline": inline}
+    if forceinline:
+        options["forceinline"] = True
     return compiled_once(numba.njit(**options)(function))
 
 

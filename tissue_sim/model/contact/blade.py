@@ -14,7 +14,9 @@ from __future__ import annotations
 
 import math
 
-from tissue_sim.jit import kernel
+import numpy as np
+
+from tissue_sim.jit import inner, kernel
 from tissue_sim.model.contact.blade_entry import enters
 from tissue_sim.model.contact.blade_lag import GIVE, lag_across, lag_forward, offset_of, way_past, write_arm
 from tissue_sim.model.contact.blade_places import is_known, leave_tissue, locate, times, turned_by, write_back
@@ -73,7 +75,7 @@ def find_blades(world: World, step: float) -> int:
     return found
 
 
-@kernel
+@inner
 def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) -> None:
     """Write where a place is, what holds it there, and how both yield."""
     state, shapes, scratch, cells = world.state, world.shapes, world.scratch, world.model.cut_cells
@@ -138,7 +140,7 @@ def _borrow_back(world: World, row: BladeRow, found: int) -> None:
                     row.back[c] = other.back[c]
 
 
-@kernel
+@inner
 def _resist(world: World, row: BladeRow, sample: BladeSample, step: float) -> None:
     """Write the limits of a row, and the impulses with which it begins."""
     blades, settings = world.shapes.blades, world.settings
@@ -222,22 +224,31 @@ def press_blades(world: World, found: int, step: float) -> bool:
     return change <= SETTLED * total
 
 
-@kernel
+@inner
 def _give(world: World, row: BladeRow, more: tuple[float, float, float], step: float) -> None:
     """Apply an impulse, N s forward, along and across, to the tissue at a place, and its opposite to the tool."""
     state, scratch, f, e, n = world.state, world.scratch, row.forward, row.along, row.normal
-    for axis in range(3):
-        within, across = more[0] * f[axis] + more[1] * e[axis], more[2] * n[axis]
-        for place in range(LIP_NODES):
-            node = row.node[place]
-            move = scratch.mobility[node] * (row.weight[place] * within + row.across_weight[place] * across)
-            state.velocity[node, axis] += move
-            state.position[node, axis] += step * move
+    x, y, z = more[0] * f[0] + more[1] * e[0], more[0] * f[1] + more[1] * e[1], more[0] * f[2] + more[1] * e[2]
+    u, v, w = more[2] * n[0], more[2] * n[1], more[2] * n[2]
+    for place in range(LIP_NODES):
+        within, across = row.weight[place], row.across_weight[place]
+        if within == 0.0 and across == 0.0:
+            continue
+        node = np.uint64(row.node[place])
+        mobility, velocity, position = scratch.mobility[node], state.velocity[node], state.position[node]
+        dx, dy, dz = within * x + across * u, within * y + across * v, within * z + across * w
+        dx, dy, dz = mobility * dx, mobility * dy, mobility * dz
+        velocity[0] += dx
+        velocity[1] += dy
+        velocity[2] += dz
+        position[0] += step * dx
+        position[1] += step * dy
+        position[2] += step * dz
     if scratch.give[row.body] > 0.0:
         push_bodies(world.shapes.tool, row.body, scratch, _in_space(row, more))
 
 
-@kernel
+@inner
 def _in_space(row: BladeRow, values: tuple[float, float, float]) -> tuple[float, float, float]:
     """Return the vector that has some values forward, along and across."""
     f, e, n = row.forward, row.along, row.normal
@@ -292,7 +303,7 @@ def end_blades(world: World, found: int, step: float) -> None:
             sample.force[axis] = pushed[axis] / step
 
 
-@kernel
+@inner
 def _released(sample: BladeSample, pushed: float, step: float) -> float:
     """Return how much farther a place cuts, m, by the energy that is released where its force changes.
 
@@ -314,7 +325,7 @@ def _mean_across(scratch: Scratch, body: int, found: int) -> float:
     return total / count
 
 
-@kernel
+@inner
 def _shrinking(row: BladeRow) -> float:
     """Return how long a way forward is at rest, relative to now."""
     f = row.forward

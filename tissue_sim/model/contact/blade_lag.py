@@ -7,8 +7,10 @@ without a load. It stays behind, or beside, and returns while the cut that it ma
 
 from __future__ import annotations
 
+import numpy as np
+
 from tissue_sim.array_types import Floats
-from tissue_sim.jit import kernel
+from tissue_sim.jit import inner
 from tissue_sim.model.contact.blade_places import turned_by
 from tissue_sim.model.data.blades import LIP_NODES, BladeRow, BladeSample
 from tissue_sim.model.data.world import World
@@ -19,7 +21,7 @@ GIVE = 1e-3
 RECOVERY_SPEED = 0.2  # m/s, largest speed at which a lip comes out of a flank that it lay in
 
 
-@kernel
+@inner
 def write_arm(world: World, row: BladeRow, rotation: Floats, arm: Floats) -> None:
     """Write where a place is from its tool's origin.
 
@@ -40,7 +42,7 @@ def write_arm(world: World, row: BladeRow, rotation: Floats, arm: Floats) -> Non
     turned_by(rotation, at, arm)
 
 
-@kernel
+@inner
 def offset_of(world: World, row: BladeRow, weights: Floats) -> tuple[float, float, float]:
     """Return how far a place of a blade is from what holds it, m.
 
@@ -58,12 +60,12 @@ def offset_of(world: World, row: BladeRow, weights: Floats) -> tuple[float, floa
     for place in range(LIP_NODES):
         weight = weights[place]
         if weight != 0.0:
-            position = state.position[row.node[place]]
+            position = state.position[np.uint64(row.node[place])]
             x, y, z = x - weight * position[0], y - weight * position[1], z - weight * position[2]
     return x, y, z
 
 
-@kernel
+@inner
 def way_past(world: World, row: BladeRow, direction: Floats, weights: Floats, step: float) -> float:
     """Return how far a place has moved along a direction past the tissue there in this substep, m.
 
@@ -80,18 +82,20 @@ def way_past(world: World, row: BladeRow, direction: Floats, weights: Floats, st
     step : float, s
         The substep.
     """
-    state, scratch, past = world.state, world.scratch, 0.0
-    write_arm(world, row, scratch.last_rotation[row.body], scratch.blade_way)
-    for axis in range(3):
-        moved = scratch.origin[row.body, axis] + row.arm[axis]
-        moved -= scratch.last_origin[row.body, axis] + scratch.blade_way[axis]
-        for place in range(LIP_NODES):
-            moved -= step * weights[place] * state.velocity[row.node[place], axis]
-        past += direction[axis] * moved
-    return past
+    state, scratch, way, arm = world.state, world.scratch, world.scratch.blade_way, row.arm
+    write_arm(world, row, scratch.last_rotation[row.body], way)
+    now, last = scratch.origin[row.body], scratch.last_origin[row.body]
+    x, y, z = now[0] + arm[0], now[1] + arm[1], now[2] + arm[2]
+    x, y, z = x - (last[0] + way[0]), y - (last[1] + way[1]), z - (last[2] + way[2])
+    for place in range(LIP_NODES):
+        weight = weights[place]
+        if weight != 0.0:
+            speed, part = state.velocity[np.uint64(row.node[place])], step * weight
+            x, y, z = x - part * speed[0], y - part * speed[1], z - part * speed[2]
+    return direction[0] * x + direction[1] * y + direction[2] * z
 
 
-@kernel
+@inner
 def _offset_before(world: World, row: BladeRow, direction: Floats, weights: Floats, step: float) -> float:
     """Return how far along a direction a place was from what holds it before this substep, m."""
     x, y, z = offset_of(world, row, weights)
@@ -99,7 +103,7 @@ def _offset_before(world: World, row: BladeRow, direction: Floats, weights: Floa
     return offset - way_past(world, row, direction, weights, step)
 
 
-@kernel
+@inner
 def lag_forward(world: World, row: BladeRow, sample: BladeSample, step: float) -> float:
     """Return how far a place was behind its blade before this substep, m, besides by what yields to its force.
 
@@ -117,7 +121,7 @@ def lag_forward(world: World, row: BladeRow, sample: BladeSample, step: float) -
     return _offset_before(world, row, row.forward, row.weight, step) - GIVE * sample.force[0]
 
 
-@kernel
+@inner
 def lag_across(world: World, row: BladeRow, sample: BladeSample, step: float) -> float:
     """Return how far a place was beside its flank before this substep, m, besides by what yields to its force.
 

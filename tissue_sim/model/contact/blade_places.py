@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from tissue_sim.array_types import Floats
-from tissue_sim.jit import kernel
+from tissue_sim.jit import inner, kernel
 from tissue_sim.model.data.blades import CORNERS, BladeSample, CutCells
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.state import State
@@ -68,7 +68,7 @@ def locate(cells: CutCells, sample: BladeSample, weight: Floats) -> bool:
     return False
 
 
-@kernel
+@inner
 def turned_by(rotation: Floats, vector: Floats, result: Floats) -> None:
     """Turn a vector.
 
@@ -87,7 +87,7 @@ def turned_by(rotation: Floats, vector: Floats, result: Floats) -> None:
         )
 
 
-@kernel
+@inner
 def times(matrix: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return the product of a matrix (9,), row by row, and a vector.
 
@@ -105,7 +105,7 @@ def times(matrix: Floats, x: float, y: float, z: float) -> tuple[float, float, f
     )
 
 
-@kernel
+@inner
 def write_inverse(a: Floats, inverse: Floats) -> None:
     """Write the inverse (9,) of a deformation gradient (9,), row by row, at most MOST_BACK large.
 
@@ -135,13 +135,13 @@ def write_inverse(a: Floats, inverse: Floats) -> None:
             inverse[c] *= MOST_BACK / math.sqrt(square)
 
 
-@kernel
+@inner
 def is_known(back: Floats) -> bool:
     """Return whether a matrix (9,) tells how displacements turn into those at rest; see write_inverse."""
     return back[0] != 0.0 or back[4] != 0.0 or back[8] != 0.0
 
 
-@kernel
+@inner
 def corner_at(cells: CutCells, cell: int, corner: int, position: Floats, axis: int) -> float:
     """Return a coordinate, m, of a corner of a cell, between its copies on both sides of a cut."""
     part = cells.part[cell, corner]
@@ -172,7 +172,7 @@ def place_in(cells: CutCells, cell: int, position: Floats, weight: Floats, axis:
     return place
 
 
-@kernel
+@inner
 def write_back(cells: CutCells, cell: int, position: Floats, scratch: Scratch, back: Floats) -> None:
     """Write what turns displacements in a cell into those at rest, between both sides of a cut.
 

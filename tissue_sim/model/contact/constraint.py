@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from tissue_sim.array_types import Floats
-from tissue_sim.jit import kernel
+from tissue_sim.jit import inner, kernel
 from tissue_sim.model.contact.active_contact import ActiveContact, gather_contacts, place_again, whole_impulse
 from tissue_sim.model.contact.blade import end_blades, find_blades, press_blades
 from tissue_sim.model.contact.blade_entry import begin_cuts
@@ -62,7 +62,7 @@ def carry_force(state: State, substeps: int, now: int) -> None:
             state.contact_held[0, entry, c] *= scale
 
 
-@kernel
+@inner
 def aim_impulse(state: State, shapes: Shapes, entry: int, scratch: Scratch) -> tuple[float, float, float]:
     """Return the last substep's impulse on a contact point, N s, as it points now."""
     body = state.contacts.body[entry]
@@ -90,18 +90,27 @@ def add_contact_impulses(state: State, shapes: Shapes, scratch: Scratch, scale: 
     target : Floats, shape (n, 3)
         Sums at the nodes, updated.
     """
-    weights = state.contacts.weight
     for index in range(scratch.watching[0]):
         entry = scratch.candidates[index]
         if state.contact_pressed[0, entry] > 0.0 and state.bodies[state.contacts.body[entry]].engaged:
             push = aim_impulse(state, shapes, entry, scratch)
             held = state.contact_held[1, entry]  # row 0 stays that of a whole substep for readers beside the loop
             held[0], held[1], held[2] = push
-            for corner in range(nodes_of(state.contacts, entry)):
-                node, part = state.contacts.node[entry, corner], scale * weights[entry, corner]
-                target[node, 0] += part * push[0]
-                target[node, 1] += part * push[1]
-                target[node, 2] += part * push[2]
+            for corner in range(3):
+                _add_part(state, entry, corner, scale, push, target)
+            if nodes_of(state.contacts, entry) > 3:
+                _add_part(state, entry, 3, scale, push, target)
+
+
+@inner
+def _add_part(
+    state: State, entry: int, corner: int, scale: float, push: tuple[float, float, float], target: Floats
+) -> None:
+    """Add a node's part of the impulse on a contact point, N s, times a scale to its sum in target (n, 3)."""
+    node, part = np.uint64(state.contacts.node[entry, corner]), scale * state.contacts.weight[entry, corner]
+    target[node, 0] += part * push[0]
+    target[node, 1] += part * push[1]
+    target[node, 2] += part * push[2]
 
 
 @kernel
@@ -281,7 +290,7 @@ def plus_last(values: Floats, contact: ActiveContact, x: float, y: float, z: flo
     return x + weight * value[0], y + weight * value[1], z + weight * value[2]
 
 
-@kernel
+@inner
 def count_impulse(state: State, scratch: Scratch, contact: ActiveContact) -> None:
     """Add what acts on a contact point in this substep to scratch.impulse, and to what drives a modal region."""
     px, py, pz = whole_impulse(contact)

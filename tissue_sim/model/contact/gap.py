@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from tissue_sim.array_types import Floats
-from tissue_sim.jit import kernel
+from tissue_sim.jit import inner, kernel
 from tissue_sim.model.contact.shapes import signed_distance
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
@@ -13,7 +15,7 @@ from tissue_sim.model.data.state import State
 INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
 
 
-@kernel
+@inner
 def point_in_body(
     state: State, entry: int, origin: Floats, rotation: Floats
 ) -> tuple[float, float, float, float, float, float]:
@@ -37,16 +39,17 @@ def point_in_body(
     tuple[float, float, float, float, float, float], m
         Three coordinates in the organ's frame, then three in the tool's.
     """
-    body = state.contacts.body[entry]
+    at = np.uint64(entry)  # unsigned indices spare the look for negative ones
+    body = np.uint64(state.contacts.body[at])
     x = y = z = 0.0
     for c in range(3):
-        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
+        node, weight = np.uint64(state.contacts.node[at, c]), state.contacts.weight[at, c]
         x += weight * state.position[node, 0]
         y += weight * state.position[node, 1]
         z += weight * state.position[node, 2]
-    last = state.contacts.weight[entry, 3]
+    last = state.contacts.weight[at, 3]
     if last != 0.0:  # apart, as three are faster
-        node = state.contacts.node[entry, 3]
+        node = np.uint64(state.contacts.node[at, 3])
         x += last * state.position[node, 0]
         y += last * state.position[node, 1]
         z += last * state.position[node, 2]
@@ -74,7 +77,7 @@ def gap_from_outside(state: State, shapes: Shapes, entry: int, origin: Floats, r
     return gap if is_on_outer_side(state, entry, (nx, ny, nz)) else math.inf
 
 
-@kernel
+@inner
 def is_on_outer_side(state: State, entry: int, normal: tuple[float, float, float]) -> bool:
     """Return whether the tool, by its outward normal at a contact point, is on the tissue's outer side."""
     outward = state.contacts.normal[entry]
@@ -107,7 +110,7 @@ def is_touched(state: State, shapes: Shapes, origin: Floats, rotation: Floats) -
     return False
 
 
-@kernel
+@inner
 def gap_and_normal(
     shapes: Shapes, body: int, r: Floats, lx: float, ly: float, lz: float
 ) -> tuple[float, float, float, float]:

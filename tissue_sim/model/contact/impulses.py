@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.jit import kernel
+from tissue_sim.jit import inner, kernel
 from tissue_sim.model.data.scratch import Scratch
 
 
-@kernel
+@inner
 def count_on_body(scratch: Scratch, body: int, arm: Floats, impulse: tuple[float, float, float]) -> None:
     """Add an impulse on the tissue, N s, and its moment about the tool's origin to scratch.impulse.
 

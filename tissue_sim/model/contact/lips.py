@@ -83,12 +83,13 @@ def _add_normals(place: Floats, triangles: Longs, normal: Floats) -> None:
     """Write the normals (q, 3) of a wall, m^2, from the lower side to the upper one."""
     normal[:] = 0.0
     for t in range(len(triangles)):
-        a, b, c = place[triangles[t, 0]], place[triangles[t, 1]], place[triangles[t, 2]]
+        first, second, third = np.uint64(triangles[t, 0]), np.uint64(triangles[t, 1]), np.uint64(triangles[t, 2])
+        a, b, c = place[first], place[second], place[third]
         ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
         vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
         x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        for corner in range(3):
-            of_corner = normal[triangles[t, corner]]
+        for corner in (first, second, third):
+            of_corner = normal[corner]
             of_corner[0] -= x
             of_corner[1] -= y
             of_corner[2] -= z
@@ -117,6 +118,11 @@ def _write_normal(upper: Floats, lower: Floats, normal: Floats) -> bool:
 def _take(lips: Lips, place: int, state: State, mobility: Floats, step: float, found: int) -> bool:
     """Return whether a place is to be resolved, and fill the record number `found`."""
     contact = lips.contacts[found]
+    square, slide = 0.0, max(lips.slide[place], NEAR)
+    for axis in range(3):
+        square += (lips.place[0, place, axis] - lips.place[1, place, axis]) ** 2
+    if square > 4.0 * slide * slide:  # too far apart in any direction
+        return False
     if not _write_normal(lips.normal[0, place], lips.normal[1, place], contact.normal):
         return False
     give = gap = opening = square = 0.0
@@ -166,7 +172,7 @@ def press_lips(lips: Lips, state: State, mobility: Floats, found: int, step: flo
         contact = lips.contacts[index]
         normal, gap = contact.normal, 0.0
         for k in range(2 * ENDS):
-            position = state.position[contact.node[k]]
+            position = state.position[np.uint64(contact.node[k])]
             gap += contact.weight[k] * (normal[0] * position[0] + normal[1] * position[1] + normal[2] * position[2])
         pushed = min(contact.most, max(0.0, contact.pressed - (gap - contact.least) * contact.stiffness))
         more = pushed - contact.pressed

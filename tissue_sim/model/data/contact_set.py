@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.jit import kernel
+from tissue_sim.jit import inner, kernel
 from tissue_sim.model.data.layout import carve, size_of
 from tissue_sim.model.data.records import Record
 
@@ -129,7 +129,7 @@ def used_words(contacts: ContactSet) -> int:
     return len(contacts.words) - _POINT_WORDS * (len(contacts.body) - contacts.header.points)
 
 
-@kernel
+@inner
 def nodes_of(contacts: ContactSet, entry: int) -> int:
     """Return how many of a point's nodes count: 3, or 4 where a cut has made the surface.
 
