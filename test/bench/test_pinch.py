@@ -115,7 +115,7 @@ def test_a_table_of_another_organ_or_of_other_pinches_is_refused(tmp_path):
     ("given", "what"),
     [
         (["ORGAN", "--remake"], "name it with --reference"),
-        (["ORGAN", "--remake", "--reference", "x.npz"], "write over"),
+        (["ORGAN", "--remake", "--reference", "x.npz"], "would overwrite"),
     ],
 )
 def test_a_table_is_written_nowhere_else(given, what, tmp_path, capsys):
