@@ -25,6 +25,7 @@ SLOWING = 0.3  # of the force that tissue bears: in the last of it, a tool that 
 INWARD = 0.25  # cosine between its way and the force against it, from which it presses deeper
 RECENT = 0.99  # by which the largest recent force, and the mean one, decay in a tick
 CAREFUL = 0.4  # m/s, of a tool that presses again after a slip
+AFTER_SLIP = 2  # factor on the substeps while a tool presses that has slipped; more would not keep it out of a pinch
 ONCE = 1  # slip that may come from haste
 FASTEST = 1.0  # m/s, of a body that catches up there: well below the speed of sound in tissue
 
@@ -206,6 +207,21 @@ def free_distance(state: State, shapes: Shapes, scratch: Scratch, body: int, mos
     if is_held_back(status) and scratch.give[body] == 0.0 and leads_inward(state, body, goal):
         fraction *= min(1.0, max(0.0, (1.0 - status.recent_force / status.bearable) / SLOWING))
     return fraction
+
+
+@kernel
+def slip_caution(state: State) -> int:
+    """Return the factor on the substeps until tools that have slipped are free again.
+
+    Parameters
+    ----------
+    state : State
+        State of the simulation.
+    """
+    for body in range(len(state.bodies)):
+        if state.bodies[body].slips > 0:
+            return AFTER_SLIP
+    return 1
 
 
 @kernel

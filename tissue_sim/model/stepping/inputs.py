@@ -22,7 +22,6 @@ from tissue_sim.model.stepping.relaxation import forget_relaxation
 CATCH_UP = 0.03  # s in which a tool catches up most of its lag behind its poses, where these were that fast
 RESUMED = 1.0  # s without poses after which a returning hand counts as new
 MAX_BACKOFF = 8  # highest factor on the substeps
-AFTER_SLIP = 2  # factor after a tool has slipped inside; more would not keep it out of a pinch, and last long
 BEHIND = 1e-4  # m that a tool which isn't hasty may be behind its hand
 BORNE = 0.7  # fraction of the force at which a tool slipped, up to which it is pressed from then on
 SWALLOWED = 0.97  # fraction of that which is left where swinging tissue swallowed it without such a force
@@ -198,7 +197,6 @@ def put_back(state: State, body: int) -> None:
         copy(place, pose)
     status.releases += 1
     if status.engaged:
-        state.status.backoff = max(AFTER_SLIP, state.status.backoff)
         state.count.slips += 1
         # Tissue that swings back may swallow a tool that was just put on it, whatever the force.
         is_pressed = status.slips == 0 or status.recent_force > 0.5 * status.bearable

@@ -21,6 +21,7 @@ from tissue_sim.model.contact.tool_motion import (
     has_tip_force,
     keep_bodies,
     note_forces,
+    slip_caution,
 )
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.contact.walls import find_walls
@@ -115,7 +116,7 @@ def plan_tick(world: World) -> bool:
         region_forces(model, state, settings, scratch, False)
     wanted = settings.substeps if plan.whole else settings.region_substeps
     factor = caution(model, state, plan.whole or plan.regional)
-    plan.substeps = wanted * status.backoff * factor
+    plan.substeps = wanted * status.backoff * max(factor, slip_caution(state))
     plan.looking = plan.whole and is_oscillation_checked(model, state, plan.substeps)
     plan.looking = plan.looking and (factor == 1 or can_be_cut(model, state))
     return True
