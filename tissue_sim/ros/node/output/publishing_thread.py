@@ -118,7 +118,8 @@ class PublishingThread:
             self._degrade(ladder.level, look.words)
         elif ladder.stuck and not was_stuck:
             self._logger.warning(
-                "the machine is too slow, and the work can't be reduced further: simulated time falls behind"
+                f"the machine is too slow, and the work can't be reduced further: simulated time falls behind"
+                f" ({look.words}); stop other programs, set realtime_priority, or serve an organ with fewer points"
             )
 
     def _degrade(self, level: int, why: str) -> None:
