@@ -67,6 +67,18 @@ def test_a_tool_that_had_slipped_presses_as_before_once_it_has_been_outside():
     assert np.allclose(found, wanted, rtol=0.01, atol=0.005)
 
 
+def test_the_shorter_substeps_after_a_slip_end_while_the_organ_is_awake():
+    scene = Scene(ball(2), [Tool("left", radius=0.003)])
+    state, substeps, outside = scene.simulation.state, scene.simulation.settings.substeps, RADIUS + 0.0036
+    press(scene, ways(0.2)[0])
+    assert state.bodies[0].slips > 0
+    assert state.status.substeps == 2 * substeps
+    press(scene, [*np.arange(-0.05, outside, 1e-3), *np.linspace(outside, outside - 0.002, 30)])
+    assert state.bodies[0].slips == 0
+    assert np.abs(scene.wrench("left")).max() > 0.0
+    assert state.status.substeps == substeps
+
+
 def test_released_poses_end_the_hold():
     scene = Scene(ball(2), [Tool("left", radius=0.005)])
     press(scene, ways(0.2)[0])
