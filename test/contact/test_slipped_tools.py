@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from helpers.scenes import RADIUS, ball
+from tissue_sim.bench.presses import Form, Motion, locations_on
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.contact.tool_motion import ONCE
+from tissue_sim.model.contact.tool_motion import HASTY
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
 
 START = 0.036  # m, above the ball
 ASIDE = np.array([0.001, 0.002])  # m from its axis
@@ -67,6 +70,20 @@ def test_a_tool_that_had_slipped_presses_as_before_once_it_has_been_outside():
     assert np.allclose(found, wanted, rtol=0.01, atol=0.005)
 
 
+@pytest.mark.parametrize("speed", [0.8, 5.0])
+def test_a_tool_that_slips_from_haste_then_presses_as_a_slow_one_does(speed):
+    organ, form, sizes = Organ.load(shipped_organ("kidney")), Form("", (), 0.002, 0.002), []
+    place = locations_on(organ, 2)[1]
+    for motion in (Motion(0.02, 1000.0), Motion(speed, 1000.0)):
+        scene = Scene(organ, [Tool("left", radius=form.radius)], ticks_a_set=3)
+        for depth in motion.depths(form.depth):
+            scene.move("left", place.pose(form, depth)[:3])
+            scene.step()
+        sizes.append(np.linalg.norm(scene.wrench("left")[:3]))
+    assert scene.simulation.state.count.slips > 0
+    assert sizes[1] == pytest.approx(sizes[0], rel=0.1), "N; not held at less"
+
+
 def test_the_shorter_substeps_after_a_slip_end_while_the_organ_is_awake():
     scene = Scene(ball(2), [Tool("left", radius=0.003)])
     state, substeps, outside = scene.simulation.state, scene.simulation.settings.substeps, RADIUS + 0.0036
@@ -96,7 +113,7 @@ def test_a_coupled_tool_that_has_slipped_is_held_without_oscillating(stiffness):
     state, settings = scene.simulation.state, scene.simulation.settings
     settings.coupling_stiffness, settings.coupling_damping = stiffness, 1.0
     press(scene, ways(0.05)[0])
-    assert state.bodies[0].slips > ONCE
+    assert state.bodies[0].slips > HASTY
     held, _, _ = press(scene, np.full(1500, ways(0.05)[0][-1]))
     sizes = np.linalg.norm(held[-500:], axis=1)
     assert np.ptp(held[-500:], axis=0).max() < 0.02, "N"
@@ -135,4 +152,4 @@ def test_a_hand_that_resumes_inside_is_put_on_the_surface_and_presses_on():
     assert not state.bodies[0].held_off
     assert not inside[-200:].any()
     assert forces[-200:, 2].min() > 0.1, "N"
-    assert state.bodies[0].slips <= ONCE, "it is not held at less"
+    assert state.bodies[0].slips <= HASTY, "it is not held at less"

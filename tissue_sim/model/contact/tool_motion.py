@@ -23,10 +23,10 @@ STEP = 0.25
 WALL_ROUNDS = 4  # rounds in a step that move a tool out of fixed tissue: a corner has three walls
 SLOWING = 0.3  # of the force that tissue bears: in the last of it, a tool that slipped is slowed and held
 INWARD = 0.25  # cosine between its way and the force against it, from which it presses deeper
-RECENT = 0.99  # by which the largest recent force, and the mean one, decay in a tick
-CAREFUL = 0.4  # m/s, of a tool that presses again after a slip
+RECENT = 0.99  # by which the largest recent force, the mean one, and the largest recent speed decay in a tick
+CAREFUL, SLOW = 0.4, 0.1  # m/s, of a tool that presses again after a slip, and after more
 AFTER_SLIP = 2  # factor on the substeps while a tool presses that has slipped; more would not keep it out of a pinch
-ONCE = 1  # slip that may come from haste
+HASTY = 2  # slips that may come from haste, after each of which a tool presses again more slowly
 FASTEST = 1.0  # m/s, of a body that catches up there: well below the speed of sound in tissue
 
 
@@ -65,6 +65,7 @@ def advance_held(state: State, settings: Settings, scratch: Scratch) -> None:
     for body in range(len(state.held_pose)):
         status = state.bodies[body]
         copy(state.held_pose[body], scratch.held[body])
+        status.recent_speed = max(status.speed, RECENT * status.recent_speed)
         if status.age >= 0:
             status.age += 1
             is_late = status.age * settings.tick_time > settings.stale_time + settings.ramp_time
@@ -162,7 +163,7 @@ def advance_bodies(state: State, shapes: Shapes, scratch: Scratch, step: float) 
                 most = math.inf if is_pressed else FASTEST * step
                 slipped = state.bodies[other].slips > 0
                 if slipped and not is_pressed and leads_inward(state, other, scratch.goal[other]):
-                    most = CAREFUL * step
+                    most = (CAREFUL if state.bodies[other].slips < HASTY else SLOW) * step
                 fraction = min(fraction, free_distance(state, shapes, scratch, other, most))
         scratch.fraction[body] = fraction
     for body in range(len(state.body_pose)):
@@ -227,7 +228,7 @@ def slip_caution(state: State) -> int:
 @kernel
 def is_held_back(status: BodyStatus) -> bool:
     """Return whether a body presses with no more than `bearable`, since it has slipped."""
-    return status.slips > ONCE and not status.cutting
+    return status.slips > HASTY and not status.cutting
 
 
 @kernel

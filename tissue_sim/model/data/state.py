@@ -105,8 +105,9 @@ class BodyStatus(Record):
     pose_sequence: int  # which pose is in use
     force_sequence: int  # which external force is in use
     recent_force: float  # N, the largest of the tissue on it since it slipped, unclamped; it decays
-    slips: int  # how often it slipped since it touched, the first time counted twice unless it was hasty
-    bearable: float  # N, up to which it presses after two slips; after one it presses slowly
+    recent_speed: float  # m/s, the largest of its poses; it decays
+    slips: int  # slips since it touched; the first counts as three unless the body was hasty
+    bearable: float  # N, up to which it presses after three slips; before, it presses more slowly
     outward: Vector  # N, mean recent force of the tissue on it, until it slips: towards the side from which it came
 
 
@@ -278,7 +279,7 @@ def state_like(state: State) -> State:
 
 
 # Fields of records that older bags lack, and that are 0 there.
-_ADDED = tuple(f"bodies.{name}" for name in ("cutting", "recent_force", "slips", "bearable", "outward"))
+_ADDED = tuple(f"bodies.{name}" for name in ("cutting", "recent_force", "recent_speed", "slips", "bearable", "outward"))
 # Names in bags that were recorded before fields were renamed, by their present names; accepted for one version.
 _RENAMED = {"unfaded_wrench": "felt", "status.oscillating": "shivering", "count.oscillations": "shivers"}
 _ONLY_HANDED_OUT = ("words", "results", "shape", "shape_tick")  # a tick doesn't start from these

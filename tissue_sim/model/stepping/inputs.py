@@ -8,7 +8,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.blade_places import forget_blades
 from tissue_sim.model.contact.poses import distance, distance_along_path, quaternion_distance
-from tissue_sim.model.contact.tool_motion import CAREFUL, forget_slips
+from tissue_sim.model.contact.tool_motion import CAREFUL, HASTY, forget_slips
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import POINT_NODES, ContactSet, Engaged, used_words
 from tissue_sim.model.data.model import Model
@@ -179,11 +179,11 @@ def put_back(state: State, body: int) -> None:
 
     Where the nearest surface is that of the organ's far side, the body goes back as far, against its way in; the next
     contact set then tells whether it is outside. Sets that were found before, and arrive late, would move it again:
-    they count no more than after a release. After that a hasty tool presses slowly. One that wasn't hasty, or
-    slips again, presses with less force than that at which it slipped, which the surface can't bear.
+    they count no more than after a release. After that a hasty tool presses more slowly, twice. One that wasn't
+    hasty, or slips again, presses with less force than that at which it slipped, which the surface can't bear.
     """
     status, pose, place, ahead, size = state.bodies[body], state.body_pose[body], state.contacts.place[body], 0.0, 0.0
-    is_hasty = status.speed > CAREFUL or distance(pose, state.held_pose[body]) > BEHIND
+    is_hasty = status.recent_speed > CAREFUL or distance(pose, state.held_pose[body]) > BEHIND
     for c in range(3):
         ahead -= status.outward[c] * (place[c] - pose[c])
         size += status.outward[c] ** 2
@@ -203,7 +203,7 @@ def put_back(state: State, body: int) -> None:
         borne = BORNE * max(status.recent_force, BARELY_FELT)
         status.bearable = borne if is_pressed else SWALLOWED * status.bearable
         status.recent_force = 0.0
-        status.slips += 1 if is_hasty or status.slips > 0 else 2
+        status.slips += 1 if is_hasty or status.slips > 0 else HASTY + 1
 
 
 @kernel
@@ -337,7 +337,7 @@ def reset_state(model: Model, state: State) -> None:
             status.releases += 1
         status.age = status.force_age = -1
         status.stamp = status.pose_sequence = status.force_sequence = 0
-        status.remaining = status.speed = status.turning = 0.0
+        status.remaining = status.speed = status.turning = status.recent_speed = 0.0
         forget_slips(status)
         status.engaged = status.held_off = status.released = status.resisted = status.placed = False
         state.contacts.engaged[body] = Engaged.NO.value

@@ -13,7 +13,7 @@ from tissue_sim.contact.finder import MARGIN, ContactFinder, Sought
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.contact.reach_margins import reach_margins, ways
 from tissue_sim.contact.touched_surface import TouchedSurface
-from tissue_sim.model.contact.tool_motion import ONCE
+from tissue_sim.model.contact.tool_motion import HASTY
 from tissue_sim.model.data.contact_set import Engaged
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
@@ -151,7 +151,7 @@ class ContactSearch:
 
     def _report_slips(self, bodies: Any) -> None:
         """Notify ports of bodies that slipped into the organ since the last search, however soon they are free."""
-        before, self._has_slipped = self._has_slipped, bodies.slips > ONCE
+        before, self._has_slipped = self._has_slipped, bodies.slips > HASTY
         new = np.flatnonzero(self._has_slipped & ~before).tolist()
         for port in {id(self._port_of[body]): self._port_of[body] for body in new}.values():
             port.note_slipped(min(float(bodies.bearable[body]) for body in new if self._port_of[body] is port))
