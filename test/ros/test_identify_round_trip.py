@@ -16,16 +16,19 @@ from tissue_sim.cli import main
 STIFFNESS = 0.63
 RADIUS = 0.007  # m
 OUTSIDE, DEEP, STEP = 0.004, 0.0025, 5e-5  # m
+FAR = 0.1  # m, from where the way to the next place leads past the ball: a tool doesn't go through it
 WAYS = np.array([[0, 0, 1.0], [1, 0, 0.5], [-1, 0.2, 0.5], [0.2, 1, 0.6], [0.1, -1, 0.6]])
 OTHERS = np.array([[0.5, 0.5, 1.0], [-0.6, -0.6, 0.8]])
 
 
 def press(client, organ, way):
-    """Press at the surface node that faces a way, slowly; the force along the normal when it is deepest."""
+    """Press at the surface node that faces a way, slowly, from afar; the force along the normal when it is deepest."""
     surface = surface_of(organ)
     node = int(np.argmax(surface.normal @ (way / np.linalg.norm(way))))
     normal = surface.normal[node]
-    depths = np.concatenate([np.arange(-OUTSIDE, DEEP, STEP), np.full(60, DEEP), np.arange(DEEP, -OUTSIDE, -4 * STEP)])
+    way_in, way_out = np.arange(-OUTSIDE, DEEP, STEP), np.arange(DEEP, -OUTSIDE, -4 * STEP)
+    there = np.full(80, -FAR)  # until the tool has arrived
+    depths = np.concatenate([there, way_in, np.full(60, DEEP), way_out, [-FAR]])
     force = 0.0
     for depth in depths:
         client.ask(surface.positions[node] + (RADIUS - depth) * normal)
