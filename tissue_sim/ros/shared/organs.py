@@ -120,7 +120,7 @@ class Organs:
         return any(one.results().bodies.held_off[list(bodies)].any() for one in self.each)
 
     def bearable_force(self, bodies: Sequence[int]) -> float:
-        """Return the least force, N, up to which organs let bodies be pressed that slipped into them twice.
+        """Return the least force, N, up to which organs let bodies be pressed that are held back since they slipped.
 
         It is infinite where none has. bodies: indices of the bodies.
         """

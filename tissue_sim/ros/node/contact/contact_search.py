@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.contact.finder import MARGIN, ContactFinder, Sought
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.contact.reach_margins import reach_margins, ways
@@ -146,15 +146,21 @@ class ContactSearch:
         is_new = held_off & (self._reported != bodies.releases)
         self._reported[is_new] = bodies.releases[is_new]
         self._reported[outside] = -1
-        for port in {id(port): port for port, new in zip(self._port_of, is_new.tolist(), strict=True) if new}.values():
+        for port in self._ports_of(is_new):
             port.note_inactive(self._organ)
 
     def _report_slips(self, bodies: Any) -> None:
         """Notify ports of bodies that slipped into the organ since the last search, however soon they are free."""
         before, self._has_slipped = self._has_slipped, bodies.slips > HASTY
-        new = np.flatnonzero(self._has_slipped & ~before).tolist()
-        for port in {id(self._port_of[body]): self._port_of[body] for body in new}.values():
-            port.note_slipped(min(float(bodies.bearable[body]) for body in new if self._port_of[body] is port))
+        for port, some in self._ports_of(self._has_slipped & ~before).items():
+            port.note_slipped(float(bodies.bearable[some].min()))
+
+    def _ports_of(self, chosen: Mask) -> dict[ToolPort, list[int]]:
+        """Return the ports of some bodies, with these. chosen (B,): True for the bodies."""
+        found: dict[ToolPort, list[int]] = {}
+        for body in np.flatnonzero(chosen).tolist():
+            found.setdefault(self._port_of[body], []).append(body)
+        return found
 
 
 class OrganContactSearch:

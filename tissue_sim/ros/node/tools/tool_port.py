@@ -23,6 +23,31 @@ from tissue_sim.ros.shared.report import Report
 SAY_EVERY = 1.0  # s between two lines that a tool is held off, or has slipped
 
 
+class _Events[Event]:
+    """Events of one kind, noted by any thread; one log line covers all that came within SAY_EVERY."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._unsaid: list[Event] = []
+        self._said = -math.inf  # monotonic s of the last line
+        self.count = 0
+
+    def note(self, event: Event) -> None:
+        """Count an event, whose line `due` returns."""
+        with self._lock:
+            self.count += 1
+            self._unsaid.append(event)
+
+    def due(self) -> tuple[Event, str] | None:
+        """Return the newest event since the last line, and how many these were, as text; None while no line is due."""
+        with self._lock:
+            now, events = time.monotonic(), self._unsaid
+            if not events or now - self._said < SAY_EVERY:
+                return None
+            self._said, self._unsaid = now, []
+        return events[-1], f" ({len(events)} times since the last such line)" if len(events) > 1 else ""
+
+
 class ToolPort:
     """A tool's input and output, joined: a pose is answered by the wrench of the tick that applies it.
 
@@ -37,11 +62,8 @@ class ToolPort:
         self._answered = 0  # sequence number of the pose
         self._log = node.get_logger()
         self._was_slow = False
-        self.held_off, self._said = 0, -math.inf  # how often; monotonic s of the last line about it
-        self._unsaid: list[str] = []  # organs that it appeared in since that
-        self._slips: list[float] = []  # N, that it is pressed with since each slip without a line
-        self._said_slip = -math.inf  # monotonic s of the last line about one
-        self._saying = threading.Lock()
+        self._held_off = _Events[str]()  # organs that it appeared in
+        self._slips = _Events[float]()  # N, that it is pressed with at most from then on
         self.pose_freshness, self.force_freshness = Freshness(parts.clock, organs), Freshness(parts.clock, organs)
         self.output = ToolOutput(node, tool, organs, parts.recorder)
         freshness = self.pose_freshness, self.force_freshness
@@ -132,43 +154,32 @@ class ToolPort:
         Where that happens many times a second, as with poses that come more seldom than `stale_time`, one line covers
         all of them.
         """
-        with self._saying:
-            self.held_off += 1
-            self._unsaid.append(organ)
+        self._held_off.note(organ)
         self._log_inactive()
 
     def _log_inactive(self) -> None:
         """Log that the tool was held off since the last such line, at most once in SAY_EVERY."""
-        with self._saying:
-            now, organs = time.monotonic(), self._unsaid
-            if not organs or now - self._said < SAY_EVERY:
-                return
-            self._said, self._unsaid = now, []
-        times = f" ({len(organs)} times since the last such line)" if len(organs) > 1 else ""
-        self._log.warning(
-            f"tool '{self.name}' is inactive (held_off): it appeared inside {organs[-1]} and exerts no force until"
-            " it has been outside; send a pose outside first, and the next one within stale_time"
-            f" ({self._organs.stale_time:g} s){times}"
-        )
+        if due := self._held_off.due():
+            organ, times = due
+            self._log.warning(
+                f"tool '{self.name}' is inactive (held_off): it appeared inside {organ} and exerts no force until"
+                " it has been outside; send a pose outside first, and the next one within stale_time"
+                f" ({self._organs.stale_time:g} s){times}"
+            )
 
     def note_slipped(self, bearable: float) -> None:
         """Log that the tool slipped into an organ; one line covers several within SAY_EVERY.
 
         bearable: N, with which it is pressed at most from then on.
         """
-        with self._saying:
-            self._slips.append(bearable)
+        self._slips.note(bearable)
         self._log_slipped()
 
     def _log_slipped(self) -> None:
         """Log that the tool slipped since the last such line, at most once in SAY_EVERY."""
-        with self._saying:
-            now, slips = time.monotonic(), self._slips
-            if not slips or now - self._said_slip < SAY_EVERY:
-                return
-            self._said_slip, self._slips = now, []
-        times = f" ({len(slips)} times since the last such line)" if len(slips) > 1 else ""
-        self._log.warning(self._slipped(slips[-1]) + times)
+        if due := self._slips.due():
+            bearable, times = due
+            self._log.warning(self._slipped(bearable) + times)
 
     def _too_slow(self) -> str:
         """Return a line about poses that are stale before the next one comes; log it once when that begins."""
@@ -215,7 +226,7 @@ class ToolPort:
             "damped_forces": self.output.device.damped,
         }
         refused = self.input.refused | ({"nan_wrench": self.output.not_finite} if self.output.not_finite else {})
-        own.problems["held_off"] = self.held_off
+        own.problems["held_off"] = self._held_off.count
         own.problems |= {f"refused.{why}": count for why, count in sorted(refused.items())}
         report.values["force_n"] = report.values.get("force_n", 0.0) + self.output.force  # of all tools
 
