@@ -175,9 +175,7 @@ def _compiled(function: Callable[..., Any], inline: str, *, nogil: bool = True, 
     counts = not function.__module__.startswith(("tissue_sim.model.", "tissue_sim.contact."))
     # No kernel is called from C: a wrapper for it would only take time to compile.
     options = {"nogil": nogil, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts, "inline": inline}
-    if forceinline:
-        options["forceinline"] = True
-    return compiled_once(numba.njit(**options)(function))
+    return compiled_once(numba.njit(**options, forceinline=forceinline)(function))
 
 
 class CacheFile(IndexDataCacheFile):  # type: ignore[misc]

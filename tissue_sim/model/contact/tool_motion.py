@@ -158,12 +158,7 @@ def advance_bodies(state: State, shapes: Shapes, scratch: Scratch, step: float) 
         fraction = 1.0
         for other in range(len(state.body_pose)):
             if shapes.tool[other] == shapes.tool[body]:
-                # Contact takes back what a pressing spring adds to the way: a bound on speed would bound its force.
-                is_pressed = scratch.give[other] > 0.0 and has_contact(state, other)
-                most = math.inf if is_pressed else FASTEST * step
-                slipped = state.bodies[other].slips > 0
-                if slipped and not is_pressed and leads_inward(state, other, scratch.goal[other]):
-                    most = (CAREFUL if state.bodies[other].slips < HASTY else SLOW) * step
+                most = largest_speed(state, scratch, other) * step
                 fraction = min(fraction, free_distance(state, shapes, scratch, other, most))
         scratch.fraction[body] = fraction
     for body in range(len(state.body_pose)):
@@ -172,6 +167,18 @@ def advance_bodies(state: State, shapes: Shapes, scratch: Scratch, step: float) 
     for _ in range(WALL_ROUNDS if scratch.walls[0] > 0 else 0):
         if not leave_wall(state, shapes, scratch):
             break
+
+
+@kernel
+def largest_speed(state: State, scratch: Scratch, body: int) -> float:
+    """Return the speed, m/s, at which a body may go to its goal where tissue is near."""
+    # Contact takes back what a pressing spring adds to the way: a bound on speed would bound its force.
+    if scratch.give[body] > 0.0 and has_contact(state, body):
+        return math.inf
+    slips = state.bodies[body].slips
+    if slips == 0 or not leads_inward(state, body, scratch.goal[body]):
+        return FASTEST
+    return CAREFUL if slips < HASTY else SLOW
 
 
 @kernel
