@@ -40,7 +40,9 @@ def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
     columns = 3 * MOST_DRIVE if modal and len(model.reduction.compliance) else 0
 
     def empty(*shape: int) -> Floats:
-        return np.zeros(shape)
+        array = np.empty(shape)
+        array.fill(0.0)
+        return array
 
     def singles(*shape: int) -> Singles:
         return np.zeros(shape, dtype=np.float32)
@@ -65,6 +67,7 @@ def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
         shrink=empty(3 * n),
         mobility_key=empty(5),
         coarse=np.ones(n),
+        mass_factor=np.ones(n),
         velocity_before=empty(n, 3),
         origin=empty(n_bodies, 3),
         rotation=empty(n_bodies, 9),

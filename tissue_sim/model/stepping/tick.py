@@ -45,11 +45,13 @@ from tissue_sim.model.regions.moved_nodes import integrated_nodes
 from tissue_sim.model.stepping.guard import check_cells, guard
 from tissue_sim.model.stepping.inputs import unload_nodes
 from tissue_sim.model.stepping.integrators import explicit_euler, symplectic_euler, symplectic_euler_whole
+from tissue_sim.model.stepping.mass_scaling import can_be_cut, is_mass_scaled, write_mass_factors
 from tissue_sim.model.stepping.oscillation import begin_oscillation_check, end_oscillation_check, is_oscillation_checked
 from tissue_sim.model.stepping.prescribed import count_prescribed, move_prescribed
 from tissue_sim.model.stepping.relaxation import relax
 from tissue_sim.model.stepping.rest_recovery import sleep_if_at_rest, sleep_or_recover, step_recovery
 
+SCALED_MASSES = 2.0  # in Scratch.mobility_key, where masses are scaled in this tick alone
 CRUMPLED = 0.02  # fraction of inverted cells from which on a tick takes four times its substeps
 
 
@@ -115,6 +117,7 @@ def plan_tick(world: World) -> bool:
     if plan.regional:
         region_forces(model, state, settings, scratch, False)
     wanted = settings.substeps if plan.whole else settings.region_substeps
+    plan.mass_scaled = is_mass_scaled(model, state)
     factor = caution(model, state, plan.whole or plan.regional)
     plan.substeps = wanted * status.backoff * max(factor, slip_caution(state))
     plan.looking = plan.whole and is_oscillation_checked(model, state, plan.substeps)
@@ -220,16 +223,10 @@ def caution(model: Model, state: State, begun: bool) -> int:
     factor = 2 if begun and has_compressed_cells(model) else 1
     if state.status.turned > 0:
         factor = 4 if state.status.turned > CRUMPLED * len(model.cells) else 2
-    doubled = factor == 2 and can_be_cut(model, state)
+    doubled = factor == 2 and can_be_cut(model, state) and not is_mass_scaled(model, state)
     if state.status.oscillating > 0 and (factor == 1 or doubled):
         factor *= 2
     return max(least, factor)
-
-
-@kernel
-def can_be_cut(model: Model, state: State) -> bool:
-    """Return whether the organ has cuts, and with them light nodes, or meets a blade, which presses deep dents."""
-    return len(model.lips.weight) > 0 or len(state.blades) > 0
 
 
 @kernel
@@ -279,21 +276,26 @@ def has_taken_impulses(state: State, settings: Settings) -> bool:
 def set_mobility(world: World, step: float) -> None:
     """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the integration's part of its mass.
 
-    Only when settings have changed. The damping is implicit, so it acts on the contact's impulse too: 1 / (m + h d).
-    With 1/m alone a body at rest would press with a force short by h d/m.
+    Only when settings or masses have changed. The damping is implicit, so it acts on the contact's impulse too:
+    1 / (m + h d). With 1/m alone a body at rest would press with a force short by h d/m.
     """
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     key, damping, inertia = scratch.mobility_key, damping_of(state, settings), inertia_of(state, settings)
     changes, coarse = float(state.status.prescriptions), scratch.plan.coarse
     masses = 1.0 if coarse else 0.0
-    if key[0] == step and key[1] == damping and key[2] == inertia and key[3] == changes and key[4] == masses:
+    if scratch.plan.mass_scaled:
+        masses = SCALED_MASSES
+        write_mass_factors(model, state.position, scratch.mass_factor)
+    elif key[4] == SCALED_MASSES:
+        scratch.mass_factor[:] = 1.0
+    elif key[0] == step and key[1] == damping and key[2] == inertia and key[3] == changes and key[4] == masses:
         return
     key[0], key[1], key[2], key[3], key[4] = step, damping, inertia, changes, masses
     mobility, moving, inverse_mass = scratch.mobility, model.moving, model.inverse_mass
     write_masses(model, scratch.mass)
     for index in range(len(moving)):
         node = moving[index]
-        inverse = inverse_mass[node] / scratch.coarse[node] if coarse else inverse_mass[node]
+        inverse = inverse_mass[node] / (scratch.coarse[node] if coarse else scratch.mass_factor[node])
         if settings.integrator == Integrator.EXPLICIT:
             mobility[node] = inverse
         else:
