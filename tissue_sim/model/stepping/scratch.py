@@ -40,9 +40,7 @@ def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
     columns = 3 * MOST_DRIVE if modal and len(model.reduction.compliance) else 0
 
     def empty(*shape: int) -> Floats:
-        array = np.empty(shape)
-        array.fill(0.0)
-        return array
+        return np.zeros(shape)
 
     def singles(*shape: int) -> Singles:
         return np.zeros(shape, dtype=np.float32)
