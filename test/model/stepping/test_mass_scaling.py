@@ -5,6 +5,7 @@ import pytest
 
 from helpers.scenes import ball, filled
 from helpers.slabs import slab
+from helpers.states import snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.elasticity.cell_law import COMPRESSED
@@ -80,6 +81,21 @@ def test_masses_are_the_same_bits_again_when_nodes_no_longer_oscillate():
         one.step()
     for name in ("mobility", "push", "shrink"):
         np.testing.assert_array_equal(getattr(simulation.scratch, name), getattr(plain.scratch, name))
+
+
+def test_a_restored_state_leaves_no_larger_masses_behind():
+    simulation, plain = with_a_blade(), with_a_blade()
+    begin = snapshot(simulation)
+    press(simulation, 0.3)
+    simulation.state.status.oscillating = OSCILLATING
+    simulation.apply_force(0, [0.0, 0.0, 1e-9])
+    simulation.step()
+    assert simulation.scratch.mass_factor.max() > 1.0
+    simulation.restore(begin)
+    for one in (simulation, plain):
+        one.apply_force(0, [0.0, 0.0, 1e-9])
+        one.step()
+    np.testing.assert_array_equal(simulation.scratch.push, plain.scratch.push)
 
 
 def test_an_organ_that_nothing_cuts_takes_shorter_steps_alone():

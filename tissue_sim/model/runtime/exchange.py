@@ -1,7 +1,8 @@
 """Exchange of an organ's arrays between two ticks of a running loop, for others of another size: after a cut.
 
-Python makes the new ones beside the loop, with a plan of the words that continue. The loop copies these, and goes on
-with the new arrays: it takes no lock, allocates nothing, and the tick that does it takes some microseconds more.
+Python makes the new ones beside the loop, with a plan of the words that continue. The loop reads the arrays after one tick, copies these words
+before the next, and goes on with the new arrays: it takes no lock, allocates nothing, and the tick that does it takes
+some microseconds more.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from tissue_sim.model.cutting.carry import CarryPlan, carry
 from tissue_sim.model.data.records import Record
 from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
+from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.runtime.mailboxes import Mailboxes, mailbox
 from tissue_sim.model.stepping.contact_pairs import renew_surface
 from tissue_sim.model.stepping.coupled_step import CoupledOrgans
@@ -27,6 +29,7 @@ class ExchangeWords(Record):
     """Words between the loop and Python, each written by one of them."""
 
     asked: int  # raised when new arrays are there
+    loaded: int  # `asked` of the last ones that the loop has preloaded
     done: int  # `asked` of the last ones, after the first tick with them
     organ: int  # whose they are
     tick: int  # that first tick
@@ -82,6 +85,18 @@ def make_exchange(worlds: HandleRow, boxes: HandleRow, world: Any, box: Any, lin
     next_worlds, next_boxes = row([world]), row([box])
     places = next_worlds.places, next_boxes.places, worlds.places, boxes.places
     return Exchange(ExchangeWords.new(), np.zeros(links), next_worlds, next_boxes, *places)
+
+
+@kernel
+def preload(world: World) -> None:
+    """Compute the forces of new arrays once, for nothing: a tick would wait for memory that no cache has yet.
+
+    Parameters
+    ----------
+    world : World
+        The new arrays; their working memory is updated.
+    """
+    elastic_forces(world.model, world.state.position, world.settings.stiffness_scale, world.scratch.force)
 
 
 @kernel

@@ -25,6 +25,7 @@ from tissue_sim.model.contact.tool_motion import (
 )
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.contact.walls import find_walls
+from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.settings import Integrator, Settings
 from tissue_sim.model.data.state import Region, State
@@ -51,7 +52,6 @@ from tissue_sim.model.stepping.prescribed import count_prescribed, move_prescrib
 from tissue_sim.model.stepping.relaxation import relax
 from tissue_sim.model.stepping.rest_recovery import sleep_if_at_rest, sleep_or_recover, step_recovery
 
-SCALED_MASSES = 2.0  # in Scratch.mobility_key, where masses are scaled in this tick alone
 CRUMPLED = 0.02  # fraction of inverted cells from which on a tick takes four times its substeps
 
 
@@ -282,20 +282,25 @@ def set_mobility(world: World, step: float) -> None:
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     key, damping, inertia = scratch.mobility_key, damping_of(state, settings), inertia_of(state, settings)
     changes, coarse = float(state.status.prescriptions), scratch.plan.coarse
-    masses = 1.0 if coarse else 0.0
-    if scratch.plan.mass_scaled:
-        masses = SCALED_MASSES
-        write_mass_factors(model, state.position, scratch.mass_factor)
-    elif key[4] == SCALED_MASSES:
-        scratch.mass_factor[:] = 1.0
-    elif key[0] == step and key[1] == damping and key[2] == inertia and key[3] == changes and key[4] == masses:
+    masses, scaled = 1.0 if coarse else 0.0, scratch.plan.mass_scaled
+    same = key[0] == step and key[1] == damping and key[2] == inertia and key[3] == changes and key[4] == masses
+    if same and not scaled and key[5] == 0.0:
         return
-    key[0], key[1], key[2], key[3], key[4] = step, damping, inertia, changes, masses
+    factor, last = scratch.coarse if coarse else scratch.mass_factor, scratch.last_mass_factor
+    copy(scratch.mass_factor, last)
+    if scaled:
+        write_mass_factors(model, state.position, scratch.mass_factor)
+    else:
+        scratch.mass_factor[:] = 1.0
+    key[0], key[1], key[2], key[3], key[4], key[5] = step, damping, inertia, changes, masses, 1.0 if scaled else 0.0
     mobility, moving, inverse_mass = scratch.mobility, model.moving, model.inverse_mass
-    write_masses(model, scratch.mass)
+    if not same:
+        write_masses(model, scratch.mass)
     for index in range(len(moving)):
         node = moving[index]
-        inverse = inverse_mass[node] / (scratch.coarse[node] if coarse else scratch.mass_factor[node])
+        if same and factor[node] == last[node]:
+            continue
+        inverse = inverse_mass[node] / factor[node]
         if settings.integrator == Integrator.EXPLICIT:
             mobility[node] = inverse
         else:
