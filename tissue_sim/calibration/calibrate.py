@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, replace
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -239,7 +239,7 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
     return Calibrated(replace(made, provenance=provenance), figures, judged, wanted, judged_linear, found, motion)
 
 
-def _one_thread() -> AbstractContextManager[Any]:
+def _one_thread() -> AbstractContextManager[object]:
     """Return a context in which linear algebra has one thread. Raises UserError without threadpoolctl."""
     try:
         from threadpoolctl import threadpool_limits

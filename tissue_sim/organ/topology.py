@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonMapping
 from tissue_sim.organ.cell_mesh import tetrahedra
 from tissue_sim.organ.edges import cell_edges, directed_edges
 from tissue_sim.organ.inclusions import Inclusion, inclusions_of, spring_factors, with_inclusions
@@ -46,7 +47,7 @@ def assemble_organ(
     poisson_ratio: float = 0.45,
     density: float = 1060.0,
     inclusions: Sequence[Inclusion] = (),
-    provenance: Mapping[str, Any] | None = None,
+    provenance: JsonMapping | None = None,
 ) -> Organ:
     """Return a node-ready organ from a closed surface and its medial atoms.
 
@@ -87,7 +88,7 @@ def assemble_organ(
         Density.
     inclusions : Sequence[Inclusion], optional
         Tissue of another stiffness, which applies to all springs that run through it.
-    provenance : Mapping[str, Any] | None, optional
+    provenance : JsonMapping | None, optional
         Origin of the organ, kept in its file.
 
     Raises
@@ -186,14 +187,27 @@ def assemble_organ(
     return with_inclusions(organ, inclusions)
 
 
-def assemble_like(organ: Organ, **changes: Any) -> Organ:
+class Changes(TypedDict, total=False):
+    """Arguments of assemble_organ in which a reassembled organ may differ."""
+
+    name: str
+    surface_positions: ArrayLike
+    surface_triangles: ArrayLike
+    fixed: ArrayLike
+    interior_atoms: int
+    interior_layer: float
+    inclusions: Sequence[Inclusion]
+    provenance: JsonMapping | None
+
+
+def assemble_like(organ: Organ, **changes: Unpack[Changes]) -> Organ:
     """Return the organ reassembled, with new springs and some arguments of assemble_organ changed.
 
     Parameters
     ----------
     organ : Organ
         The organ.
-    changes : Any
+    changes : Unpack[Changes]
         Arguments of assemble_organ.
 
     Raises
@@ -203,23 +217,28 @@ def assemble_like(organ: Organ, **changes: Any) -> Organ:
     """
     if organ.n_virtual:
         raise UserError(f"organ '{organ.name}' was cut, and would heal if it were reassembled; use the uncut organ")
-    same = {
+    same: Changes = {
         "name": organ.name,
         "surface_positions": organ.surface_positions,
         "surface_triangles": organ.surface_triangles,
-        "atom_positions": organ.atom_positions,
-        "atom_radius": organ.atom_radius,
-        "atom_parent": organ.atom_parent,
         "fixed": organ.fixed,
         "interior_atoms": organ.n_interior,
-        "youngs_modulus": organ.youngs_modulus,
-        "poisson_ratio": organ.poisson_ratio,
-        "density": organ.density,
+        "interior_layer": 0.0,
         "inclusions": inclusions_of(organ),
         "provenance": organ.provenance,
     }
+    same.update(changes)
+    made = assemble_organ(
+        atom_positions=organ.atom_positions,
+        atom_radius=organ.atom_radius,
+        atom_parent=organ.atom_parent,
+        youngs_modulus=organ.youngs_modulus,
+        poisson_ratio=organ.poisson_ratio,
+        density=organ.density,
+        **same,
+    )
     law = {name: getattr(organ, name) for name in ("stiffening", "relaxation_fraction", "relaxation_time")}
-    return replace(assemble_organ(**{**same, **changes}), **law)
+    return replace(made, **law)
 
 
 class _Springs(NamedTuple):

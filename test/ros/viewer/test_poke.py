@@ -28,17 +28,17 @@ EVERY = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)  # a
 
 # the hand --------------------------------------------------------------------------------------
 @pytest.mark.parametrize("step", [0.001, 0.004, 0.02])
-@pytest.mark.parametrize("way", [0.0005, 0.01, 0.3])
-def test_a_tool_follows_its_goal_without_a_blow(step, way):
-    goal = way * np.array([0.6, 0.0, -0.8])
+@pytest.mark.parametrize("distance", [0.0005, 0.01, 0.3])
+def test_a_tool_follows_its_goal_without_a_blow(step, distance):
+    goal = distance * np.array([0.6, 0.0, -0.8])
     position, velocity = np.zeros(3), np.zeros(3)
-    for _ in range(round((way / TOP_SPEED + 0.5) / step)):
+    for _ in range(round((distance / TOP_SPEED + 0.5) / step)):
         after, speed = follow(position, velocity, goal, step)
         assert np.linalg.norm(after - position) <= TOP_SPEED * step * (1 + 1e-9)
         assert np.linalg.norm(speed - velocity) <= ACCELERATION * step * (1 + 1e-9)
         position, velocity = after, speed
-        assert position @ goal <= way**2 * (1 + 0.02) + 1e-6, "past the goal"
-    assert np.linalg.norm(position - goal) < 1e-5 + 0.001 * way
+        assert position @ goal <= distance**2 * (1 + 0.02) + 1e-6, "past the goal"
+    assert np.linalg.norm(position - goal) < 1e-5 + 0.001 * distance
 
 
 @pytest.mark.parametrize("index", range(5))

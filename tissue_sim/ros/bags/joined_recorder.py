@@ -31,7 +31,7 @@ class JoinedRecorder:
         self._surfaces: dict[int, tuple[int, int, int]] = {}  # by organ, the newest bag.PairSurfaceRow
         self._surface_notes: list[tuple[int, int, int]] = []
         self._newest: tuple[int, Longs] | None = None  # number and words of a set
-        self._newest_fraction = (0, 0.0)  # number, and fraction of the breath's way
+        self._newest_fraction = (0, 0.0)  # number, and fraction of the breath's displacement
         self._fractions = [self._newest_fraction]
         self._state_tick = -1
 
@@ -95,7 +95,7 @@ class JoinedRecorder:
     def respiration(self, sequence: int, fraction: float) -> None:
         """Record where the breath is to be; call it with `together` held since it was posted.
 
-        fraction: fraction of the breath's way.
+        fraction: fraction of the breath's displacement.
         """
         self._newest_fraction = sequence, fraction
         if self._messages.active:

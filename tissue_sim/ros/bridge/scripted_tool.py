@@ -27,7 +27,7 @@ class ScriptedTool:
         self._jaws = node.create_publisher(JointState, topics.names["measured_js"], link.qos) if has_jaws else None
         self._wrench_type = topics.wrench_type
         kind = WRENCH_TYPES[topics.wrench_type]
-        self._wrenches = NewestMessage(node, kind, topics.names["servo_cf"], link.qos, raw=True)
+        self._wrenches: NewestMessage[bytes] = NewestMessage(node, kind, topics.names["servo_cf"], link.qos, raw=True)
         self.sent = self.received = 0
         self.peak = 0.0  # N, largest force so far
 

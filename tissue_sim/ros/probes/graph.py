@@ -28,7 +28,7 @@ def check_rclpy() -> None:
         raise UserError("this benchmark needs rclpy: pip install 'tissue_sim[ros]', or source a ROS 2")
 
 
-def first_within[Found](find: Callable[[], Found], seconds: float, problem: str) -> Found:
+def first_within[Found](find: Callable[[], Found | None], seconds: float, problem: str) -> Found:
     """Return the first answer that is true.
 
     find: gives an answer; seconds: time for it, s; problem: what is wrong without one. Raises UserError when there is

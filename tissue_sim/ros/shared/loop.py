@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.handles import handle, place_of, row
 from tissue_sim.memory import provide
 from tissue_sim.model.data.records import copy_of, field_of
-from tissue_sim.model.data.world import make_world
+from tissue_sim.model.data.world import World, make_world
 from tissue_sim.model.joined import ExchangePlan, Joined
 from tissue_sim.model.runtime import loop as rt
 from tissue_sim.model.runtime import mailboxes as mb
@@ -77,7 +76,7 @@ class Loop:
         joined = self.joined.handle, handle(self.joined_box)
         rt.run_loop(self._worlds, self._box_row, handle(self.words), *joined, handle(self._exchange))
 
-    def _world_of(self, simulation: Simulation, organ: int) -> Any:
+    def _world_of(self, simulation: Simulation, organ: int) -> World:
         """Return the handle of a simulation's world with the settings that the loop applies."""
         one = simulation
         return handle(make_world(one.model, one.state, one.shapes, self._settings[organ], one.scratch))
@@ -169,7 +168,7 @@ class Loop:
         return int(self.words.control.resets)
 
     def post_respiration(self, fraction: float) -> int:
-        """Post where the breath is to be, as a fraction of its way; return its sequence number."""
+        """Post where the breath is to be, as a fraction of its displacement; return its sequence number."""
         return int(mb.put(self._respiration, 0, np.array([fraction]).view(np.int64)))
 
     def post_organ_contacts(self, found: OrganContactSet) -> int:

@@ -6,7 +6,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Protocol
+
+from tissue_sim.model.runtime.mailboxes import LoopWords
 
 LONGEST = 1.0  # s that the loop may need until it stands, goes on, or has done a tick
 LOOK = 1e-4  # s between two checks whether it has
@@ -16,7 +18,9 @@ SECOND = 1_000_000_000  # ns
 class Holdable(Protocol):
     """What a hold needs of the loop, which has it for a part."""
 
-    words: Any
+    @property
+    def words(self) -> LoopWords:
+        """What it shares with its compiled part."""
 
     @property
     def alive(self) -> bool:

@@ -114,7 +114,7 @@ class Viewer:
             self._lines = client.NewestMessage(
                 self._node, MarkerArray, f"/{self._target}/ligaments", client.latched_qos()
             )
-        self._panel.opacity.value = TRANSLUCENT if len(names) == 1 else SOLID
+        self._panel.opacity.value = TRANSLUCENT if len(names) == 1 else SOLID  # type: ignore[misc]  # viser's type: read-only
 
     def _points(self) -> tuple[Floats | None, str]:
         """Return the last positions of all surfaces, (n, 3) m, and their frame; None before they have come."""

@@ -6,7 +6,6 @@ import html
 import queue
 from collections.abc import Mapping, Sequence
 from enum import Enum
-from typing import Any
 
 import viser
 
@@ -117,7 +116,7 @@ class Panel:
         self._detail = gui.add_html("", visible=False, order=LAST - 1.0)
         self._organs = gui.add_html("", visible=False)
         gui.add_html(legend_html())
-        self.opacity: Any = gui.add_slider(
+        self.opacity = gui.add_slider(
             "Opacity", min=0.2, max=1.0, step=0.05, initial_value=TRANSLUCENT, hint="Of the tissue over its interior"
         )
         self._reset = gui.add_button("Reset", hint="Return to the rest shape")

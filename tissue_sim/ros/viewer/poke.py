@@ -5,7 +5,6 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Collection
-from typing import Any
 
 import numpy as np
 import viser
@@ -27,7 +26,7 @@ PROBE_EVERY = 1.0  # s between two requests to the browser that holds a tool
 
 
 def beside(points: Floats, index: int, radius: float) -> tuple[Floats, Floats]:
-    """Return where a tool of a radius, m, is taken: a place (3,) m beyond the points (n, 3) m, and the way in (3,).
+    """Return where a tool of a radius, m, is taken: a place (3,) m beyond the points (n, 3) m, and the direction in.
 
     The first tool is at the left of the picture, the second at the right, further ones below and above.
     """
@@ -63,7 +62,7 @@ class Poke:
         self._gone = threading.Event()  # of the hand that holds it now
         self._next_look = -np.inf
         gui = server.gui
-        self._box: Any = gui.add_checkbox(
+        self._box = gui.add_checkbox(
             f"Poke with {self.name}",
             False,
             disabled=True,
@@ -132,7 +131,7 @@ class Poke:
         """Hold the tool no longer."""
         self._let_go()
         if self._box.value:
-            self._box.value = False
+            self._box.value = False  # type: ignore[misc]  # viser declares it read-only
 
     def _take(self, who: int, points: Floats, frame_id: str) -> None:
         self._let_go()

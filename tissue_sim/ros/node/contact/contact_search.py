@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from tissue_sim.contact.reach_margins import reach_margins, ways
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.model.contact.tool_motion import HASTY
 from tissue_sim.model.data.contact_set import Engaged
+from tissue_sim.model.data.records import Records
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.shared.served_organ import ServedOrgan
@@ -139,7 +140,7 @@ class ContactSearch:
             self._recorder.contacts(sequence, (tick, int(results.status.tick)), found, rows)
         return True
 
-    def _report_inactive(self, engaged: Longs, bodies: Any) -> None:
+    def _report_inactive(self, engaged: Longs, bodies: Records) -> None:
         """Notify ports of bodies that nothing resists: each time that one was outside before, stopped or was reset."""
         outside = (engaged == Engaged.YES) | (engaged == Engaged.CUTS)
         held_off = ~outside & ((engaged == Engaged.HELD_OFF) | bodies.held_off.astype(bool))
@@ -149,7 +150,7 @@ class ContactSearch:
         for port in self._ports_of(is_new):
             port.note_inactive(self._organ)
 
-    def _report_slips(self, bodies: Any) -> None:
+    def _report_slips(self, bodies: Records) -> None:
         """Notify ports of bodies that slipped into the organ since the last search, however soon they are free."""
         before, self._has_slipped = self._has_slipped, bodies.slips > HASTY
         for port, some in self._ports_of(self._has_slipped & ~before).items():

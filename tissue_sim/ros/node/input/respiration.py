@@ -20,7 +20,7 @@ PAUSE = 1.0  # s without a message after which a stream may begin again, with an
 
 
 class RespirationInput:
-    """Input of ~/respiration: a JointState whose first position is a fraction of the breath's way, 0 to 1.
+    """Input of ~/respiration: a JointState whose first position is a fraction of the breath's displacement, 0 to 1.
 
     When messages stop, the breath stays where it was last.
     """

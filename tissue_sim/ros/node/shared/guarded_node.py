@@ -12,7 +12,11 @@ from functools import wraps
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import (
+    PublisherEventCallbacks,
+    QoSRequestedIncompatibleQoSInfo,
+    SubscriptionEventCallbacks,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -79,7 +83,9 @@ class GuardedNode(Node):
         named.setdefault("event_callbacks", PublisherEventCallbacks(incompatible_qos=tell))
         return super().create_publisher(msg_type, topic, qos_profile, **named)
 
-    def _report_qos(self, topic: str, given: QoSProfile | int, event: Any, publishes: bool) -> None:
+    def _report_qos(
+        self, topic: str, given: QoSProfile | int, event: QoSRequestedIncompatibleQoSInfo, publishes: bool
+    ) -> None:
         """Warn about nodes whose QoS doesn't match, and say what helps."""
         own = QoSProfile(depth=given) if isinstance(given, int) else given
         name = self.resolve_topic_name(topic)
@@ -107,13 +113,13 @@ class GuardedNode(Node):
         """Create a timer like rclpy, guarded."""
         return super().create_timer(timer_period_sec, self.guarded(callback), *args, **named)
 
-    def create_service(
-        self, srv_type: type, srv_name: str, callback: Callable[..., Any], *args: Any, **named: Any
+    def create_service[Request, Response](
+        self, srv_type: type, srv_name: str, callback: Callable[[Request, Response], Response], *args: Any, **named: Any
     ) -> Service:
         """Create a service like rclpy, guarded: the caller learns that it failed."""
 
         @wraps(callback)
-        def call(request: Any, response: Any) -> Any:
+        def call(request: Request, response: Response) -> Response:
             try:
                 return callback(request, response)
             except Exception as error:  # of any kind: the node goes on
@@ -122,21 +128,21 @@ class GuardedNode(Node):
         return super().create_service(srv_type, srv_name, call, *args, **named)
 
 
-def failed(response: Any, request: Any, line: str) -> Any:
+def failed[Response](response: Response, request: object, line: str) -> Response:
     """Return a service's response with the failure, as far as its type allows.
 
     response: the response (updated); line: what failed.
     """
-    if hasattr(response, "success"):
-        response.success, response.message = False, line
-    elif hasattr(response, "results") and hasattr(request, "parameters"):  # one for each parameter
+    made: Any = response  # its fields are those of its service
+    if hasattr(made, "success"):
+        made.success, made.message = False, line
+    elif hasattr(made, "results") and hasattr(request, "parameters"):  # one for each parameter
         reason = f"{line}; parameters may have been set nevertheless"
-        response.results = [SetParametersResult(successful=False, reason=reason) for _ in request.parameters]
-    elif isinstance(getattr(response, "result", None), SetParametersResult):
-        response.result = SetParametersResult(successful=False, reason=line)
-    elif hasattr(getattr(response, "result", None), "error_message"):  # of simulation_interfaces
-        result = response.result
-        result.result, result.error_message = result.RESULT_OPERATION_FAILED, line
-    elif hasattr(response, "failure_reason"):
-        response.successful, response.failure_reason = False, line
+        made.results = [SetParametersResult(successful=False, reason=reason) for _ in request.parameters]
+    elif isinstance(getattr(made, "result", None), SetParametersResult):
+        made.result = SetParametersResult(successful=False, reason=line)
+    elif hasattr(getattr(made, "result", None), "error_message"):  # of simulation_interfaces
+        made.result.result, made.result.error_message = made.result.RESULT_OPERATION_FAILED, line
+    elif hasattr(made, "failure_reason"):
+        made.successful, made.failure_reason = False, line
     return response

@@ -44,8 +44,8 @@ class SimClock:
     def arrival_stamp(self) -> int:
         """Return the stamp of a message without one that comes now, without the time for which the loop was held.
 
-        A tool takes as long for its way as the stamps of its poses are apart. A pause is not part of that: if a tool is
-        placed and ten ticks are taken, again and again, it moves in these ten.
+        A tool takes as long for its path as the stamps of its poses are apart. A pause is not part of that: if a tool
+        is placed and ten ticks are taken, again and again, it moves in these ten.
 
         By ROS's clock, ns.
         """
