@@ -56,6 +56,7 @@ MAY_IMPORT = {
 # Folders of a layer, each of which may import those before it; files beside them import all, and none imports those.
 FOLDERS = {
     "model": ("data", "elasticity", "cutting", "contact", "regions", "stepping", "runtime"),
+    "ros": ("shared", "bridge", "probes", "bags", "node", "viewer", "camera"),
     "ros/node": ("shared", "input", "settings", "tools", "contact", "output", "services"),
 }
 # What they find, others ask for and show.
