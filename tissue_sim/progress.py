@@ -163,7 +163,7 @@ class Stages:
 
     @contextmanager
     def stage(self, name: str, total: int) -> Iterator[Callable[..., None]]:
-        """Start a stage; see calibrate.Progress."""
+        """Start a stage; see calibration.progress.Progress."""
         with task(name, total) as one:
             yield lambda remark="": one.advance(1, remark)
         seconds = time.monotonic() - one.started
