@@ -130,7 +130,7 @@ def violations(path: Path) -> list[str]:
             found.append(f"{path.relative_to(ROOT)}:{line}: imports {module} outside tissue_sim/ros")
         if own in LIBRARIES and module.split(".")[0] == "argparse":
             found.append(f"{path.relative_to(ROOT)}:{line}: a library imports {module}")
-        if module.split(".")[0] == "tqdm" and path.name != "progress.py":
+        if module.split(".")[0] == "tqdm" and path.name != "progress_reporter.py":
             found.append(f"{path.relative_to(ROOT)}:{line}: imports {module} instead of tissue_sim.progress")
     if own in LIBRARIES:
         found += [f"{path.relative_to(ROOT)}:{line}: a library prints" for line in prints(path)]

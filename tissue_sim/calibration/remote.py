@@ -12,7 +12,7 @@ from typing import Any
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
 from tissue_sim.parent_exit import exit_with_parent
-from tissue_sim.progress import SETTING
+from tissue_sim.progress_reporter import SETTING
 
 # One thread for each BLAS, which reads it when it is loaded; progress is reported by this process, which waits for it.
 _SETTING = {"OPENBLAS_NUM_THREADS": "1", SETTING: "0"}

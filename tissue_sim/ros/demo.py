@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         words = _command("bridge", "--rate", f"{args.rate:g}", "--wait", f"{WAIT:g}")
         children.append(Child("bridge", words, os.environ))
         print("bridge: strokes, pokes, pinches, lifts and releases; Ctrl-C ends", flush=True)
-        progress.tell_by(None)  # from here on a line a second
+        progress.report_by(None)  # from here on a line a second
         try:
             dead = watch.run(children, stop)
             last_words = dead.last_words() if dead else ""

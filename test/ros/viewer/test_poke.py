@@ -71,7 +71,7 @@ def test_a_held_tool_publishes_until_it_is_released(graph):
     assert listener.spin_until(lambda: len(poses) > 0)
     tool.goal = np.array([0.2, 0.2, 0.3])
     assert listener.spin_until(lambda: poses[-1].pose.position.x > 0.19)
-    assert tool.rivals() == 0
+    assert tool.other_publishers() == 0
     message = poses[-1]
     assert message.header.frame_id == "theatre"
     assert (message.pose.orientation.y, message.pose.orientation.w) == (0.6, 0.8)
@@ -81,7 +81,7 @@ def test_a_held_tool_publishes_until_it_is_released(graph):
     assert np.diff(x).max() <= TOP_SPEED * 0.021, "a leap"
     assert x[-1] <= 0.2002
     listener.node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
-    assert listener.spin_until(lambda: tool.rivals() == 1)
+    assert listener.spin_until(lambda: tool.other_publishers() == 1)
     tool.release()
     assert listener.hears_no_more(poses)
     listener.close()

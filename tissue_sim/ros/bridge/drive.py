@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         if not is_there:
             write_missing(args, f"wrench on /{args.node}/{link.tool.name}/wrench", stop)
             return 0 if stop else 1
-        progress.tell_by(None)  # nothing of it runs beside the poses
+        progress.report_by(None)  # nothing of it runs beside the poses
         steps = NAMES[learned.task] if args.seconds is None else round(args.seconds / STEP)
         done = tool.drive(learned, goal, start, steps, stop)
         tool.leave(done.tip, goal)

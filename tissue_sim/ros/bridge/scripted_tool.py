@@ -54,11 +54,11 @@ class ScriptedTool:
         publishers = [self._publisher] if self._jaws is None else [self._publisher, self._jaws]
         return all(publisher.get_subscription_count() for publisher in publishers)
 
-    def rivals(self) -> int:
+    def other_publishers(self) -> int:
         """Return how many others publish the tool's poses."""
         return int(self._node.count_publishers(self.topic)) - 1
 
-    def feel(self) -> None:
+    def receive(self) -> None:
         """Take the newest wrench, if one has come."""
         raw = self._wrenches.take()
         if raw is not None:

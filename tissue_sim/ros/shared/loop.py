@@ -62,7 +62,7 @@ class Loop:
         self._worlds, self._box_row = row(self._world_handles), row(self._box_handles)
         links = len(joined.links.lightness)
         self._exchange = make_exchange(self._worlds, self._box_row, self._world_handles[0], self._box_handles[0], links)
-        self.hold = PauseControl(self)
+        self.pause = PauseControl(self)
         self.before_reset: list[Callable[[], None]] = []  # called first: they exchange cut organs
 
     def _run(self) -> None:
@@ -123,13 +123,13 @@ class Loop:
 
     @property
     def standing(self) -> bool:
-        """Whether no tick is due: the loop is held, or the clock that it follows stands."""
-        return self.hold.active or self.clock_stands
+        """Whether no tick is due: the loop is paused, or the clock that it follows stands."""
+        return self.pause.active or self.clock_stands
 
     @property
     def clock_stands(self) -> bool:
         """Whether ticks follow a posted time that has not come yet, or has stood still for half a second."""
-        return bool(self._standing[0]) and not self.hold.active
+        return bool(self._standing[0]) and not self.pause.active
 
     @property
     def tick_time(self) -> float:
@@ -194,7 +194,7 @@ class Loop:
     ) -> int:
         """Go on with a simulation that continues one of the organs; return the first tick with it.
 
-        A held loop takes it up at once.
+        A paused loop takes it up at once.
 
         made: the simulation, whose `carry_plan` fits the one in use; plan: what changes for all organs, None for an
         organ alone; patience: how long to wait for the tick, None: as long as a running loop may take, s. Raises
@@ -206,14 +206,14 @@ class Loop:
         provide((made.model, made.state.words, made.scratch, box.shape, box.carry))
         world_handle, box_handle = self._world_of(made, organ), handle(box)
         exchange, words = self._exchange, self._exchange.words
-        with self._snapshot_lock, self.hold.kept() as is_held:
+        with self._snapshot_lock, self.pause.kept() as is_paused:
             exchange.next_world[0], exchange.next_box[0] = place_of(world_handle), place_of(box_handle)
             words.organ = organ
             if plan is not None:
                 words.coarse_square, words.added, words.version = plan.coarse_square, plan.added, plan.version
                 exchange.lightness[:] = plan.lightness
             words.asked += 1
-            if is_held:
+            if is_paused:
                 take_exchange(self._worlds, self._box_row, self.joined.handle, handle(exchange))
                 mb.post_results(world_handle, box_handle)
                 words.done = words.asked

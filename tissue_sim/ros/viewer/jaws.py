@@ -53,9 +53,9 @@ class JawSlider:
         if shown != self._slider.value:
             self._slider.value = shown  # type: ignore[misc]  # viser declares it read-only
 
-    def rivals(self) -> int:
+    def other_publishers(self) -> int:
         """Return how many others move the jaws that the slider has just moved."""
-        return self._jaws.rivals() if self._jaws is not None and self._jaws.moving else 0
+        return self._jaws.other_publishers() if self._jaws is not None and self._jaws.moving else 0
 
     def close(self) -> None:
         """Stop moving the jaws."""

@@ -67,7 +67,7 @@ class PokedTool:
         """Whether it is between `take` and `release`."""
         return self._thread is not None
 
-    def rivals(self) -> int:
+    def other_publishers(self) -> int:
         """Return how many others publish the tool's poses."""
         return int(self._node.count_publishers(self.topic)) - (1 if self.held else 0)
 

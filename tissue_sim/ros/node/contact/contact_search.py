@@ -90,7 +90,7 @@ class ContactSearch:
         finder.counters = self.finder.counters
         self.finder, self._positions = finder, np.zeros((nodes, 3))
         self._last_key = ()
-        with self._recorder.together:
+        with self._recorder.lock:
             self._recorder.searched(int(self._physics.box.contacts.sequence[0]) + 1)
 
     def is_idle(self, now: ToolsNow) -> bool:
@@ -135,7 +135,7 @@ class ContactSearch:
         self._last_empty = found.header.points == 0 and bool(np.all(found.tip_node < 0))
         self.dropped += int(found.header.dropped)
         rows = list(zip(margins.tolist(), engaged.tolist(), now.pushing.astype(bool).tolist(), strict=True))
-        with self._recorder.together:
+        with self._recorder.lock:
             sequence = self._physics.post_contacts(found)
             self._recorder.contacts(sequence, (tick, int(results.status.tick)), found, rows)
         return True
@@ -191,7 +191,7 @@ class OrganContactSearch:
             self.finder.exchange(organ, surface, number)
             self._positions[organ] = np.zeros((surface.organ.n_nodes, 3))
             self._last_key = self._last_key[:1]
-            with self._recorder.together:
+            with self._recorder.lock:
                 self._recorder.surface(organ, number, surface.is_cut)
 
     def refresh(self) -> bool:
@@ -210,7 +210,7 @@ class OrganContactSearch:
         found = self.finder.find(self._positions, [not one.results().status.asleep for one in self._organs.each])
         is_empty = bool(found.found[0] == 0)
         if not (is_empty and self._last_empty):
-            with self._recorder.together:
+            with self._recorder.lock:
                 self._recorder.pairs(self._organs.loop.post_organ_contacts(found), ticks, found)
         self._last_empty = is_empty
         return True

@@ -49,7 +49,7 @@ class RespirationInput:
             return
         self._stamp, self._came = stamp, self._clock.now()
         self.fraction, self.taken = float(message.position[0]), self.taken + 1
-        with self._recorder.together:
+        with self._recorder.lock:
             self._recorder.respiration(self._loop.post_respiration(self.fraction), self.fraction)
         self._loop.wake()
 

@@ -94,7 +94,7 @@ class OrganCutting:
             self._exchange_uncut()
 
     def _heal_later(self) -> None:
-        with self._node.mishaps.noted():
+        with self._node.unexpected_errors.noted():
             self._exchange_uncut(patience=float("inf"))
             self._parts.loop.reset_again()
 
@@ -217,7 +217,7 @@ class OrganCutting:
 
     def _open(self, sheets: Sequence[Sheet], heals: int) -> None:
         try:
-            with self._node.mishaps.noted():
+            with self._node.unexpected_errors.noted():
                 for sheet in sheets:
                     if heals != self._heals:
                         break  # the organ was reset, and these cuts with it

@@ -46,6 +46,6 @@ class DeferredService[Request, Response]:
         try:
             work()
         except Exception as error:  # of any kind: the caller gets the message
-            response = failed(type(response)(), request, self._node.mishaps.note(error))
-        with self._node.mishaps.noted():
+            response = failed(type(response)(), request, self._node.unexpected_errors.note(error))
+        with self._node.unexpected_errors.noted():
             self._send(response, header)

@@ -29,7 +29,7 @@ from tissue_sim.ros.shared.report import UnexpectedErrors
 
 
 class GuardedNode(Node):
-    """A node with `mishaps`, which notes what its callbacks raise and reports topics whose QoS doesn't match.
+    """A node with `unexpected_errors`, which notes what its callbacks raise and reports topics whose QoS doesn't match.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class GuardedNode(Node):
     """
 
     def __init__(self, name: str) -> None:
-        self.mishaps = UnexpectedErrors("callback", lambda line: self.get_logger().error(line))
+        self.unexpected_errors = UnexpectedErrors("callback", lambda line: self.get_logger().error(line))
         self.remedies: dict[str, str] = {}
         self.decided: Callable[[Parameter], SetParametersResult | None] = lambda _: None
         super().__init__(name)
@@ -65,7 +65,7 @@ class GuardedNode(Node):
             try:
                 callback(*args, **named)
             except Exception as error:  # of any kind: the node goes on
-                self.mishaps.note(error)
+                self.unexpected_errors.note(error)
 
         return call
 
@@ -123,7 +123,7 @@ class GuardedNode(Node):
             try:
                 return callback(request, response)
             except Exception as error:  # of any kind: the node goes on
-                return failed(type(response)(), request, self.mishaps.note(error))
+                return failed(type(response)(), request, self.unexpected_errors.note(error))
 
         return super().create_service(srv_type, srv_name, call, *args, **named)
 
