@@ -1,7 +1,7 @@
 """No command is silent while its work takes long: each is slowed somewhere, and a line has to come meanwhile.
 
 Time is a test's own. Work that takes long is a function that lets it pass, and looks whether a line is due where the
-thread that tells would: not where none runs.
+thread that reports would: not where none runs.
 """
 
 import importlib
@@ -136,7 +136,7 @@ def found(name):
 
 
 def test_a_line_comes_between_the_rounds_of_what_is_timed(clock, capsys):
-    """No thread runs beside these: what tells are the steps, however short each is."""
+    """No thread runs beside these: the steps report, however short each is."""
 
     def burst(count):
         clock.pass_by(0.5)

@@ -53,9 +53,9 @@ def test_the_modulus_comes_back(organ, presses):
     lines = "\n".join(lines_of(found))
     assert "no stroke was found" in lines
     assert "no times" in lines
-    assert "hardly tell the modulus" not in lines
+    assert "hardly determine the modulus" not in lines
     unsure = found._replace(interval=found.interval._replace(low=0.2, high=4.0))
-    assert "warning: these presses hardly tell the modulus, its interval is a factor of 20 wide" in "\n".join(
+    assert "warning: these presses hardly determine the modulus, its interval is a factor of 20 wide" in "\n".join(
         lines_of(unsure)
     )
     assert json.loads(json.dumps(provenance_of(found))) == found.organ.provenance[KEY]

@@ -1,4 +1,4 @@
-"""The demonstration with a node that is stood in for: it starts, tells, and ends everything in order."""
+"""The demonstration with a node that is stood in for: it starts, reports, and ends everything in order."""
 
 import os
 import signal

@@ -106,7 +106,7 @@ class Measurement(NamedTuple):
     holds : list[Hold]
         Holds.
     is_registered : bool
-        Whether places are in the organ's axes; otherwise they only tell presses apart.
+        Whether places are in the organ's axes; otherwise they only distinguish presses.
     sinusoids : Sequence[Sinusoid]
         Sinusoids.
     """

@@ -163,7 +163,7 @@ def _fitted(some: Sequence[_Thinned]) -> Relaxation:
     again = max(_correlation(one) for one in residuals)
     square = 2.0 * float(best.cost) / max(len(best.fun) - 2 - len(some), 1) * (1.0 + again) / (1.0 - again)
     deviation = np.sqrt(square * np.diag(np.linalg.pinv(best.jac.T @ best.jac)))
-    if len(some) > 2:  # holds that differ tell more than their noise
+    if len(some) > 2:  # holds that differ show more than their noise
         alone = np.array([[found.fraction, np.log(found.time)] for found in (_fitted([one]) for one in some)])
         deviation = np.maximum(deviation, alone.std(axis=0, ddof=1) / np.sqrt(len(some)))
     total = sum(float(one.averaged.sum()) for one in some)

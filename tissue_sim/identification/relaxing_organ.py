@@ -51,7 +51,7 @@ def relaxing(organ: Organ, relaxation: Relaxation | None, presses: Presses, reme
     organ : Organ
         The fitted organ, elastic.
     relaxation : Relaxation | None
-        What holds tell; None where they tell nothing, which leaves the organ as it is.
+        Relaxation by the holds; None where they show none, which leaves the organ as it is.
     presses : Presses
         What it was fitted to.
     remember : Remember

@@ -301,7 +301,7 @@ class Offscreen:
         return self._lit[material]
 
     def _set_light(self, lit: moderngl.Program, to_shadow: Floats) -> None:
-        """Tell a program how the light shines, and how the lens projects."""
+        """Set how the light shines, and how the lens projects, in a program."""
         light = self.light
         _set(lit, "light_at", light.offset)
         _set(lit, "reach", light.reach)

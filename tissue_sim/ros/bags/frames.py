@@ -148,7 +148,7 @@ def _mesh(tools: ToolSet, body: int) -> Trimesh:
 
 
 def write_vtu(path: Path, frames: Sequence[Frame], scale: float) -> list[Path]:
-    """Write each part of each frame as VTU into a folder beside `path`, a .pvd file that tells their times.
+    """Write each part of each frame as VTU into a folder beside `path`, a .pvd file that states their times.
 
     path: the .pvd file, which ParaView opens as one animation; frames: in order; scale: factor on metres. Returns what
     was written, the .pvd file first. Raises UserError without meshio; OSError where a file can't be written.

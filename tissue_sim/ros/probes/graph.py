@@ -117,12 +117,12 @@ class Graph(ExitStack):
 def ticks(node: Child) -> None:
     """Return when the node has done its first tick. Raises UserError when it ends, or has not for START_TIME."""
 
-    def tells() -> bool:
+    def has_ticked() -> bool:
         if node.exit_code is not None:
             raise UserError(f"the node did not start: {node.last_words()}")
         return any("surface nodes" in line for line in (*node.output, *node.errors))
 
-    first_within(tells, START_TIME, "the node did not tick")
+    first_within(has_ticked, START_TIME, "the node did not tick")
 
 
 def last_line(child: Child) -> str:

@@ -17,7 +17,7 @@ PARTICIPANTS = 4  # of a domain that are checked
 def claim_domain() -> tuple[int, socket.socket]:
     """Return a free ROS domain, and the socket that keeps others from claiming it until it is closed.
 
-    Participants come and go in a domain that is in use, so their ports alone don't tell.
+    Participants come and go in a domain that is in use, so their ports alone don't show it.
 
     Raises UserError when none is free.
     """

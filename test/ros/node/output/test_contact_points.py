@@ -1,4 +1,4 @@
-"""What the node tells of a tool beside its servo_cf: contact points, its wrench in the organ's frame, its clutch."""
+"""What the node publishes about a tool beside its servo_cf: contact points, its wrench on the organ, its clutch."""
 
 import numpy as np
 import pytest

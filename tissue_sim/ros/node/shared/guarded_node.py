@@ -73,14 +73,14 @@ class GuardedNode(Node):
         self, msg_type: type, topic: str, callback: Callable[..., object], qos_profile: QoSProfile | int, **named: Any
     ) -> Subscription:
         """Subscribe like rclpy, guarded; warn about publishers that offer less than it requests."""
-        tell = self.guarded(lambda event: self._report_qos(topic, qos_profile, event, publishes=False))
-        named.setdefault("event_callbacks", SubscriptionEventCallbacks(incompatible_qos=tell))
+        warn = self.guarded(lambda event: self._report_qos(topic, qos_profile, event, publishes=False))
+        named.setdefault("event_callbacks", SubscriptionEventCallbacks(incompatible_qos=warn))
         return super().create_subscription(msg_type, topic, self.guarded(callback), qos_profile, **named)
 
     def create_publisher(self, msg_type: type, topic: str, qos_profile: QoSProfile | int, **named: Any) -> Publisher:
         """Publish like rclpy; warn about subscribers that request more than it offers."""
-        tell = self.guarded(lambda event: self._report_qos(topic, qos_profile, event, publishes=True))
-        named.setdefault("event_callbacks", PublisherEventCallbacks(incompatible_qos=tell))
+        warn = self.guarded(lambda event: self._report_qos(topic, qos_profile, event, publishes=True))
+        named.setdefault("event_callbacks", PublisherEventCallbacks(incompatible_qos=warn))
         return super().create_publisher(msg_type, topic, qos_profile, **named)
 
     def _report_qos(

@@ -105,5 +105,5 @@ class SimClock:
         self._loop.follow_posted_time(active)
 
     def _restart(self) -> None:
-        for tell in self.jumped:
-            tell()
+        for notify in self.jumped:
+            notify()
