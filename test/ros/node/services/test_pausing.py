@@ -164,7 +164,7 @@ class Services:
 @pytest.mark.parametrize("in_time", [True, False])
 def test_a_step_that_goes_on_without_new_contacts_says_so_once(in_time):
     node = Services()
-    loop = SimpleNamespace(tick_time=1e-3, hold=SimpleNamespace(active=True, step=lambda: True))
+    loop = SimpleNamespace(tick_time=1e-3, pause=SimpleNamespace(active=True, step=lambda: True))
     contacts = SimpleNamespace(rate=250.0, catch_up=lambda _: in_time)
     clock = SimpleNamespace(jumped=[], active=False)
     pausing = Pausing(node, loop, clock, lambda: 12, contacts)
