@@ -8,8 +8,8 @@ import pytest
 
 from helpers.cluster import cluster_in
 from helpers.paths import ROOT
-from tissue_sim import progress
 from tissue_sim.errors import UserError
+from tissue_sim.progress_reporter import SETTING
 from tissue_sim.ros.shared.domains import claim_domain
 
 
@@ -23,7 +23,7 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["ROS_DOMAIN_ID"] = str(domain)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ.pop("ROS_LOCALHOST_ONLY", None)
-    os.environ[progress.SETTING] = "0"  # on a busy machine a line would stand where a test counts lines
+    os.environ[SETTING] = "0"  # on a busy machine a line would stand where a test counts lines
 
     # The wheels of ROS restart Python once to set LD_LIBRARY_PATH, and mark that in the environment. The mark without
     # the path comes from a parent process that dropped one of the two: rclpy would fail with a riddle.

@@ -233,7 +233,7 @@ def test_a_line_that_is_no_pin_is_named(service, audit):
 
 
 def test_what_the_service_does_not_know_does_not_pass():
-    """As pip-audit tells it behind a mirror that has PyPI's files alone; its own exit code is 0 then."""
+    """As pip-audit reports it behind a mirror that has PyPI's files alone; its own exit code is 0 then."""
     pins = [{"name": "numpy", "version": "2.5.5", "vulns": []}]
     assert AUDIT["unknown"]("pypi", pins) == ""
     pins += [{"name": name, "skip_reason": "Dependency not found on PyPI"} for name in ("pip", "rich", "tqdm", "zict")]

@@ -18,6 +18,7 @@ from helpers.patience import LIMIT
 from tissue_sim import jit, progress
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
+from tissue_sim.progress_reporter import SETTING
 
 # `info` whose reading of the organ is over when a line comes in.
 SLOW_INFO = """
@@ -104,7 +105,7 @@ def test_shares_and_unknown_lengths(clock, capsys):
 @pytest.mark.extended
 def test_a_process_says_how_far_it_is_while_a_step_lasts():
     """Until it has: the step ends when it has said so three times."""
-    environment = os.environ | {progress.SETTING: "0.05"}
+    environment = os.environ | {SETTING: "0.05"}
     streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen([sys.executable, "-c", SLOW_INFO], env=environment, text=True, **streams) as process:
         seen = [process.stderr.readline()]
@@ -118,10 +119,10 @@ def test_a_process_says_how_far_it_is_while_a_step_lasts():
 def test_a_log_of_its_own_and_none(clock, capsys):
     logged = []
     with progress.task("starting") as one:
-        progress.tell_by(logged.append)
+        progress.report_by(logged.append)
         clock.now += 4.0
         one.advance(0)
-        progress.tell_by(None)
+        progress.report_by(None)
         clock.now += 100.0
         one.advance(0)
     assert logged == ["starting; 00:04"]
@@ -130,11 +131,11 @@ def test_a_log_of_its_own_and_none(clock, capsys):
 
 @pytest.mark.parametrize("given", ["often", "-1", "nan", "inf"])
 def test_a_setting_that_is_none_is_refused(given, monkeypatch, capsys):
-    monkeypatch.setattr(progress, "_teller", progress._Teller())
-    monkeypatch.setenv(progress.SETTING, given)
+    monkeypatch.setattr(progress, "_reporter", progress.Reporter())
+    monkeypatch.setenv(SETTING, given)
     assert main(["info", "k.npz"]) == 2
     assert capsys.readouterr().err == (
-        f"tissue_sim: error: {progress.SETTING}={given}: use the seconds between two lines of progress, such as 60,"
+        f"tissue_sim: error: {SETTING}={given}: use the seconds between two lines of progress, such as 60,"
         " or 0 for none\n"
     )
     with pytest.raises(UserError, match="seconds between two lines"), progress.task("any"):
@@ -142,7 +143,7 @@ def test_a_setting_that_is_none_is_refused(given, monkeypatch, capsys):
 
 
 def test_zero_switches_it_off(clock, monkeypatch, capsys):
-    monkeypatch.setenv(progress.SETTING, "0")
+    monkeypatch.setenv(SETTING, "0")
     with progress.task("build") as one:
         clock.now += 1000.0
         one.advance()
@@ -157,8 +158,8 @@ def threads():
 
 
 def test_no_thread_runs_beside_what_is_timed(monkeypatch):
-    monkeypatch.setattr(progress, "_teller", progress._Teller())
-    monkeypatch.setenv(progress.SETTING, "")
+    monkeypatch.setattr(progress, "_reporter", progress.Reporter())
+    monkeypatch.setenv(SETTING, "")
     with progress.task("bench tick"):
         assert len(threads()) == 1
         with progress.still(), progress.task("ticks", 5):
@@ -181,7 +182,7 @@ def test_a_bar_moves_on_a_terminal_while_a_step_lasts():
     program = SLOW_INFO.replace("one.advance(2", "print('a line'); one.advance(2")
     ours, theirs = pty.openpty()
     termios.tcsetwinsize(theirs, (40, 90))
-    environment = os.environ | {progress.SETTING: "0.05"}
+    environment = os.environ | {SETTING: "0.05"}
     command = [sys.executable, "-c", program]
     with subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=theirs, stderr=theirs) as process:
         os.close(theirs)

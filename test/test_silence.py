@@ -1,7 +1,7 @@
 """No command is silent while its work takes long: each is slowed somewhere, and a line has to come meanwhile.
 
 Time is a test's own. Work that takes long is a function that lets it pass, and looks whether a line is due where the
-thread that tells would: not where none runs.
+thread that reports would: not where none runs.
 """
 
 import importlib
@@ -17,6 +17,7 @@ from helpers.scenes import ball
 from tissue_sim import progress
 from tissue_sim.bench import timing
 from tissue_sim.cli import main
+from tissue_sim.progress_reporter import PERIOD
 
 BAG = ROOT / "bags" / "poke"
 SLOW = 11.0  # s: longer than from one line to the next
@@ -108,7 +109,7 @@ def test_every_part_of_a_long_command_has_the_name_of_its_stage(words, files, mo
     def noting(name, work):
         def noted(*given, **named):
             first = name not in seen
-            seen.setdefault(name, progress._teller._path().partition(": ")[2])
+            seen.setdefault(name, progress._reporter._path().partition(": ")[2])
             if first and len(seen) == len(STAGES[words]):
                 raise Over
             return work(*given, **named)
@@ -135,7 +136,7 @@ def found(name):
 
 
 def test_a_line_comes_between_the_rounds_of_what_is_timed(clock, capsys):
-    """No thread runs beside these: what tells are the steps, however short each is."""
+    """No thread runs beside these: the steps report, however short each is."""
 
     def burst(count):
         clock.pass_by(0.5)
@@ -144,4 +145,4 @@ def test_a_line_comes_between_the_rounds_of_what_is_timed(clock, capsys):
     with progress.task("bench tick"):
         timing.interleave(timing.Phase({"ours": burst, "theirs": burst}, 60.0, "poked"))
     reported = [line for line in capsys.readouterr().err.splitlines() if line.startswith("bench tick: poked")]
-    assert len(reported) >= (clock.now - 1000.0) // (progress.PERIOD + 1.0) - 1, reported
+    assert len(reported) >= (clock.now - 1000.0) // (PERIOD + 1.0) - 1, reported

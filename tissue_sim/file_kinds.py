@@ -47,7 +47,7 @@ def wrong_kind(path: Path, wanted: str) -> str:
     Returns
     -------
     str
-        The end of a sentence about the file; empty where its first bytes tell nothing else.
+        The end of a sentence about the file; empty where its first bytes show nothing else.
 
     Raises
     ------

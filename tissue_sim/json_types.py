@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
-JsonObject = dict[str, Any]  # by name: numbers, texts, lists and further objects, as the file's own description says
+# By name: numbers, texts, lists and further objects, as the file's own description says.
+JsonObject = dict[str, Any]
+JsonMapping = Mapping[str, Any]  # the same, which is only read

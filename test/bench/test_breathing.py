@@ -3,7 +3,7 @@
 import pytest
 
 from helpers.scenes import ball_of_cells
-from tissue_sim.bench.breathing import WAY, as_json, measure, text
+from tissue_sim.bench.breathing import DISPLACEMENT, as_json, measure, text
 from tissue_sim.model.stepping.wake_threshold import WAKE_DISPLACEMENT
 
 
@@ -12,7 +12,7 @@ def test_a_slow_breath_carries_an_organ_as_finite_elements_go():
     organ = ball_of_cells(2, 120)
     found = measure(organ, (40.0, 120.0), {"along z": (0.0, 0.0, 1.0)})
     slow, fast = found
-    assert slow.most_off < 0.01 * WAY
+    assert slow.most_off < 0.01 * DISPLACEMENT
     assert fast.bent > 8.0 * slow.bent, "m: with the square of the rate"
     assert slow.asleep > fast.asleep
     assert all(one.off < max(0.3 * one.bent, WAKE_DISPLACEMENT) for one in found), (
@@ -21,4 +21,4 @@ def test_a_slow_breath_carries_an_organ_as_finite_elements_go():
     result = as_json(found)
     assert [bound["met"] for bound in result["bounds"]] == [True]
     assert "120" in text(organ, result)
-    assert as_json([slow._replace(most_off=0.06 * WAY)])["bounds"][0]["met"] is False
+    assert as_json([slow._replace(most_off=0.06 * DISPLACEMENT)])["bounds"][0]["met"] is False

@@ -182,8 +182,8 @@ def test_places_are_anywhere_on_the_surface_and_ways_lead_in():
     organ = kidney()
     for place in locations_on(organ, 20):
         form = Form("", (), 0.005, 0.005)
-        np.testing.assert_allclose(place.pose(form, 0.0)[:3], place.point - 0.005 * place.way)
-        within = [place.point + depth * place.way for depth in (-1e-4, 1e-4)]
+        np.testing.assert_allclose(place.pose(form, 0.0)[:3], place.point - 0.005 * place.direction)
+        within = [place.point + depth * place.direction for depth in (-1e-4, 1e-4)]
         assert inside(np.array(within), organ.rest_positions, organ.surface_triangles).tolist() == [False, True]
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue_sim.calibration.calibrate import BUCKLING, POKE, _near_buckling, _poke, _telling
+from tissue_sim.calibration.calibrate import BUCKLING, POKE, _near_buckling, _poke, _usable
 from tissue_sim.calibration.cases import Cases
 from tissue_sim.calibration.evaluation import Answer
 from tissue_sim.errors import UserError
@@ -21,7 +21,7 @@ def test_loads_near_buckling_are_named_with_how_far_they_go():
     assert found[1] == "bump at node 11, 10.0 mm linear, 30.3 mm nonlinear"
     assert found[2] == "pulling bump at node 12, 10.0 mm linear, 3.3 mm nonlinear"
     assert list(_near_buckling(cases, linear, wanted, stiffens=True)) == [1]
-    kept = _telling(cases, linear, wanted)
+    kept = _usable(cases, linear, wanted)
     np.testing.assert_array_equal(kept, [0, 3])
     wanted.displacement[0, 1, 2] = 0.008
     cases.centre[:] = [np.array([1])] * 5

@@ -115,7 +115,7 @@ def test_a_weight_on_the_end_slows_a_beam_down():
     assert frequencies(solid, 1)[0] == pytest.approx(alone * np.sqrt(fraction / (fraction + 1.0)), rel=0.03)
 
 
-def test_organ_let_go_starts_where_it_settled_and_comes_to_rest():
+def test_released_organ_starts_where_it_settled_and_comes_to_rest():
     organ = ball(1)
     body = Body(organ, grading=Grading(clamp=0))
     force = np.zeros((organ.n_surface, 3))
@@ -138,7 +138,7 @@ def test_organ_let_go_starts_where_it_settled_and_comes_to_rest():
 
 
 @pytest.mark.parametrize("step", [5e-3, 1e-2, 2e-2])
-def test_a_nearly_incompressible_solid_is_let_go_from_far(step):
+def test_a_nearly_incompressible_solid_is_released_from_far(step):
     """Whole steps about the linear solid's matrix lead up there, and never arrive."""
     sides = np.linspace(0.0, 0.02, 3)
     solid = box(np.linspace(0.0, 0.04, 5), sides, sides, E, 0.49, DENSITY)

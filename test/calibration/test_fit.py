@@ -8,12 +8,12 @@ import pytest
 from helpers.scenes import ball
 from helpers.springs_of_ball import MODEL, ORGAN, SPRINGS, START, linear_answers
 from tissue_sim.calibration import fit as fitting
-from tissue_sim.calibration.calibrate import CELL_BOUNDS
 from tissue_sim.calibration.cases import fit_cases, held_out_cases, principal
 from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.evaluation import errors
 from tissue_sim.calibration.fit import BOUNDS, Misfit, Penalties, fit
 from tissue_sim.calibration.stiffness import Settings, first_stiffness, prepared
+from tissue_sim.calibration.tissue_fit import CELL_BOUNDS
 from tissue_sim.model.elasticity.assembly import assemble
 
 TRUTH = START * np.exp(0.5 * np.random.default_rng(7).standard_normal(len(START)))

@@ -8,7 +8,7 @@ from tissue_sim.calibration.cases import AXES, fit_cases, held_out_cases
 from tissue_sim.calibration.evaluation import errors
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.reference import FINER, LEFT, Refined, finer_reference_body, made_good, refined, samples_of
+from tissue_sim.calibration.reference import FINER, LEFT, Refined, corrected, finer_reference_body, refined, samples_of
 
 
 @pytest.mark.extended
@@ -44,24 +44,24 @@ def test_samples_are_whole_places_spread_over_all():
     np.testing.assert_array_equal(samples_of(9), np.arange(9))
 
 
-def test_what_few_shapes_differ_by_is_made_good():
+def test_what_few_shapes_differ_by_is_corrected():
     """A difference that follows the first shapes of every answer is found from samples, to rounding."""
     random = np.random.default_rng(4)
     shapes, change = random.normal(size=(5, 60)), random.normal(size=(5, 60))
     fractions = random.normal(size=(40, 5))
     coarse, fine = (fractions @ shapes).reshape(40, 20, 3), (fractions @ (shapes + 0.01 * change)).reshape(40, 20, 3)
-    np.testing.assert_allclose(made_good(coarse, coarse[:10], fine[:10]), fine, atol=1e-9)
+    np.testing.assert_allclose(corrected(coarse, coarse[:10], fine[:10]), fine, atol=1e-9)
 
 
 @pytest.mark.extended
-def test_other_loads_of_a_ball_are_made_good_by_samples():
+def test_other_loads_of_a_ball_are_corrected_by_samples():
     organ = ball(2)
     pushes, others = fit_cases(organ, 90, 0), held_out_cases(organ, 6, 2).force
     coarse, finer = Body(organ, grading=Grading(clamp=0)), Body(organ)
     some = samples_of(len(pushes))
     samples, finer_samples = (body.settle_linear(pushes[some]) for body in (coarse, finer))
     before, wanted = coarse.settle_linear(others), finer.settle_linear(others)
-    after = made_good(before, samples, finer_samples)
+    after = corrected(before, samples, finer_samples)
     assert errors(after, wanted).mean() < 0.35 * errors(before, wanted).mean()
     assert np.median(errors(after, wanted)) < 0.15 * np.median(errors(before, wanted))
     assert np.all(errors(after, wanted) < errors(before, wanted))
@@ -69,7 +69,7 @@ def test_other_loads_of_a_ball_are_made_good_by_samples():
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_on_the_kidney_what_is_left_is_within_a_percent_and_nonlinear_shapes_are_made_good():
+def test_on_the_kidney_what_is_left_is_within_a_percent_and_nonlinear_shapes_are_corrected():
     organ = kidney()
     forces = held_out_cases(organ, 2, 0).force * 0.2
     coarse = Body(organ)

@@ -153,7 +153,7 @@ def test_bar_in_tension_that_stiffens(traction):
 
     def stresses(stretch):
         step = 1e-6 * np.eye(2)
-        slope = [(density(stretch + way) - density(stretch - way)) / 2e-6 for way in step]
+        slope = [(density(stretch + direction) - density(stretch - direction)) / 2e-6 for direction in step]
         return slope[0] - traction, slope[1]
 
     along, across = fsolve(stresses, [1.0 + traction / E / 2.0, 1.0], xtol=1e-12)
@@ -248,20 +248,20 @@ def bent(solid, size=0.04):
 @pytest.mark.parametrize("stiffening", [0.0, STIFFENING, 60.0])
 def test_forces_are_the_slope_of_the_energy(stiffening):
     solid = small_box(stiffening=stiffening)
-    moved, way = bent(solid), np.random.default_rng(0).normal(size=solid.nodes.shape)
+    moved, direction = bent(solid), np.random.default_rng(0).normal(size=solid.nodes.shape)
     h = 1e-6
-    ahead, behind = (solid.energy(moved + sign * h * way)[0] for sign in (1.0, -1.0))
-    assert (ahead - behind) / (2.0 * h) == pytest.approx(np.vdot(solid.energy(moved)[1], way), rel=1e-7)
+    ahead, behind = (solid.energy(moved + sign * h * direction)[0] for sign in (1.0, -1.0))
+    assert (ahead - behind) / (2.0 * h) == pytest.approx(np.vdot(solid.energy(moved)[1], direction), rel=1e-7)
 
 
 @pytest.mark.parametrize("stiffening", [0.0, STIFFENING, 60.0])
 def test_tangent_is_the_slope_of_the_forces(stiffening):
     solid = small_box(stiffening=stiffening)
-    moved, way = bent(solid), np.random.default_rng(0).normal(size=solid.nodes.shape)
+    moved, direction = bent(solid), np.random.default_rng(0).normal(size=solid.nodes.shape)
     h = 1e-6
-    ahead, behind = (solid.energy(moved + sign * h * way)[1] for sign in (1.0, -1.0))
+    ahead, behind = (solid.energy(moved + sign * h * direction)[1] for sign in (1.0, -1.0))
     matrix = solid.tangent(moved)
-    wanted = (matrix @ way.ravel()).reshape(way.shape)
+    wanted = (matrix @ direction.ravel()).reshape(direction.shape)
     np.testing.assert_allclose((ahead - behind) / (2.0 * h), wanted, atol=1e-6 * np.abs(wanted).max())
     symmetric = matrix.tocsr()
     assert abs(symmetric - symmetric.T).max() < 1e-12 * abs(symmetric).max()

@@ -111,7 +111,7 @@ def test_a_step_that_is_too_long_is_taken_in_parts(coarse, monkeypatch):
     assert found[-1].forces[0, 2] == pytest.approx(once.forces[0, 2], rel=0.05)
 
 
-def test_a_sphere_that_goes_away_is_let_go(coarse):
+def test_a_sphere_that_goes_away_is_released(coarse):
     down = compressed(*coarse, above([0.4 * DEPTH, -1e-4]), RADIUS)
     assert [step.settled for step in down] == [True, True]
     assert len(down[0].touching) > len(down[1].touching) == 0

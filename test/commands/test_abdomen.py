@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt, label
 
 from tissue_sim.cli import main
-from tissue_sim.commands.abdomen import BREATHS, PARTS, WAY
+from tissue_sim.commands.abdomen import BREATHS, DISPLACEMENT, PARTS
 from tissue_sim.contact.scene_file import SceneFile
 
 pytest.importorskip("SimpleITK")
@@ -71,7 +71,7 @@ def test_info_tells_it(folder, capsys):
     assert main(["info", str(folder / "abdomen.yaml")]) == 0
     output = capsys.readouterr().out
     assert all(part.name in output for part in PARTS)
-    assert f"{BREATHS:g} a minute, 0, 0, {1e3 * WAY[2]:g} mm" in output
+    assert f"{BREATHS:g} a minute, 0, 0, {1e3 * DISPLACEMENT[2]:g} mm" in output
 
 
 @pytest.mark.extended

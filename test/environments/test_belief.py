@@ -40,8 +40,8 @@ def touches(organ, shift, angle, depth):
 
 def test_distances_are_those_of_the_surface_and_grow_outwards(egg):
     shape, points, normals = Shape(egg.points, egg.triangles), egg.points[::5], egg.normals[::5]
-    for way in (-0.006, 0.0, 0.01):
-        np.testing.assert_allclose(shape.distance(points + way * normals), way, atol=7e-4)
+    for shift in (-0.006, 0.0, 0.01):
+        np.testing.assert_allclose(shape.distance(points + shift * normals), shift, atol=7e-4)
     outward = shape.outward(points + 0.006 * normals)
     assert np.median(np.einsum("nx,nx->n", outward, normals)) > 0.99
 

@@ -1,4 +1,4 @@
-"""The task Cut: a way of the blade, the cut that it makes, and what is worth more or less."""
+"""The task Cut: a path of the blade, the cut that it makes, and what is worth more or less."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("gymnasium")
 
 from helpers.scenes import ball_of_cells
-from tissue_sim.environments.blade_way import LINE, MOST_FORCE
+from tissue_sim.environments.blade_path import LINE, MOST_FORCE
 from tissue_sim.environments.cut_copies import MISSED, CutCopies
 from tissue_sim.environments.policies import CutPolicy
 from tissue_sim.environments.tasks import DECLARED
@@ -20,8 +20,8 @@ def begun(count=1, threads=1):
     return copies
 
 
-def way_along(copies, beside=0.0, depth=1.0, fraction=1.0):
-    """A way (k, 4) along the line of the first copy, moved sideways by some m, with a part of the wanted depth."""
+def path_along(copies, beside=0.0, depth=1.0, fraction=1.0):
+    """A path (k, 4) along the line of the first copy, moved sideways by some m, with a part of the wanted depth."""
     half, outward = copies._half[0], copies._outward[0]
     across = np.cross(outward, half / np.linalg.norm(half))
     along = np.linspace(-fraction, fraction, 41)[:, None] * half
@@ -30,9 +30,9 @@ def way_along(copies, beside=0.0, depth=1.0, fraction=1.0):
     return [np.append(point, depth * copies._wanted[0]) for point in points]
 
 
-def worth(**way):
+def worth(**path):
     copies = begun()
-    copies._ways[0].points = way_along(copies, **way)
+    copies._paths[0].points = path_along(copies, **path)
     return copies._worth(0)
 
 
@@ -52,7 +52,7 @@ def test_a_cut_beside_the_line_too_short_too_shallow_or_pressed_too_hard_is_wort
         assert not is_good, fault
         assert reward < best - 0.3 * DECLARED, fault
     copies = begun()
-    copies._ways[0].points, copies._ways[0].peak = way_along(copies), 1.5 * MOST_FORCE
+    copies._paths[0].points, copies._paths[0].peak = path_along(copies), 1.5 * MOST_FORCE
     reward, is_good = copies._worth(0)
     assert not is_good
     assert reward == pytest.approx(best - 0.5 * DECLARED)
@@ -61,8 +61,8 @@ def test_a_cut_beside_the_line_too_short_too_shallow_or_pressed_too_hard_is_wort
 def test_a_way_that_is_no_cut_is_missed():
     copies = begun()
     assert copies._worth(0) == (-MISSED, False), "nothing was touched"
-    there = way_along(copies)
-    copies._ways[0].points = [*there, *there[::-1], *there]
+    there = path_along(copies)
+    copies._paths[0].points = [*there, *there[::-1], *there]
     assert copies._worth(0) == (-MISSED, False), "it comes back to itself, which a cut must not"
 
 
@@ -84,15 +84,15 @@ def test_a_steady_hand_cuts_well_and_the_same_on_any_number_of_threads():
     ends = [one for step in found for one in step if one > 1.0]
     assert len(ends) == 3, "all three were worth something"
     assert min(ends) > 0.2 * DECLARED
-    assert all(way.peak < MOST_FORCE for way in copies._ways)
-    assert all(np.array(way.points)[:, 3].max() > 0.0 for way in copies._ways)
+    assert all(path.peak < MOST_FORCE for path in copies._paths)
+    assert all(np.array(path.points)[:, 3].max() > 0.0 for path in copies._paths)
     _, others = finished(2)
     assert others == found
 
 
 def test_the_blade_touches_where_the_tissue_was_before_the_guard_moved_it():
-    """The way is in rest coordinates: it lies on the surface at rest, though the guard has dented it."""
+    """The path is in rest coordinates: it lies on the surface at rest, though the guard has dented it."""
     copies, _ = finished(1)
-    for way in copies._ways:
-        points = np.array(way.points)[:, :3]
+    for path in copies._paths:
+        points = np.array(path.points)[:, :3]
         np.testing.assert_allclose(np.linalg.norm(points, axis=1), 0.03, atol=3e-4)

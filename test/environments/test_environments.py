@@ -104,9 +104,9 @@ def test_an_environment_does_what_its_copy_in_a_vector_does():
 def press_on(env, seen):
     """Go to the place from outside and press, by a controller that reads the observations alone."""
     goal, pose, wrench = seen["goal"], seen["pose"], seen["wrench"]
-    outward, way = goal[:, 3:6], pose[:, :3] - goal[:, :3]
-    along = np.sum(way * outward, axis=1, keepdims=True)
-    beside = way - along * outward
+    outward, offset = goal[:, 3:6], pose[:, :3] - goal[:, :3]
+    along = np.sum(offset * outward, axis=1, keepdims=True)
+    beside = offset - along * outward
     short = goal[:, 6:] - np.sum(wrench[:, :3] * outward, axis=1, keepdims=True)
     return np.clip(-40.0 * beside / 0.05 - np.clip(0.8 * short, -0.3, 0.3) * outward, -1.0, 1.0)
 

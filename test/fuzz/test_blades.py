@@ -27,7 +27,7 @@ TOOLS = (
 pytestmark = [pytest.mark.extended, pytest.mark.timeout(0)]
 
 
-class Way(NamedTuple):
+class Motion(NamedTuple):
     """Where a blade is moved, through all places; each with the tool's z axis, and the angle of scissors."""
 
     places: list[tuple[tuple[float, float, float], tuple[float, float, float], float]]
@@ -38,12 +38,12 @@ def vectors(most):
     return st.tuples(*[st.floats(-most, most)] * 3)
 
 
-ways = st.builds(
-    Way,
+motions = st.builds(
+    Motion,
     st.lists(st.tuples(vectors(REACH), vectors(3.0), st.floats(0.0, 1.2)), min_size=2, max_size=4),
     st.floats(0.02, FASTEST),
 )
-acts = st.lists(st.one_of(ways, ways, ways, st.just("reset")), min_size=1, max_size=4)
+acts = st.lists(st.one_of(motions, motions, motions, st.just("reset")), min_size=1, max_size=4)
 
 
 @cache
@@ -77,13 +77,13 @@ def test_nothing_is_lost(number, toughness, acts):
     np.testing.assert_array_equal(scene.simulation.positions, kidney().rest_positions)
 
 
-def _move(scene, way, centre):
-    points = np.array([place for place, _, _ in way.places]) + centre
-    turns = Rotation.from_rotvec([turn for _, turn, _ in way.places])
+def _move(scene, motion, centre):
+    points = np.array([place for place, _, _ in motion.places]) + centre
+    turns = Rotation.from_rotvec([turn for _, turn, _ in motion.places])
     times = np.arange(len(points), dtype=float)
-    turned, angles = Slerp(times, turns), [angle for _, _, angle in way.places]
+    turned, angles = Slerp(times, turns), [angle for _, _, angle in motion.places]
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    for time in np.linspace(0.0, times[-1], max(2, min(2000, round(1000 * length / way.speed)))):
+    for time in np.linspace(0.0, times[-1], max(2, min(2000, round(1000 * length / motion.speed)))):
         place = [np.interp(time, times, points[:, axis]) for axis in range(3)]
         scene.move("tool", place, turned(time).as_quat(), angle=float(np.interp(time, times, angles)))
         scene.step()

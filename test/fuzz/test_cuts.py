@@ -29,7 +29,7 @@ class Blade(NamedTuple):
     depth: float  # m
 
 
-class Way(NamedTuple):
+class Motion(NamedTuple):
     """Where a tool is moved: from a place to another, m from the organ's centre."""
 
     start: tuple[float, float, float]
@@ -43,14 +43,14 @@ def vectors(most):
 blades = st.builds(
     Blade, st.lists(vectors(REACH), min_size=2, max_size=4), st.none() | vectors(1.0), st.floats(1e-3, 0.15)
 )
-ways = st.builds(Way, vectors(REACH), vectors(REACH))
+motions = st.builds(Motion, vectors(REACH), vectors(REACH))
 odd = st.builds(
     Blade,
     st.lists(st.tuples(*[ODD_FLOATS] * 3), min_size=0, max_size=3),
     st.tuples(*[ODD_FLOATS] * 3),
     ODD_FLOATS,
 )
-acts = st.lists(st.one_of(blades, blades, ways, ways, odd, st.just("reset")), min_size=2, max_size=6)
+acts = st.lists(st.one_of(blades, blades, motions, motions, odd, st.just("reset")), min_size=2, max_size=6)
 
 
 @cache
@@ -98,8 +98,8 @@ def _cut(scene, blade, centre):
     assert simulation.organ.mass.sum() == pytest.approx(mass, rel=1e-9)
 
 
-def _move(scene, way, centre):
-    start, end = np.array(way.start) + centre, np.array(way.end) + centre
+def _move(scene, motion, centre):
+    start, end = np.array(motion.start) + centre, np.array(motion.end) + centre
     ticks = max(2, round(1000 * float(np.linalg.norm(end - start)) / FASTEST))
     for fraction in np.linspace(0.0, 1.0, ticks):
         scene.move("ball", start + fraction * (end - start))

@@ -30,8 +30,8 @@ def bar(segments: int = 12, edge: float = 0.01, across: int = 2) -> Organ:
 
     corner = grid[(grid < size - 1).all(axis=1)]
     cells = []
-    for way in permutations(range(3)):
-        steps = np.cumsum([[0, 0, 0], *(np.eye(3, dtype=int)[axis] for axis in way)], axis=0)
+    for axes in permutations(range(3)):
+        steps = np.cumsum([[0, 0, 0], *(np.eye(3, dtype=int)[axis] for axis in axes)], axis=0)
         cells.append(np.stack([at(corner + step) for step in steps], axis=1))
     cells = np.concatenate(cells)
     turned = np.linalg.det(points[cells[:, 1:]] - points[cells[:, :1]]) < 0.0

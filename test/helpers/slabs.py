@@ -31,19 +31,19 @@ def ends(organ: Organ) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(high & (place[:, 0] == 0.0)), np.flatnonzero(high & (place[:, 0] > SIZE[0] - 1e-9))
 
 
-def opened(tools, way: float = 0.006, **options) -> Scene:
-    """A scene with the slab, whose incision its ends hold open by `way` m each; negative: pressed shut."""
+def opened(tools, gap: float = 0.006, **options) -> Scene:
+    """A scene with the slab, whose incision its ends hold open by `gap` m each; negative: pressed shut."""
     scene = Scene(slab(), tools, **options)
     scene.cut(0, *INCISION)
-    hold_open(scene, way)
+    hold_open(scene, gap)
     return scene
 
 
-def hold_open(scene: Scene, way: float) -> None:
+def hold_open(scene: Scene, gap: float) -> None:
     """Lead both ends outward, and wait until all is at rest."""
     rest = scene.simulation.model.rest
     left, right = ends(slab())
     nodes, shift = np.r_[left, right], np.zeros((len(left) + len(right), 3))
-    shift[: len(left), 0], shift[len(left) :, 0] = -way, way
+    shift[: len(left), 0], shift[len(left) :, 0] = -gap, gap
     scene.simulation.prescribe(nodes, rest[nodes] + shift, 100)
     scene.step(300)

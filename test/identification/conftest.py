@@ -27,7 +27,10 @@ def places(organ):
 def presses(organ):
     """Places of four presses, and the model's curves there."""
     surface = surface_of(organ)
-    nodes = [int(np.argmax(surface.normal @ way)) for way in ([0, 0, 1.0], [1.0, 0, 0.4], [0, 1.0, 0.4], [-1, -1, 0.4])]
+    nodes = [
+        int(np.argmax(surface.normal @ direction))
+        for direction in ([0, 0, 1.0], [1.0, 0, 0.4], [0, 1.0, 0.4], [-1, -1, 0.4])
+    ]
     made = [
         MeasuredPress(
             f"press {number}",

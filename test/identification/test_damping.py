@@ -19,7 +19,7 @@ def swing(places):
     """A press at a flat place, and a sinusoid there."""
     spot = places[0][0]
     press = MeasuredPress(
-        "press 1", np.zeros(1), np.zeros(1), spot.point - FINGER * spot.way, spot.way, np.zeros((0, 3))
+        "press 1", np.zeros(1), np.zeros(1), spot.point - FINGER * spot.direction, spot.direction, np.zeros((0, 3))
     )
     time = np.arange(0.0, 1.0, 0.002)
     return press, Sinusoid("press 1", time, MIDDLE + AMPLITUDE * np.sin(2 * np.pi * FREQUENCY * time), 0.0 * time)
@@ -30,7 +30,7 @@ def measured(organ, swing):
     """The loss factor of the model with twice its damping."""
     press, _ = swing
     scene = ball(organ, FINGER, FRICTION)
-    return model_loss(scene, Press(press.place, press.way), (MIDDLE, AMPLITUDE, FREQUENCY), SCALE)
+    return model_loss(scene, Press(press.place, press.direction), (MIDDLE, AMPLITUDE, FREQUENCY), SCALE)
 
 
 def found_for(organ, swing, loss, relaxation=None, kept=None):

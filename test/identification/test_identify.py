@@ -53,9 +53,9 @@ def test_the_modulus_comes_back(organ, presses):
     lines = "\n".join(lines_of(found))
     assert "no stroke was found" in lines
     assert "no times" in lines
-    assert "hardly tell the modulus" not in lines
+    assert "hardly determine the modulus" not in lines
     unsure = found._replace(interval=found.interval._replace(low=0.2, high=4.0))
-    assert "warning: these presses hardly tell the modulus, its interval is a factor of 20 wide" in "\n".join(
+    assert "warning: these presses hardly determine the modulus, its interval is a factor of 20 wide" in "\n".join(
         lines_of(unsure)
     )
     assert json.loads(json.dumps(provenance_of(found))) == found.organ.provenance[KEY]
@@ -91,7 +91,7 @@ def test_the_command_fits_a_table_and_info_tells_of_it(organ, presses, tmp_path,
     measurement = pressed(presses)
     rows = ["press,depth,force,x,y,z,nx,ny,nz"]
     for number, press in enumerate(measurement.presses[:2]):
-        place = [*(press.place + measurement.radius * press.way), *-press.way]
+        place = [*(press.place + measurement.radius * press.direction), *-press.direction]
         rows += [
             ",".join(map(str, [number, depth, force, *place]))
             for depth, force in zip(press.depths, press.forces, strict=True)
@@ -129,7 +129,7 @@ def test_a_stream_in_a_table_is_fitted_like_a_bag(organ, presses, tmp_path, caps
         depths = np.concatenate([np.linspace(-4e-3, 2e-3, 200), np.linspace(2e-3, -4e-3, 50)])
         forces = FACTOR * curves.some([row]).at(depths[None])[0][0]
         for depth, force in zip(depths, forces, strict=True):
-            sample = [time, *(press.place + depth * press.way), *(force * press.way + [0.0, 0.1, 0.0])]
+            sample = [time, *(press.place + depth * press.direction), *(force * press.direction + [0.0, 0.1, 0.0])]
             rows.append(",".join(f"{value:.8g}" for value in sample))
             time += 0.005
     (tmp_path / "stream.csv").write_text("\n".join(rows))

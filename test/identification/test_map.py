@@ -53,8 +53,8 @@ def test_an_organ_that_is_stiffer_on_one_side_is_mapped(organ):
     phantom = with_stiffness(organ, 1.0, {}, np.where(middle[:, 0] > 0.0, 2.0, 1.0))
     surface = surface_of(organ)
     turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
-    ways = np.stack([np.cos(turn), np.sin(turn), np.full(12, 0.5)], axis=1)
-    nodes = [int(np.argmax(surface.normal @ way)) for way in ways]
+    directions = np.stack([np.cos(turn), np.sin(turn), np.full(12, 0.5)], axis=1)
+    nodes = [int(np.argmax(surface.normal @ direction)) for direction in directions]
     depths = np.linspace(1e-4, 1.5e-3, 8)
     presses = [
         MeasuredPress(

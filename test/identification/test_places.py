@@ -18,5 +18,5 @@ def test_places_are_clear_of_the_clamp_and_of_each_other(organ):
     np.testing.assert_allclose(np.linalg.norm(points[:, 0], axis=1), RADIUS)
     assert (np.linalg.norm(points[:, 2], axis=1) < RADIUS - 1e-5).all(), "in a triangle the ball is chamfered"
     for spots in places:
-        np.testing.assert_allclose(spots[0].way, -spots[2].point / np.linalg.norm(spots[2].point), atol=0.02)
+        np.testing.assert_allclose(spots[0].direction, -spots[2].point / np.linalg.norm(spots[2].point), atol=0.02)
         assert thickness(organ, spots[2]) == pytest.approx(2.0 * RADIUS, rel=0.02)

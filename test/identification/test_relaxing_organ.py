@@ -22,7 +22,7 @@ def measured(presses, organ):
     """Presses at a speed, and a hold at the first place, of an organ in the model."""
     measurement, _ = presses
     scene = ball(organ, measurement.radius, FRICTION)
-    paths = [Press(one.place, one.way) for one in measurement.presses]
+    paths = [Press(one.place, one.direction) for one in measurement.presses]
     made = [
         one._replace(forces=moving_forces(scene, path, one.depths, SPEED), speed=SPEED)
         for one, path in zip(measurement.presses, paths, strict=True)
@@ -33,7 +33,7 @@ def measured(presses, organ):
     def note(when, depth):
         time.append(when)
         depths.append(depth)
-        forces.append(-float(scene.wrenches[0, :3] @ paths[0].way))
+        forces.append(-float(scene.wrenches[0, :3] @ paths[0].direction))
 
     for depth in np.linspace(-1e-3, DEEP, 76):
         lead(scene, paths[0], (depths[-1] if depths else -1e-3, float(depth)), SPEED)

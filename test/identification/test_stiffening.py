@@ -81,7 +81,7 @@ def test_intervals_hold_b_and_the_law_is_used():
         assert found.high < 30.0
     assert held >= 3, "of a 95 % interval"
     assert "; used: " in line_of(found)
-    assert "can't tell tissue that stiffens from a thin layer" in line_of(found)
+    assert "can't distinguish tissue that stiffens from a thin layer" in line_of(found)
 
 
 def test_tissue_that_does_not_stiffen_keeps_its_law():
@@ -142,7 +142,7 @@ def test_the_command_fits_b_where_the_tissue_has_one(tmp_path, capsys, monkeypat
     table_of(replace(organ, stiffening=b), tmp_path / "presses.csv")
     given = ["identify", "ball.npz", "--csv", "presses.csv", "--radius", f"{THUMB}", "--out", "fitted.npz"]
     assert main([*given, "--law", "exponential", "--json", "found.json"]) == 0
-    told, found = capsys.readouterr().out, json.loads((tmp_path / "found.json").read_text())
+    printed, found = capsys.readouterr().out, json.loads((tmp_path / "found.json").read_text())
     fitted_organ = Organ.load("fitted.npz")
     low, high = found["fitted_stiffening_interval_95_percent"]
     assert low - 0.2 <= b <= high
@@ -150,8 +150,8 @@ def test_the_command_fits_b_where_the_tissue_has_one(tmp_path, capsys, monkeypat
     if b:
         assert found["law"] == "exponential"
         assert fitted_organ.stiffening == pytest.approx(found["fitted_stiffening"])
-        assert "; used: " in told
+        assert "; used: " in printed
     else:
         assert found["law"] == "neo-hookean"
         assert fitted_organ.stiffening == 0.0
-        assert "; not used: " in told
+        assert "; not used: " in printed

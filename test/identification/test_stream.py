@@ -43,7 +43,7 @@ def test_two_presses_are_found_without_the_bias(organ):
     assert second.deepest == pytest.approx(0.003, abs=5e-4)
     assert first.forces[-1] == pytest.approx(0.2, rel=0.06)
     assert abs(first.forces[first.depths < -3e-4]).max() < 0.01, "the bias is gone"
-    np.testing.assert_allclose(first.way, [0.0, 0.0, -1.0], atol=1e-6)
+    np.testing.assert_allclose(first.direction, [0.0, 0.0, -1.0], atol=1e-6)
     assert first.speed == pytest.approx(0.006, rel=0.05)
     assert (np.diff(first.depths) > 0.0).all()
     (hold,) = [one for one in found.holds if one.length > 0.5]

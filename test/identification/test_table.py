@@ -25,7 +25,7 @@ def test_one_press_a_row_with_its_place(tmp_path):
     rows += ["0,0,0,0,0,1,0,.001,.1,.5", "0,0,0,0,0,1,0,.002,.1,.6"]
     found = presses_of(read_columns(written(tmp_path, "\n".join(rows))), 0.5, "file")
     assert [press.name for press in found] == ["press 1", "press 3"], "a weak one and one of another depth are left out"
-    np.testing.assert_allclose(found[0].way, [0.0, 0.0, -1.0])
+    np.testing.assert_allclose(found[0].direction, [0.0, 0.0, -1.0])
     np.testing.assert_allclose(found[0].place, [1.0, 2.0, 3.5])
 
 

@@ -1,4 +1,4 @@
-"""From a mask to an organ: which way it faces, and what the stages tell on the way."""
+"""From a mask to an organ: in which direction it faces, and what the stages report."""
 
 import numpy as np
 import pytest

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def rebuilt(phantom, tmp_path_factory):
-    """The kidney that ships, built again from the phantom: its file, and what each stage made on the way."""
+    """The kidney that ships, built again from the phantom: its file, and what each stage made."""
     path, progress = tmp_path_factory.mktemp("shipped") / "kidney.npz", Progress()
 
     def painted(parameters):

@@ -9,12 +9,10 @@ from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.errors import UserError
 from tissue_sim.organ.normals import triangle_area
 from tissue_sim.organ.organ import SpringKind
+from tissue_sim.organ.springs import NEAREST_ATOMS, SHELL_THICKNESS, surface_edges
 from tissue_sim.organ.topology import (
     DAMPING_RATE,
-    NEAREST_ATOMS,
-    SHELL_THICKNESS,
     assemble_organ,
-    surface_edges,
 )
 
 EDGE, SPOKE, VIRTUAL, SKELETON = SpringKind

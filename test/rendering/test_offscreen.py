@@ -112,8 +112,8 @@ def test_a_shadow_falls_away_from_the_light():
             pictures.append(made.take(pose, labels=True))
     darker = pictures[1].colour.sum(axis=2).astype(int) - pictures[0].colour.sum(axis=2) > 60
     darker &= pictures[0].labels == 1
-    way = np.array([-0.004, 0.003, 0.05]) - lamp
-    expected = lens.project((lamp + way * (0.1 / way[2]))[None])[0]
+    direction = np.array([-0.004, 0.003, 0.05]) - lamp
+    expected = lens.project((lamp + direction * (0.1 / direction[2]))[None])[0]
     assert np.linalg.norm(middle(darker) - expected) < 2.0
 
 
@@ -206,6 +206,6 @@ def test_a_tube_is_as_thick_as_its_radius_says_and_seen_from_all_sides():
     assert (np.einsum("tx,tx->t", outward, corner.mean(axis=1) - axis) > 0.0).all()
     for line, (start, end) in enumerate(ends):
         own = vertices.reshape(2, -1, 3)[line]
-        way = (end - start) / np.linalg.norm(end - start)
-        away = own - start - np.outer((own - start) @ way, way)
+        direction = (end - start) / np.linalg.norm(end - start)
+        away = own - start - np.outer((own - start) @ direction, direction)
         assert np.linalg.norm(away, axis=1) == pytest.approx(RADIUS)

@@ -1,4 +1,4 @@
-"""The demonstration with a node that is stood in for: it starts, tells, and ends everything in order."""
+"""The demonstration with a node that is stood in for: it starts, reports, and ends everything in order."""
 
 import os
 import signal
@@ -15,6 +15,7 @@ from tissue_sim.cli import main
 from tissue_sim.ports import free_port
 from tissue_sim.ros import demo
 from tissue_sim.ros.shared.children import Child
+from tissue_sim.ros.shared.domains import chosen_graph
 
 SLEEPER = "import signal,time;{};print('up',flush=True);time.sleep(3600)"
 
@@ -109,11 +110,11 @@ def test_wrong_use_is_one_line_and_exit_code_2(words, message, capfd):
 
 def test_the_users_graph_is_kept_and_a_free_one_is_found():
     chosen = {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
-    with demo.chosen_graph(chosen):
+    with chosen_graph(chosen):
         pass
     assert chosen == {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
     empty: dict[str, str] = {}
-    with demo.chosen_graph(empty):
+    with chosen_graph(empty):
         pass
     assert empty["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert 1 <= int(empty["ROS_DOMAIN_ID"]) <= 101

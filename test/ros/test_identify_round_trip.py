@@ -16,15 +16,15 @@ from tissue_sim.cli import main
 STIFFNESS = 0.63
 RADIUS = 0.007  # m
 OUTSIDE, DEEP, STEP = 0.004, 0.0025, 5e-5  # m
-FAR = 0.1  # m, from where the way to the next place leads past the ball: a tool doesn't go through it
-WAYS = np.array([[0, 0, 1.0], [1, 0, 0.5], [-1, 0.2, 0.5], [0.2, 1, 0.6], [0.1, -1, 0.6]])
+FAR = 0.1  # m, from where the path to the next place leads past the ball: a tool doesn't go through it
+DIRECTIONS = np.array([[0, 0, 1.0], [1, 0, 0.5], [-1, 0.2, 0.5], [0.2, 1, 0.6], [0.1, -1, 0.6]])
 OTHERS = np.array([[0.5, 0.5, 1.0], [-0.6, -0.6, 0.8]])
 
 
-def press(client, organ, way):
-    """Press at the surface node that faces a way, slowly, from afar; the force along the normal when it is deepest."""
+def press(client, organ, direction):
+    """Press at the surface node that faces a direction, slowly, from afar; the largest force along the normal."""
     surface = surface_of(organ)
-    node = int(np.argmax(surface.normal @ (way / np.linalg.norm(way))))
+    node = int(np.argmax(surface.normal @ (direction / np.linalg.norm(direction))))
     normal = surface.normal[node]
     way_in, way_out = np.arange(-OUTSIDE, DEEP, STEP), np.arange(DEEP, -OUTSIDE, -4 * STEP)
     there = np.full(80, -FAR)  # until the tool has arrived
@@ -57,21 +57,21 @@ def test_a_fitted_node_feels_like_the_one_that_was_pressed(tmp_path, capsys):
     organ.save(file)
     with client_of(tmp_path / "phantom", f"organ_file:={file}", f"stiffness_scale:={STIFFNESS}") as client:
         assert client.record(True).success
-        for way in WAYS:
-            press(client, organ, way)
+        for direction in DIRECTIONS:
+            press(client, organ, direction)
         assert client.record(False).success
-        measured = [press(client, organ, way) for way in OTHERS]
+        measured = [press(client, organ, direction) for direction in OTHERS]
     (bag,) = (tmp_path / "phantom" / "bags").iterdir()
     given = ["identify", str(file), "--bag", str(bag), "--out", str(fitted), "--one-modulus"]
     assert main([*given, "--json", str(tmp_path / "found.json")]) == 0
     found = json.loads((tmp_path / "found.json").read_text())
-    assert found["presses"] == len(WAYS)
+    assert found["presses"] == len(DIRECTIONS)
     assert found["youngs_modulus_pa"] == pytest.approx(STIFFNESS * organ.youngs_modulus, rel=0.05)
     low, high = found["interval_95_percent_pa"]
     assert low < STIFFNESS * organ.youngs_modulus < high
     assert found["held_out_error_percent"] < 6.0
     assert "not identifiable" in capsys.readouterr().out
     with client_of(tmp_path / "fitted", f"organ_file:={fitted}") as client:
-        force = [press(client, organ, way) for way in OTHERS]
+        force = [press(client, organ, direction) for direction in OTHERS]
     np.testing.assert_allclose(force, measured, rtol=0.06)
     assert min(measured) > 0.02, "there is something to feel"

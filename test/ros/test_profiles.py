@@ -125,7 +125,7 @@ def test_its_tool_can_be_poked_with_in_the_viewer(served, open_page):
     name, node = served
     said = len(node.text())
     page = open_page(parameters(name)["tools"][0])
-    page.press_and_let_go()
+    page.press_and_release()
     assert page.poke._tool.topic in page.poke._box.hint
     assert not page.poke.jaws._slider.visible
     assert "refused" not in node.text()[said:]

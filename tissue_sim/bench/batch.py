@@ -169,7 +169,7 @@ def _timed(timed: Timed, seconds: float, least: int) -> Measured:
 
 
 def differing(scene: Scene, presses: Presses, steps: int = 30) -> int:
-    """Return how many numbers of two copies' forces and surfaces differ from those of the scene that goes their way."""
+    """Return how many numbers of two copies' forces and surfaces differ from those of the scene that does the same."""
     batch = SceneBatch(scene, 2)
     poses = np.zeros((2, 1, 7))
     poses[..., 6] = 1.0

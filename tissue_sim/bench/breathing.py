@@ -28,8 +28,8 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
 RATES = (15.0, 30.0, 60.0)  # breaths per minute
-WAY = 0.015  # m
-WAYS = {"along z": (0.0, 0.0, 1.0), "along x": (1.0, 0.0, 0.0)}
+DISPLACEMENT = 0.015  # m
+DIRECTIONS = {"along z": (0.0, 0.0, 1.0), "along x": (1.0, 0.0, 0.0)}
 LOOKS, STEPS = 50, 4  # comparisons per breath; steps of the finite elements between two of them
 MOST_OFF = 5.0  # % of the clamp's motion
 
@@ -58,26 +58,26 @@ def run(args: argparse.Namespace) -> Result:
 
 
 def measure(
-    organ: Organ, rates: Sequence[float] = RATES, ways: Mapping[str, tuple[float, ...]] = WAYS
+    organ: Organ, rates: Sequence[float] = RATES, directions: Mapping[str, tuple[float, ...]] = DIRECTIONS
 ) -> list[Breathed]:
     """Return a breath at each rate, in each direction. Raises UserError for an organ that can't be filled."""
     body = Body(organ)
     found = []
     with rows.until_stopped():
-        for rate, name in rows.each([(rate, name) for rate in rates for name in ways], "breaths"):
-            found.append(_breathed(organ, body, rate, name, np.array(ways[name])))
+        for rate, name in rows.each([(rate, name) for rate in rates for name in directions], "breaths"):
+            found.append(_breathed(organ, body, rate, name, np.array(directions[name])))
             rows.report(f"{rate:g} a minute, {name}", f"error at most {1e3 * found[-1].most_off:.3f} mm")
     return found
 
 
-def _breathed(organ: Organ, body: Body, rate: float, name: str, way: Floats) -> Breathed:
+def _breathed(organ: Organ, body: Body, rate: float, name: str, direction: Floats) -> Breathed:
     period, surface = 60.0 / rate, np.arange(organ.n_surface)
-    breathing = Breathing(rate, WAY * way)
+    breathing = Breathing(rate, DISPLACEMENT * direction)
     scene = Scene(organ, [], breathing=breathing, breathes=[1.0])
     simulation = scene.simulation
 
     def weight(time: float) -> Floats:
-        return body.loads(np.zeros((organ.n_surface, 3)), -WAY * inhaled_fraction(time, period)[2] * way)
+        return body.loads(np.zeros((organ.n_surface, 3)), -DISPLACEMENT * inhaled_fraction(time, period)[2] * direction)
 
     rest = Start(np.zeros_like(body.solid.nodes))
     forces = Forces(float(simulation.model.damping_rate), linear=True, load=weight)
@@ -89,7 +89,7 @@ def _breathed(organ: Organ, body: Body, rate: float, name: str, way: Floats) -> 
     for look in range(STEPS, len(elements.time), STEPS):
         for _ in range(ticks):
             scene.step()
-        carried = WAY * inhaled_fraction(float(elements.time[look]), period)[0] * way
+        carried = DISPLACEMENT * inhaled_fraction(float(elements.time[look]), period)[0] * direction
         there = simulation.positions[surface] - organ.surface_positions + scene.offsets[0]
         apart = np.linalg.norm(there - (carried + elements.displacement[look]), axis=1)
         bent = max(bent, float(np.linalg.norm(elements.displacement[look], axis=1).max()))
@@ -101,11 +101,15 @@ def _breathed(organ: Organ, body: Body, rate: float, name: str, way: Floats) -> 
 def as_json(found: Sequence[Breathed]) -> JsonObject:
     """Return all figures, and the bound on the slowest breath."""
     slow = [one for one in found if one.rate == min(row.rate for row in found)]
-    worst = 100.0 * max(one.most_off for one in slow) / WAY
+    worst = 100.0 * max(one.most_off for one in slow) / DISPLACEMENT
     bounds = [
         Bound(f"largest node error at {slow[0].rate:g} a minute, relative to the displacement", worst, MOST_OFF, "%")
     ]
-    return {"way_m": WAY, "breaths": [one._asdict() for one in found], "bounds": [one.as_json() for one in bounds]}
+    return {
+        "way_m": DISPLACEMENT,
+        "breaths": [one._asdict() for one in found],
+        "bounds": [one.as_json() for one in bounds],
+    }
 
 
 def text(organ: Organ, found: JsonObject) -> str:

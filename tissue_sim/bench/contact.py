@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import trimesh
@@ -19,9 +19,11 @@ from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.pinch_tools import both
 from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines, figure, noise_lines
 from tissue_sim.bench.timing import in_one_thread, noise_burst
+from tissue_sim.contact.finder import Sought
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.json_types import JsonObject
+from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
@@ -106,24 +108,24 @@ def pressed(organ: Organ, name: str, tools: list[Tool]) -> Pressed:
     find, seconds, points = scene.finder.find, [], [0]
     scene.finder.warm_up(organ.rest_positions)
 
-    def timed(*given: Any) -> Any:
+    def timed(position: Floats, sought: Sought) -> ContactSet:
         start = time.thread_time()
-        found = find(*given)
+        found = find(position, sought)
         seconds.append(time.thread_time() - start)
         points[0] = max(points[0], found.header.points)
         return found
 
     scene.finder.find = timed  # type: ignore[method-assign, assignment]
     surface, force = organ.surface_positions, 0.0
-    ways = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    places = [surface[np.argmin(surface @ way)] - 0.006 * way for way in ways]
-    turns = [Rotation.align_vectors([way], [[0.0, 0.0, 1.0]])[0].as_quat() for way in ways]
+    directions = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    places = [surface[np.argmin(surface @ direction)] - 0.006 * direction for direction in directions]
+    turns = [Rotation.align_vectors([direction], [[0.0, 0.0, 1.0]])[0].as_quat() for direction in directions]
     press, draw = round(1e3 * (DEPTH + 0.006) / SPEED), round(1e3 * DRAWN / SPEED)
     for tick in range(press + draw):
         deep = min(tick / press, 1.0) * (DEPTH + 0.006)
         along = max(0, tick - press) / draw * DRAWN
         for tool in range(2):
-            scene.move(tool, places[tool] + deep * ways[tool] + [0.0, 0.0, along], turns[tool])
+            scene.move(tool, places[tool] + deep * directions[tool] + [0.0, 0.0, along], turns[tool])
         scene.step()
         force = max(force, float(np.linalg.norm(scene.wrenches[:, :3], axis=1).max()))
     touching = np.array(seconds[press // 8 :])

@@ -84,7 +84,7 @@ def pinch_and_release(organ: Organ) -> tuple[Panel, Panel]:
     around = surface[np.abs(surface[:, 2] - level) < JAW]
     middle = np.append(around[:, :2].mean(axis=0), level)
     across = np.append(np.linalg.svd(around[:, :2] - middle[:2], full_matrices=False)[2][1], 0.0)
-    reach = [_way_out(organ, middle, sign * across) for sign in (1.0, -1.0)]
+    reach = [_exit_distance(organ, middle, sign * across) for sign in (1.0, -1.0)]
 
     def jaws(gap: float, up: float) -> Floats:
         at = np.stack(
@@ -115,11 +115,11 @@ def pinch_and_release(organ: Organ) -> tuple[Panel, Panel]:
     return nip, Panel("release", f"B  Release of the pinch: {state}", released, NO_JAWS, *NO_ARROWS)
 
 
-def _way_out(organ: Organ, start: Floats, direction: Floats) -> float:
+def _exit_distance(organ: Organ, start: Floats, direction: Floats) -> float:
     """Return the distance, m, from a point inside the organ to where a direction (3,) leaves it."""
-    way = np.linspace(0.0, np.ptp(organ.surface_positions, axis=0).max(), 600)
-    within = inside(start + way[:, None] * direction, organ.surface_positions, organ.surface_triangles)
-    return float(way[np.argmin(within)])
+    distance = np.linspace(0.0, np.ptp(organ.surface_positions, axis=0).max(), 600)
+    within = inside(start + distance[:, None] * direction, organ.surface_positions, organ.surface_triangles)
+    return float(distance[np.argmin(within)])
 
 
 def pictures_of(organ: Organ, panels: Sequence[Panel]) -> dict[str, Callable[[], Figure]]:

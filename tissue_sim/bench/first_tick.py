@@ -14,7 +14,6 @@ import json  # noqa: E402
 import sys  # noqa: E402
 from collections.abc import Iterable  # noqa: E402
 from itertools import pairwise  # noqa: E402
-from typing import Any  # noqa: E402
 
 from numba.core import event  # noqa: E402
 
@@ -52,7 +51,7 @@ def main(began: str, organ_file: str) -> None:
     print(json.dumps(found))
 
 
-def by_kernel(events: Iterable[tuple[float, Any]]) -> list[tuple[str, float]]:
+def by_kernel(events: Iterable[tuple[float, event.Event]]) -> list[tuple[str, float]]:
     """Return modules of kernels in the order of compilation, and the s that each took without callees.
 
     events: times in s and Numba's events of beginning and ending to compile, which nest.

@@ -36,7 +36,7 @@ from tissue_sim.ros.shared.children import Child
 SCENE = "config/scenes/abdomen.yaml"
 LEAST = 30.0  # frames per second
 HERE: tuple[str, Sequence[str]] = ("127.0.0.1", ())  # address of the page, and the command that runs its watcher
-BREATHS, WAY = 6.0, 0.015  # per minute; m
+BREATHS, DISPLACEMENT = 6.0, 0.015  # per minute; m
 MOVING = 50  # surfaces, of 60, that the node sends in a second in which frames are counted
 LOOK = 0.05  # s for which the node's messages are read at a time
 PAGE, SERVED, BARE = "the page", "the node", "a bare loop"
@@ -125,7 +125,7 @@ def carried(scene: SceneFile, folder: Path) -> Path:
         organ.save(folder / f"{name}.npz")
         entries.append(f"  - {{name: {name}, file: {name}.npz, breathes: 1.0}}")
     file = folder / "scene.yaml"
-    lines = ["format: 1", "organs:", *entries, f"breathing: {{rate: {BREATHS}, way: [0.0, 0.0, {-WAY}]}}"]
+    lines = ["format: 1", "organs:", *entries, f"breathing: {{rate: {BREATHS}, way: [0.0, 0.0, {-DISPLACEMENT}]}}"]
     file.write_text("\n".join([*lines, ""]), encoding="utf-8")
     return file
 

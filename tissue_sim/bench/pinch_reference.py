@@ -127,8 +127,10 @@ def meets_clamp(organ: Organ, where: Place) -> NDArray[np.bool_]:
     """
     ends = where.at(0.5 * FRACTIONS[-1] * where.width)
     away = organ.surface_positions[organ.fixed] - where.start[:, None]
-    along = np.clip(np.einsum("tkx,tx->tk", away, where.ways), 0.0, np.linalg.norm(ends - where.start, axis=1)[:, None])
-    apart = np.linalg.norm(away - along[:, :, None] * where.ways[:, None], axis=2)
+    along = np.clip(
+        np.einsum("tkx,tx->tk", away, where.directions), 0.0, np.linalg.norm(ends - where.start, axis=1)[:, None]
+    )
+    apart = np.linalg.norm(away - along[:, :, None] * where.directions[:, None], axis=2)
     return np.asarray((apart < SPHERE).any(axis=1))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import trimesh
@@ -50,17 +50,17 @@ class Place(NamedTuple):
     """Places where two tools begin to squeeze the organ's middle along an axis."""
 
     start: Floats  # (2, 3) m, their origins where they would touch
-    ways: Floats  # (2, 3) the directions in which they close
+    directions: Floats  # (2, 3) the directions in which they close
     width: float  # m
 
     def at(self, deep: float) -> Floats:
         """Return the origins (2, 3) m of tools at a depth, m."""
-        return self.start + deep * self.ways
+        return self.start + deep * self.directions
 
 
-def both(**given: Any) -> list[Tool]:
-    """Return two tools of the same shape, by options of Tool."""
-    return [Tool("left", **given), Tool("right", **given)]
+def both(shape: str = "sphere", radius: float = 0.005, length: float = 0.05, mesh: str = "") -> list[Tool]:
+    """Return two equal tools, with the defaults of Tool."""
+    return [Tool(name, shape, radius, length, mesh) for name in ("left", "right")]
 
 
 def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:
@@ -85,10 +85,10 @@ def place(organ: Organ, axis: int, ahead: float = 0.0) -> Place:
     middle = surface.mean(axis=0)
     beside = np.linalg.norm(np.delete(surface - middle, axis, axis=1), axis=1)
     low, high = np.min(surface[beside < NEAR, axis]), np.max(surface[beside < NEAR, axis])
-    ways = np.eye(3)[axis] * np.array([[1.0], [-1.0]])
+    directions = np.eye(3)[axis] * np.array([[1.0], [-1.0]])
     start = np.tile(middle, (2, 1))
     start[:, axis] = low, high
-    return Place(start - ahead * ways, ways, float(high - low))
+    return Place(start - ahead * directions, directions, float(high - low))
 
 
 def pinched(
@@ -112,7 +112,7 @@ def pinched(
 
     simulation.step = timed  # type: ignore[method-assign]
     where = place(organ, axis, tools[0].radius if tools[0].shape == "sphere" else 0.0)
-    turns = [Rotation.align_vectors([way], [[0.0, 0.0, 1.0]])[0].as_quat() for way in where.ways]
+    turns = [Rotation.align_vectors([direction], [[0.0, 0.0, 1.0]])[0].as_quat() for direction in where.directions]
     depth, substeps, turned = 0.5 * fraction * where.width, 0, 0
 
     def go(deep: float) -> None:

@@ -82,12 +82,12 @@ class Place(NamedTuple):
     """Contact point (3,) m anywhere on an organ's surface, and the inward unit normal (3,) there."""
 
     point: Floats
-    way: Floats
+    direction: Floats
 
     def pose(self, form: Form, depth: float) -> Floats:
         """Return the pose (7,) of a tool whose foremost point is `depth` m deep; its shaft points outwards."""
-        turn, _ = Rotation.align_vectors([self.way], [[0.0, 0.0, 1.0]])
-        return np.concatenate([self.point + (depth - form.ahead) * self.way, turn.as_quat()])
+        turn, _ = Rotation.align_vectors([self.direction], [[0.0, 0.0, 1.0]])
+        return np.concatenate([self.point + (depth - form.ahead) * self.direction, turn.as_quat()])
 
 
 def locations_on(organ: Organ, count: int) -> list[Place]:
@@ -121,7 +121,7 @@ class Motion(NamedTuple):
         return f"jump of {1e3 * self.jump:g} mm" if self.jump else f"{self.speed:g} m/s, {self.rate:g} Hz"
 
     def depths(self, depth: float) -> Iterator[float]:
-        """Yield the depths, m, of poses 1 / rate s apart: a pause outside, the way to `depth`, and the hold there."""
+        """Yield the depths, m, of poses 1 / rate s apart: a pause outside, the descent to `depth`, and the hold."""
         before, held = round(BEFORE * self.rate), round(HELD * self.rate)
         if self.jump:
             start = depth - self.jump

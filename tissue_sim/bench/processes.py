@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 
-def on_all_cores[Result](
-    function: Callable[..., Result], runs: Sequence[tuple[Any, ...]], jobs: int | None = None, *, ordered: bool = True
+def on_all_cores[*Given, Result](
+    function: Callable[[*Given], Result],
+    runs: Sequence[tuple[*Given]],
+    jobs: int | None = None,
+    *,
+    ordered: bool = True,
 ) -> Iterator[Result]:
     """Yield what a function returns, in the order of its runs, of which as many are under way as there are cores.
 

@@ -21,7 +21,7 @@ RATE, POSE_RATES, SMOOTHINGS = 1000, (500, 100, 30), (1.0, 0.5, 0.0)  # Hz, Hz, 
 RADIUS, DEPTH, STEP = 0.005, 0.003, 3e-4  # m
 SWING, FREQUENCY, SWINGS = 1e-3, 5.0, 2  # m and Hz of the hand, 31 mm/s at most
 REST = 300  # ticks until the tissue is at rest
-WAY = np.array([-1.0, 0.0, 0.0])
+INWARD = np.array([-1.0, 0.0, 0.0])
 
 
 class Smoothed(NamedTuple):
@@ -43,14 +43,14 @@ def one(organ: Organ, smoothing: float, rate: float) -> Smoothed:
     scene = Scene(organ, [Tool("ball", radius=RADIUS, smoothing=smoothing)])
     period = max(1, round(RATE / rate))
     points = organ.surface_positions
-    touch = points[np.argmax(points[:, 0])] - RADIUS * WAY
+    touch = points[np.argmax(points[:, 0])] - RADIUS * INWARD
 
     def forces_at(depths: Floats) -> Floats:
         """Return the force after each tick, (k, 3) N, while poses come at these depths (k,), m."""
         forces = np.empty((len(depths), 3))
         for tick, depth in enumerate(depths):
             if tick % period == 0:
-                scene.move(0, touch + depth * WAY)
+                scene.move(0, touch + depth * INWARD)
             scene.step()
             forces[tick] = scene.wrenches[0, :3]
         return forces

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from tissue_sim.bench.compliance import Product, surface_compliance
 from tissue_sim.bench.flex import Flex
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
 from tissue_sim.bench.printing import built_or_skipped
+from tissue_sim.bench.simulation_options import SimulationOptions
 from tissue_sim.bench.timing import Burst, Ticks
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
@@ -27,8 +28,8 @@ from tissue_sim.organ.shipped import shipped_organ
 FORCE = 0.1  # N on the patch
 SUBSTEPS = 16  # of the tick in which a substep is timed, so that what is done once per tick counts little
 TOOL_RADIUS = 0.02  # m
-STIFFENS: dict[str, Any] = {"stiffening": 8.0}
-RELAXES: dict[str, Any] = {"relaxation_fraction": 0.3, "relaxation_time": 1.0}
+STIFFENS = 8.0  # b of tissue that stiffens
+RELAXES = 0.3, 1.0  # fraction of its force that tissue loses, and s in which it does
 TOOL_STEP = 1e-4  # m, by which it is pressed deeper every 4 ticks
 
 # Names of rows that bounds refer to.
@@ -70,13 +71,15 @@ def makers_of(organ: Organ) -> dict[str, Maker]:
         f"hybrid, {name}": partial(_ticks, organ, model="hybrid", integrator=name) for name in INTEGRATORS
     }
     cells = Organ.load(shipped_organ())
+    stiffening = replace(cells, stiffening=STIFFENS)
+    relaxing = replace(cells, relaxation_fraction=RELAXES[0], relaxation_time=RELAXES[1])
     makers |= {
         CELLS: partial(_ticks, cells),
         CELL_SUBSTEP: partial(_substep, cells),
-        STIFFENING: partial(_ticks, replace(cells, **STIFFENS)),
-        STIFFENING_SUBSTEP: partial(_substep, replace(cells, **STIFFENS)),
-        RELAXING: partial(_ticks, replace(cells, **RELAXES)),
-        RELAXING_SUBSTEP: partial(_substep, replace(cells, **RELAXES)),
+        STIFFENING: partial(_ticks, stiffening),
+        STIFFENING_SUBSTEP: partial(_substep, stiffening),
+        RELAXING: partial(_ticks, relaxing),
+        RELAXING_SUBSTEP: partial(_substep, relaxing),
         CELL_C: partial(_c_substep, cells, NATIVE),
         MODAL_CELLS: partial(_ticks, cells, local_region="modal"),
     }
@@ -96,7 +99,7 @@ def makers_of(organ: Organ) -> dict[str, Maker]:
     }
 
 
-def _ticks(organ: Organ, **options: Any) -> tuple[Burst, str]:
+def _ticks(organ: Organ, **options: Unpack[SimulationOptions]) -> tuple[Burst, str]:
     """Return whole ticks of a simulation with these options."""
     simulation = Simulation(organ, **options)
     burst = Ticks(simulation, *patch_load(organ, FORCE))

@@ -218,7 +218,7 @@ def _time_ticks(world: World, load: _Load, guarded: bool, clock: Longs, times: L
     """Step len(times) ticks under a _Load and write the ns that each took, or its guard alone.
 
     In a compiled loop, as in the node, so that no call from Python is in the figure. Not kept on disk, where nothing
-    would tell that the kernels of the model, in another layer, have changed.
+    would show that the kernels of the model, in another layer, have changed.
     """
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     for index in range(len(times)):

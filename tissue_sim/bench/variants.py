@@ -9,7 +9,7 @@ import dataclasses
 import hashlib
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from tissue_sim import progress
 from tissue_sim.array_types import Array, Floats
 from tissue_sim.bench.sizes import Sized, at_size, sized
 from tissue_sim.bench.surface_field import answers
-from tissue_sim.calibration.calibrate import CELL_BOUNDS
 from tissue_sim.calibration.cases import fit_cases, principal
 from tissue_sim.calibration.cohort import spread
 from tissue_sim.calibration.dynamics import lowest_frequencies
@@ -28,7 +27,7 @@ from tissue_sim.calibration.fit import Misfit, fit
 from tissue_sim.calibration.groups import group_of, search
 from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass, frequencies_of
 from tissue_sim.calibration.joint_fit import fit_together, for_one_substep
-from tissue_sim.calibration.reference import finer_reference_body, made_good, samples_of
+from tissue_sim.calibration.reference import corrected, finer_reference_body, samples_of
 from tissue_sim.calibration.stiffness import (
     INTERIOR_FRACTION,
     ONE_STEP,
@@ -37,6 +36,7 @@ from tissue_sim.calibration.stiffness import (
     prepared,
     with_stiffness,
 )
+from tissue_sim.calibration.tissue_fit import CELL_BOUNDS
 from tissue_sim.errors import UserError
 from tissue_sim.model.elasticity.assembly import assemble
 from tissue_sim.organ.organ import Organ
@@ -177,8 +177,17 @@ def _kept(fit: Fit, make: Callable[[Fit], dict[str, NDArray]]) -> Organ | str:
     lowest, next_ones = 100.0 * made["modes_off"]
     text = f"{fit.kind}: {effort.cases} linear loads, {effort.steps} evaluations; the error of modes 1 to {MODES}"
     text += f" is at most {lowest:.1f} %, of {MODES + 1} to {MORE_MODES} at most {next_ones:.1f} %"
-    values: dict[str, Any] = {name: value for name, value in made.items() if name != "modes_off"}
-    return dataclasses.replace(fit.organ, provenance={**fit.organ.provenance, "fit": text}, **values)
+    return dataclasses.replace(
+        fit.organ,
+        provenance={**fit.organ.provenance, "fit": text},
+        spring_stiffness=made["spring_stiffness"],
+        angular_stiffness=made["angular_stiffness"],
+        return_stiffness=made["return_stiffness"],
+        cell_mu=made["cell_mu"],
+        cell_lambda=made["cell_lambda"],
+        mass=made["mass"],
+        damping=made["damping"],
+    )
 
 
 def fitted(body: Body, organ: Organ, kind: str, effort: Effort) -> dict[str, NDArray]:
@@ -218,8 +227,8 @@ def _misfit(elastic: Elastic, body: Body, size: Sized, pushes: Floats) -> Misfit
     forces = np.stack([size.forces(push) for push in pushes])
     some = samples_of(len(pushes))
     found = answers(body, size, pushes)
-    good = made_good(found, found[some], answers(_finer(body), size, pushes[some]))
-    return Misfit(elastic, *principal(forces, good))
+    better = corrected(found, found[some], answers(_finer(body), size, pushes[some]))
+    return Misfit(elastic, *principal(forces, better))
 
 
 @lru_cache(maxsize=1)

@@ -12,6 +12,7 @@ from typing import TypedDict, Unpack
 from tissue_sim.calibration import calibrate as calibration
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.coarseness import accuracy_warning
+from tissue_sim.calibration.progress import Progress, Silent
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
@@ -40,7 +41,7 @@ def calibrate(
     organ: Organ | str | os.PathLike[str],
     *,
     checkpoint: str | os.PathLike[str] | None = None,
-    progress: calibration.Progress | None = None,
+    progress: Progress | None = None,
     **options: Unpack[CalibrationOptions],
 ) -> Organ:
     """Fit an organ to finite elements of its shape and tissue, and judge it by loads that were held out.
@@ -79,7 +80,7 @@ def calibrate(
     with tempfile.TemporaryDirectory() as folder:
         kept = Checkpoint(Path(checkpoint or folder), inputs)
         try:
-            made = calibration.calibrate(given, settings, kept, progress or calibration.Silent())
+            made = calibration.calibrate(given, settings, kept, progress or Silent())
         except ModuleNotFoundError as error:
             raise UserError(f"a calibration needs {error.name}: pip install 'tissue_sim[calibration]'") from None
         if checkpoint is not None:

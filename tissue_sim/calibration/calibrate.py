@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import asdict, replace
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,13 +15,11 @@ from tissue_sim.calibration.cases import (
     Cases,
     fit_cases,
     held_out_cases,
-    principal,
     scale_to_depth,
     size_of,
 )
-from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
+from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.coarseness import check_coarseness
-from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.evaluation import (
     Answer,
     Release,
@@ -33,14 +30,13 @@ from tissue_sim.calibration.evaluation import (
     settled_answers,
 )
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.fit import Misfit, fit
-from tissue_sim.calibration.groups import GROUPS, group_of, search
-from tissue_sim.calibration.inertia import damping_rate, fit_mass, frequencies_of
-from tissue_sim.calibration.joint_fit import TICK, Together, fit_together, for_one_substep
-from tissue_sim.calibration.reference import Refined, corrected_answers, made_good, samples_of
+from tissue_sim.calibration.inertia import damping_rate
+from tissue_sim.calibration.joint_fit import TICK
+from tissue_sim.calibration.progress import Progress
+from tissue_sim.calibration.reference import Refined, corrected, corrected_answers, samples_of
 from tissue_sim.calibration.reference_process import Poke, Reference
-from tissue_sim.calibration.stiffening_fit import STEPS, fit_stiffening
-from tissue_sim.calibration.stiffness import ONE_STEP, Settings, first_stiffness, prepared, with_stiffness
+from tissue_sim.calibration.stiffness import Settings, prepared
+from tissue_sim.calibration.tissue_fit import Work, fit_tissue
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject
 from tissue_sim.model.elasticity.assembly import assemble
@@ -49,27 +45,8 @@ from tissue_sim.model.stepping.critical_step import model_step, substeps_for
 from tissue_sim.organ.organ import Organ
 from tissue_sim.version import __version__
 
-CELL_BOUNDS = (-3.5, 2.5)  # of a modulus' logarithm relative to the start; without, some cells are almost void
-GROUP_STEPS = 4  # evaluations of the search over groups for each one of the fit, which takes more time
 BUCKLING = 3.0  # ratio of displacements by the two laws of elasticity, from which a load is near buckling
 POKE = 0.005  # m, of the release, for an organ of a kidney's size
-
-
-class Progress(Protocol):
-    """Receiver of the progress of a calibration."""
-
-    def stage(self, name: str, total: int) -> AbstractContextManager[Callable[..., None]]:
-        """Start a stage of `total` steps; the result is called after each, with a remark if there is one."""
-        ...
-
-
-class Silent:
-    """A progress without output."""
-
-    @contextmanager
-    def stage(self, name: str, total: int) -> Iterator[Callable[..., None]]:
-        """See Progress."""
-        yield lambda remark="": None
 
 
 class Calibrated(NamedTuple):
@@ -139,7 +116,7 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
         rate = damping_rate(linear["frequencies"])
 
         def poke(wanted: Answer) -> Poke:
-            return _poke(judged, wanted, _telling(judged, judged_linear, wanted, stiffens), POKE * size_of(start))
+            return _poke(judged, wanted, _usable(judged, judged_linear, wanted, stiffens), POKE * size_of(start))
 
         reference.settle(judged, poke, rate)
         some = samples_of(len(pushes))
@@ -149,40 +126,9 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
             )
             accuracy = Refined(int(finer["nodes"]), int(finer["finer_nodes"]), finer["difference"])
             done(f"{accuracy.finer_nodes} nodes, remaining error at most {accuracy.worst:.2f} %")
-        with progress.stage("model", 1) as done:
-            model = assemble(start)
-            elastic = Elastic(model)
-            answers = made_good(fitted, fitted[some], finer["samples"])
-            misfit = Misfit(elastic, *principal(pushes, answers))
-            first = first_stiffness(start, model)
-            group = group_of(start, model) if settings.method == "groups" else None
-            done()
-        with progress.stage("fit", _most_evaluations(settings)) as done:
-            stiffness = checkpoint.remember(
-                "fit", lambda: {"stiffness": _fitted(first, group, misfit, settings, done)}
-            )["stiffness"]
-            found_error = misfit.evaluate(stiffness).error
-            done(f"{100.0 * found_error.mean():.2f} %")
-        with progress.stage("masses", 1) as done:
-            mass = checkpoint.remember(
-                "mass", lambda: {"mass": fit_mass(start, elastic, stiffness, linear["frequencies"])}
-            )["mass"]
-            done()
-        if settings.method == "cells" and settings.aim in ONE_STEP:
-            together = for_one_substep(start, misfit, first, linear["frequencies"], rate)
-            with progress.stage("both for a step of 1 ms", 3 * settings.evaluations // 2) as done:
-                both = checkpoint.remember("both", lambda: _both(together, stiffness, mass, settings, done))
-                stiffness, mass = both["stiffness"], both["mass"]
-                found_error = misfit.evaluate(stiffness).error
-                done(f"{100.0 * found_error.mean():.2f} %")
-        made = replace(with_stiffness(start, model, stiffness), mass=mass, damping=rate * mass)
-        if stiffens:
-            with progress.stage("stiffening", STEPS) as done:
-                factor = checkpoint.remember(
-                    "stiffening", lambda: {"factor": np.array([fit_stiffening(made, body, settings.seed, done)])}
-                )["factor"]
-                made = replace(made, cell_stiffening=float(factor[0]))
-                done(f"the cells' b is {made.cell_stiffening:.2f} times the tissue's")
+        answers = corrected(fitted, fitted[some], finer["samples"])
+        tissue = fit_tissue(start, body, (pushes, answers), linear["frequencies"], Work(settings, checkpoint, progress))
+        made = tissue.organ
         # This comes before the reference, on which the other process is still working.
         with progress.stage("held-out", len(judged)) as done:
             found = settled_answers(made, judged, done)
@@ -196,14 +142,14 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
             done()
         bent = list(_near_buckling(judged, judged_linear, wanted, stiffens).values())
         unsettled = int(np.count_nonzero(wanted.converged == 0.0))
-        kept = _telling(judged, judged_linear, wanted, stiffens)
+        kept = _usable(judged, judged_linear, wanted, stiffens)
         judged, judged_linear = judged.chosen(kept), finer["answers"][kept]
         wanted, found = (Answer(*(part[kept] for part in answer)) for answer in (wanted, found))
     finally:
         reference.stop()
     with progress.stage("figures", 1) as done:
         motion_figures = {
-            "frequencies_hz": [round(float(v), 4) for v in frequencies_of(elastic, stiffness, mass)],
+            "frequencies_hz": [round(float(v), 4) for v in tissue.frequencies()],
             "reference_hz": [round(float(v), 4) for v in linear["frequencies"]],
             "damping_rate_per_s": round(rate, 4),
             "release_percent": round(100.0 * motion.error, 3),
@@ -222,63 +168,22 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
             "error": str(accuracy),
             "worst_percent": round(accuracy.worst, 3),
         },
-        "fit": {
-            "mean_percent": round(float(100.0 * found_error.mean()), 3),
-            "worst_percent": round(float(100.0 * found_error.max()), 3),
-        },
+        "fit": tissue.figures(),
         "held_out": held_out_figures(judged, wanted, judged_linear, found),
         "motion": motion_figures,
         "step": step,
     }
-    if group is not None:
-        factors = {GROUPS[k]: float(np.median((stiffness / first)[group == k])) for k in np.unique(group)}
-        figures["fit"]["factors"] = factors
-    if stiffens:
-        figures["fit"]["stiffening_of_cells"] = round(made.cell_stiffening, 3)
     provenance = {**made.provenance, "calibration": figures}
     return Calibrated(replace(made, provenance=provenance), figures, judged, wanted, judged_linear, found, motion)
 
 
-def _one_thread() -> AbstractContextManager[Any]:
+def _one_thread() -> AbstractContextManager[object]:
     """Return a context in which linear algebra has one thread. Raises UserError without threadpoolctl."""
     try:
         from threadpoolctl import threadpool_limits
     except ModuleNotFoundError:
         raise UserError("a calibration needs threadpoolctl: pip install 'tissue_sim[calibration]'") from None
     return threadpool_limits(1)
-
-
-def _most_evaluations(settings: Settings) -> int:
-    """Return the largest number of evaluations of the misfit.
-
-    The search over groups has no gradient, and takes less time for each; a fit with masses starts from a rough one.
-    """
-    if settings.method == "groups":
-        return settings.evaluations * GROUP_STEPS
-    return max(1, settings.evaluations // 2) if settings.aim in ONE_STEP else settings.evaluations
-
-
-def _watcher(done: Callable[..., None]) -> Callable[[int, Floats], None]:
-    """Return what a fit calls after every evaluation."""
-    return lambda _, error: done(f"{100.0 * error.mean():.2f} %")
-
-
-def _fitted(
-    first: Floats, group: Longs | None, misfit: Misfit, settings: Settings, done: Callable[..., None]
-) -> Floats:
-    """Return the stiffness (p,) of least misfit, of every cell, or with one factor for each group (p,) of springs."""
-    watch = _watcher(done)
-    if group is not None:
-        return search(first, group, misfit, _most_evaluations(settings), watch)
-    return fit(misfit, first, _most_evaluations(settings), watch, bounds=CELL_BOUNDS)
-
-
-def _both(together: Together, stiffness: Floats, mass: Floats, settings: Settings, done: Callable[..., None]) -> Arrays:
-    """Return stiffness (p,) and masses (n,) kg fitted together."""
-    stiffness, mass = fit_together(
-        together, stiffness, mass, 3 * settings.evaluations // 2, CELL_BOUNDS, _watcher(done)
-    )
-    return {"stiffness": stiffness, "mass": mass}
 
 
 def _near_buckling(cases: Cases, linear: Floats, wanted: Answer, stiffens: bool = False) -> dict[int, str]:
@@ -341,7 +246,7 @@ def _signed_range(volume: Floats) -> list[float]:
     return [round(float(100.0 * value), 4) for value in (volume.min(), volume.mean(), volume.max())]
 
 
-def _telling(cases: Cases, linear: Floats, wanted: Answer, stiffens: bool = False) -> Longs:
+def _usable(cases: Cases, linear: Floats, wanted: Answer, stiffens: bool = False) -> Longs:
     """Return the cases that settle and are not near buckling."""
     return np.setdiff1d(np.flatnonzero(wanted.converged), list(_near_buckling(cases, linear, wanted, stiffens)))
 

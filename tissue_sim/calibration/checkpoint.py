@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from tissue_sim.array_types import Array
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonMapping
 
 Arrays = dict[str, Array]
 
@@ -27,7 +27,7 @@ class Checkpoint:
     ----------
     folder : Path
         The folder.
-    inputs : Mapping[str, Any]
+    inputs : JsonMapping
         What the results depend on, as JSON can hold it.
 
     Raises
@@ -36,7 +36,7 @@ class Checkpoint:
         Where the folder can't be written, or joblib is missing.
     """
 
-    def __init__(self, folder: Path, inputs: Mapping[str, Any]) -> None:
+    def __init__(self, folder: Path, inputs: JsonMapping) -> None:
         try:
             from joblib import Memory
         except ModuleNotFoundError:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,14 @@ class Factor(NamedTuple):
 
     diagonal: Array  # (p, p) lower triangle
     below: Array  # (b, p)
+
+
+class _Blas[T: np.floating](NamedTuple):
+    """Routines of one precision: solution with a triangle, and product of matrices."""
+
+    triangle: Callable[..., NDArray[T]]
+    product: Callable[..., NDArray[T]]
+    kind: type[T]
 
 
 class NotPositive(Exception):
@@ -240,7 +248,7 @@ class Cholesky:
         Floats
             shape (3n, c)
         """
-        return self._solve(right, self.factors, dtrsm, dgemm, np.float64)
+        return self._solve(right, self.factors, _Blas(dtrsm, dgemm, np.float64))
 
     def precondition(self, right: Floats) -> Floats:
         """Return the solution in single precision, in half the time.
@@ -255,9 +263,10 @@ class Cholesky:
         Floats
             shape (3n, c)
         """
-        return self._solve(right, self._single, strsm, sgemm, np.float32).astype(np.float64)
+        return self._solve(right, self._single, _Blas(strsm, sgemm, np.float32)).astype(np.float64)
 
-    def _solve(self, right: Floats, factors: list[Factor], triangle: Any, product: Any, kind: Any) -> Any:
+    def _solve[T: np.floating](self, right: Floats, factors: list[Factor], blas: _Blas[T]) -> NDArray[T]:
+        triangle, product, kind = blas
         work = np.zeros(np.shape(right), dtype=kind)
         work[self._free] = right[self._free]
         for front, (diagonal, below) in zip(self.fronts, factors, strict=True):

@@ -17,7 +17,6 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
-from typing import Any
 
 from tissue_sim.errors import UserError
 from tissue_sim.parent_exit import exit_with_parent
@@ -110,9 +109,9 @@ def on_cluster[Item, Result](
     except (OSError, ValueError, TimeoutError):
         raise UserError(f"no Dask scheduler answers at {scheduler}; start one with 'dask scheduler'") from None
     following = enumerate(items)
-    number: dict[Any, int] = {}
+    number: dict[object, int] = {}  # by the key of a future
 
-    def submitted(count: int) -> Iterator[Any]:
+    def submitted(count: int) -> Iterator[distributed.Future]:
         for index, item in itertools.islice(following, count):
             # Not pure: an item that is requested again is computed again, whatever the cluster remembers.
             future = client.submit(job, item, pure=False, retries=TRIES)

@@ -36,7 +36,7 @@ def conjugate_gradients(
     Without a factor the caller preconditions what is yielded. The iteration ends at a direction of negative curvature:
     with the solution so far, or with that direction when it is the first.
     """
-    way, r, p = np.zeros_like(right), right, np.zeros_like(right)
+    solution, r, p = np.zeros_like(right), right, np.zeros_like(right)
     old = enough = 0.0
     for iteration in range(MOST_ITERATIONS + 1):
         z = (yield r) if factor is None else factor.precondition(r.reshape(-1, 1)).reshape(r.shape)
@@ -51,8 +51,8 @@ def conjugate_gradients(
         q = apply(p)
         curvature = float(np.vdot(p, q))
         if curvature <= 0.0:
-            return (p if iteration == 0 else way), iteration + 1
+            return (p if iteration == 0 else solution), iteration + 1
         alpha = rz / curvature
-        way += alpha * p
+        solution += alpha * p
         r = r - alpha * q
-    return way, iteration
+    return solution, iteration

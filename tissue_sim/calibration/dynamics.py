@@ -226,12 +226,12 @@ def _half_step(
         for step, change in zip(reversed(steps), reversed(changes), strict=True):
             fractions.append(float(np.vdot(step, q)) / float(np.vdot(step, change)))
             q -= fractions[-1] * change
-        way = factor.precondition(q.reshape(-1, 1)).reshape(q.shape)
+        descent = factor.precondition(q.reshape(-1, 1)).reshape(q.shape)
         for step, change, fraction in zip(steps, changes, reversed(fractions), strict=True):
-            way += step * (fraction - float(np.vdot(change, way)) / float(np.vdot(step, change)))
-        size = math.sqrt(max(float(np.vdot(slope, way)), 0.0))
+            descent += step * (fraction - float(np.vdot(change, descent)) / float(np.vdot(step, change)))
+        size = math.sqrt(max(float(np.vdot(slope, descent)), 0.0))
         enough = enough or TOLERANCE * _size(solid, push - np.where(solid.held, 0.0, inner), factor)
-        before, taken = slope, -way
+        before, taken = slope, -descent
         half = half + taken
         if size <= enough:
             return half, used

@@ -6,7 +6,8 @@ import contextlib
 import logging
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from tissue_sim.array_types import Array, Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.organ import Organ
+
+if TYPE_CHECKING:
+    from skfem import MeshTet
 
 MESHER_UNIT = 1e-3  # m; Netgen's tolerances are made for lengths around 1 to 1000
 LONGEST = 1.5  # an element's longest edge over its size, which stands for the mean
@@ -98,7 +102,7 @@ def with_middles(corners: Ints, pairs: Ints, n: int) -> Ints:
     return np.concatenate([corners, middles], axis=1).astype(np.int32)
 
 
-def quadratic(mesh: Any) -> tuple[Floats, Ints]:
+def quadratic(mesh: MeshTet) -> tuple[Floats, Ints]:
     """Return the nodes (n, 3) m and quadratic elements (e, 10) of a skfem.MeshTet, its own points first."""
     skfem, _ = libraries()
     basis = skfem.CellBasis(mesh, skfem.ElementTetP2(), intorder=1)
@@ -148,7 +152,7 @@ def sources_of(organ: Organ, near: Array | None, grading: Grading) -> list[Sourc
     return sources
 
 
-def graded(organ: Organ, sources: Sequence[Source], grading: Grading) -> Any:
+def graded(organ: Organ, sources: Sequence[Source], grading: Grading) -> MeshTet:
     """Return Netgen's mesh with its longest edges bisected until no element is too large, a skfem.MeshTet.
 
     Parameters
@@ -199,7 +203,7 @@ def quiet() -> Iterator[None]:
         logger.setLevel(level)
 
 
-def libraries() -> tuple[Any, Any]:
+def libraries() -> tuple[ModuleType, ModuleType]:
     """Return the modules skfem and netgen.meshing.
 
     Raises

@@ -132,7 +132,7 @@ def samples_of(count: int) -> Longs:
     return (AXES * places[:, None] + np.arange(AXES)).ravel()
 
 
-def made_good(answers: Floats, samples: Floats, finer_samples: Floats) -> Floats:
+def corrected(answers: Floats, samples: Floats, finer_samples: Floats) -> Floats:
     """Return answers as a finer mesh would give them, by its answers to samples.
 
     Every answer is approximated by a combination of the samples' answers, and its difference by the same combination.

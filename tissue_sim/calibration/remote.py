@@ -12,7 +12,7 @@ from typing import Any
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
 from tissue_sim.parent_exit import exit_with_parent
-from tissue_sim.progress import SETTING
+from tissue_sim.progress_reporter import SETTING
 
 # One thread for each BLAS, which reads it when it is loaded; progress is reported by this process, which waits for it.
 _SETTING = {"OPENBLAS_NUM_THREADS": "1", SETTING: "0"}
@@ -26,26 +26,26 @@ class Remote:
 
     Parameters
     ----------
-    make : Callable[..., Any]
+    make : Callable[..., object]
         Makes the object.
-    arguments : Any
+    arguments : object
         Arguments of `make`.
     """
 
-    def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
+    def __init__(self, make: Callable[..., object], *arguments: object) -> None:
         self._manager = _Process(ctx=get_context("spawn"))
         with environment(_SETTING), _script_hidden():
             self._manager.start(exit_with_parent)
         self._object = self._manager.make(make, *arguments)  # type: ignore[attr-defined]
 
-    def call(self, method: str, *arguments: Any) -> Any:
+    def call(self, method: str, *arguments: object) -> Any:
         """Return what a method returns, or raise what it raises.
 
         Parameters
         ----------
         method : str
             Name of the method.
-        arguments : Any
+        arguments : object
             Its arguments.
 
         Raises
@@ -72,7 +72,7 @@ class Remote:
 def _script_hidden() -> Iterator[None]:
     """Keep a new process from running the user's script again: it needs none of it, and few scripts have a guard."""
     main = sys.modules["__main__"]
-    kept: dict[str, Any] = {name: main.__dict__[name] for name in ("__file__", "__spec__") if name in main.__dict__}
+    kept: dict[str, object] = {name: main.__dict__[name] for name in ("__file__", "__spec__") if name in main.__dict__}
     main.__dict__.pop("__file__", None)
     main.__spec__ = None
     try:
@@ -85,7 +85,7 @@ class _Process(BaseManager):
     """Process that makes the object."""
 
 
-def _make(make: Callable[..., Any], *arguments: Any) -> Any:
+def _make(make: Callable[..., object], *arguments: object) -> object:
     return make(*arguments)
 
 

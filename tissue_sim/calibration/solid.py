@@ -301,12 +301,12 @@ class Solid:
         potential = energy - float(np.vdot(load, moved))
         for _ in range(MOST_STEPS):
             residual = np.where(self.held, 0.0, load - inner)
-            way, used = _answer(self._direction(moved, residual, FORCING, factor))
-            slope = float(np.vdot(residual, way))
+            direction, used = _answer(self._direction(moved, residual, FORCING, factor))
+            slope = float(np.vdot(residual, direction))
             tied = 0.0 if self.ties is None else 0.5 * float(self.ties @ np.einsum("nx,nx->n", moved, moved))
             if slope <= tolerance * (energy - tied):
                 return Followed(moved, True)
-            found = self._shortened(moved, way, slope, load, potential)
+            found = self._shortened(moved, direction, slope, load, potential)
             if found is None:
                 return Followed(moved, False)
             moved, energy, inner, change = found
@@ -316,7 +316,7 @@ class Solid:
         return Followed(moved, False)
 
     def _shortened(
-        self, moved: Floats, way: Floats, slope: float, load: Floats, potential: float
+        self, moved: Floats, direction: Floats, slope: float, load: Floats, potential: float
     ) -> tuple[Floats, float, Floats, float] | None:
         """Return a state down the direction at which the potential energy has fallen enough; None without one.
 
@@ -324,7 +324,7 @@ class Solid:
         """
         length = 1.0
         for _ in range(MOST_HALVINGS):
-            trial = moved + length * way
+            trial = moved + length * direction
             energy, inner, _ = self.energy(trial)
             change = float(energy - np.vdot(load, trial) - potential)
             # Near the end the energy's rounding hides its change.
@@ -384,9 +384,9 @@ class Solid:
             forcing = 0.1 if before is None else min(0.1, 0.9 * (error / before) ** 2)
             before = error
             forcing = max(forcing, 0.1 * TOLERANCE / error)
-            way, used = yield from self._direction(moved, residual, forcing, factor)
+            direction, used = yield from self._direction(moved, residual, forcing, factor)
             iterations += used
-            shortened = self._shortened(moved, way, float(np.vdot(residual, way)), load, potential)
+            shortened = self._shortened(moved, direction, float(np.vdot(residual, direction)), load, potential)
             if shortened is None:
                 return moved, step, iterations, False, factor
             moved, energy, inner, change = shortened
@@ -401,10 +401,10 @@ class Solid:
         """Return Newton's direction; see conjugate_gradients."""
         matrix = self.tangent(moved)
 
-        def apply(way: Floats) -> Floats:
-            found: Floats = (matrix @ way.ravel()).reshape(way.shape)
+        def apply(direction: Floats) -> Floats:
+            found: Floats = (matrix @ direction.ravel()).reshape(direction.shape)
             if self.ties is not None:
-                found += self.ties[:, None] * way
+                found += self.ties[:, None] * direction
             found[self.held] = 0.0
             return found
 

@@ -240,8 +240,8 @@ class _Compression:
         entered = ~stuck & (gap.min(axis=1) < -ENTERED)
         self._owner[pulled] = -1
         self._owner[entered] = nearest[entered]
-        way = away[entered, nearest[entered]]
-        self._place[entered] = self._radius * way / np.linalg.norm(way, axis=1)[:, None]
+        direction = away[entered, nearest[entered]]
+        self._place[entered] = self._radius * direction / np.linalg.norm(direction, axis=1)[:, None]
         return bool(pulled.any() or entered.any())
 
     def _found(self, centres: Floats, settled: bool) -> CompressionStep:

@@ -6,7 +6,7 @@ import argparse
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from ruamel.yaml import YAML
@@ -23,8 +23,11 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.outputs import make_folder
 from tissue_sim.progress import steps
 
+if TYPE_CHECKING:
+    from tissue_sim.organ.imaging.image import Volume
+
 NAME = "abdomen"
-BREATHS, WAY = 15.0, (0.0, 0.0, -0.015)  # per minute; m that the liver moves: z points to the head
+BREATHS, DISPLACEMENT = 15.0, (0.0, 0.0, -0.015)  # per minute; m that the liver moves: z points to the head
 LIGAMENT = 0.004  # m beyond the nearest nodes of two organs, up to which a ligament joins them
 FALCIFORM = 0.02  # m in front of the liver, where it is attached to the wall
 ENDINGS = (".nii.gz", ".nii", ".nrrd", ".mha")
@@ -121,7 +124,7 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _masks(folder: Path | None) -> Mapping[str, Any]:
+def _masks(folder: Path | None) -> Mapping[str, Volume]:
     if folder is None:
         from tissue_sim.organ.imaging.abdomen import make_abdomen
 
@@ -163,7 +166,7 @@ def write_scene(organs: Mapping[str, Organ], path: Path, source: str) -> None:
                 "moves": 0.0,
             },
         ],
-        "breathing": {"rate": BREATHS, "way": list(WAY)},
+        "breathing": {"rate": BREATHS, "way": list(DISPLACEMENT)},
     }
     yaml = YAML()
     yaml.default_flow_style = None  # lists of numbers in one line

@@ -22,8 +22,7 @@ from tissue_sim.commands.build_refine import parse_refine
 from tissue_sim.commands.law_options import add_law, law_of, with_law
 from tissue_sim.errors import UserError
 from tissue_sim.interrupts import leaving
-from tissue_sim.json_types import JsonObject
-from tissue_sim.organ.build import EXTRA, digest_of, make, name_of, stem_of
+from tissue_sim.organ.build import EXTRA, SourceOptions, digest_of, make, name_of, stem_of
 from tissue_sim.organ.build_record import STAGES, Progress
 from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
@@ -328,17 +327,18 @@ def _stages_of(args: argparse.Namespace) -> list[str]:
     return [*stages, "report"] if args.report is not None else stages
 
 
-def _given(args: argparse.Namespace) -> tuple[str, JsonObject]:
+def _given(args: argparse.Namespace) -> tuple[str, SourceOptions]:
     """Return the kind of the input, and its options as the library takes them."""
     part = int(args.part) if args.part and args.part.isdigit() else args.part
-    of_parts = {"part": part, "merge_parts": args.merge_parts}
+    of_parts: SourceOptions = {"part": part, "merge_parts": args.merge_parts}
     if args.surface:
         return "surface", {"unit": args.unit, "length": args.length, "keep_points": args.keep_points, **of_parts}
     if args.mask:
         return "mask", {"label": args.label, "inclusions": parse_inclusions(args.inclusion, args.label), **of_parts}
-    seed = {"seed": parse_triple("--seed", args.seed)} if args.seed else {}
-    voxel = {} if args.seed else {"seed_voxel": parse_triple("--seed-voxel", args.seed_voxel)}
-    return "image", {**seed, **voxel, "series": args.series, "segmentation": asdict(_parameters(args))}
+    options: SourceOptions = {"series": args.series, "segmentation": asdict(_parameters(args))}
+    if args.seed:
+        return "image", {**options, "seed": parse_triple("--seed", args.seed)}
+    return "image", {**options, "seed_voxel": parse_triple("--seed-voxel", args.seed_voxel)}
 
 
 @contextmanager

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tissue_sim import progress
-from tissue_sim.calibration.calibrate import Calibrated, Silent, calibrate
+from tissue_sim.calibration.calibrate import Calibrated, calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.cohort import spread
+from tissue_sim.calibration.progress import Silent
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject

@@ -58,8 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--unplaced",
         action="store_true",
-        help="places are not in the organ's axes: press the model where it is flat, and use places only to tell"
-        " presses apart",
+        help="places are not in the organ's axes: press the model where it is flat, and use places only to"
+        " distinguish presses",
     )
     parser.add_argument(
         "--offset-deviation",

@@ -81,9 +81,9 @@ def scene_lines(found: JsonObject) -> list[str]:
     if found["attachments"]:
         lines.append(f"  substeps for the attachments: at least {found['substeps_for_attachments']}")
     if found["breathing"]:
-        way = ", ".join(f"{v:g}" for v in found["breathing"]["way_mm"])
+        displacement = ", ".join(f"{v:g}" for v in found["breathing"]["way_mm"])
         rate = found["breathing"]["rate_per_minute"]
-        lines.append(f"  breathing: {f'{rate:g} a minute' if rate else 'from ~/respiration'}, {way} mm")
+        lines.append(f"  breathing: {f'{rate:g} a minute' if rate else 'from ~/respiration'}, {displacement} mm")
     if found["friction"]:
         lines.append(f"  friction between organs: {found['friction']:g}")
     if any(found["gravity_m_per_s2"]):

@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Solve every load; return 0, even when some did not settle (which `converged` tells)."""
+    """Solve every load; return 0, even when some did not settle (which `converged` states)."""
     if not 0.0 < args.tolerance < 1.0:
         raise UserError(f"--tolerance {args.tolerance:g} is outside 0..1")
     if not 0.0 < args.longest <= 3600.0:

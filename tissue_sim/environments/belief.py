@@ -130,7 +130,7 @@ class Belief:
         normals = self.to_world(self._shape.outward(there))
         cosine = np.einsum("npx,nx->np", normals, forces / np.maximum(size, TOUCH)[:, None])
         turned = np.where(is_touching, np.arccos(np.clip(cosine, -1.0, 1.0)) / ANGLE, 0.0)
-        # Poses of one way follow each other closely: each counts for a part, or the first ones would decide all.
+        # Poses of one path follow each other closely: each counts for a part, or the first ones would decide all.
         weights = self.weights * np.exp(-0.25 * np.minimum(0.5 * (off**2 + turned**2), 50.0))
         self.weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
         few = np.flatnonzero(1.0 / np.maximum((self.weights**2).sum(axis=1), 1e-300) < FEWEST * PARTICLES)

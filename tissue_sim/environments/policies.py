@@ -136,11 +136,11 @@ class PalpatePolicy(Policy):
         size = np.linalg.norm(force, axis=1)
         normal = self._belief.outward(tips)
         normal = np.where((size > TOUCH)[:, None], force / np.maximum(size, TOUCH)[:, None], normal)
-        way = aim + RADIUS * outward - tips
-        way -= np.einsum("nx,nx->n", way, normal)[:, None] * normal
-        left = np.linalg.norm(way, axis=1)
+        offset = aim + RADIUS * outward - tips
+        offset -= np.einsum("nx,nx->n", offset, normal)[:, None] * normal
+        left = np.linalg.norm(offset, axis=1)
         push = np.clip((size - 0.1 * w[1]) / 0.05, -1.0, 1.0) * (w[1] > 0.0)
-        velocity = w[0][:, None] * way / np.maximum(left, 0.4 * CM)[:, None] + push[:, None] * normal
+        velocity = w[0][:, None] * offset / np.maximum(left, 0.4 * CM)[:, None] + push[:, None] * normal
         self.memory[:, 0] += 1.0
         is_there = last & (left < 0.15 * CM) & (size > TOUCH_TO_DECLARE)
         return np.clip(np.column_stack([velocity, np.where(is_there, 1.0, -1.0)]), -1.0, 1.0)
@@ -176,16 +176,16 @@ class CutPolicy(Policy):
         half = 0.5 * (line[:, 3:] - line[:, :3])
         end = 1.0 + w[4] / 10.0
         aim = goal[:, :3] + np.where(slides, end, -end)[:, None] * half
-        way = aim - seen["pose"][:, :3]
-        way = way - np.einsum("nx,nx->n", way, outward)[:, None] * outward
-        is_there = np.linalg.norm(way, axis=1) < 0.15 * CM
+        offset = aim - seen["pose"][:, :3]
+        offset = offset - np.einsum("nx,nx->n", offset, outward)[:, None] * outward
+        is_there = np.linalg.norm(offset, axis=1) < 0.15 * CM
         force = np.linalg.norm(seen["wrench"][:, :3], axis=1)
         short = goal[:, 6] * (1.0 + w[3] / 10.0) - seen["blade"][:, 0]
         is_in = (np.abs(short) < 0.05 * CM) & (force > 0.05)
         push = -w[1] * np.clip(0.1 * (1.0 + w[2]) - force, -0.3, 0.3)
         speed = np.where(slides & (w[5] > 0.0), 1.0 / (1.0 + np.maximum(w[5], 0.0)), 1.0)
-        size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True) / CM, 1.0)
-        velocity = (w[0] * speed)[:, None] * way / CM / size + push[:, None] * outward
+        size = np.maximum(np.linalg.norm(offset, axis=1, keepdims=True) / CM, 1.0)
+        velocity = (w[0] * speed)[:, None] * offset / CM / size + push[:, None] * outward
         finished = np.where(slides & is_there, 1.0, -1.0)
         self.memory[:, 0] = np.maximum(self.memory[:, 0], is_there & is_in)
         return np.clip(np.column_stack([velocity, short / 0.1 / CM, finished]), -1.0, 1.0)
@@ -197,11 +197,11 @@ POLICIES: dict[str, type[Policy]] = {
 
 
 def places(seen: Seen) -> tuple[Floats, Floats, Floats]:
-    """Return the ways (n, 3) m beside the line outwards from the place to the tool, outward, and the way along it."""
+    """Return offsets (n, 3) m of the tool from the line outwards from the place, the normal, and distances along it."""
     goal = np.asarray(seen["goal"], dtype=np.float64)
-    outward, way = goal[:, 3:6], seen["pose"][:, :3] - goal[:, :3]
-    along = np.einsum("nx,nx->n", way, outward)
-    return way - along[:, None] * outward, outward, along
+    outward, offset = goal[:, 3:6], seen["pose"][:, :3] - goal[:, :3]
+    along = np.einsum("nx,nx->n", offset, outward)
+    return offset - along[:, None] * outward, outward, along
 
 
 def lacking(seen: Seen) -> Floats:

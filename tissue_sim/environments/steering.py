@@ -46,9 +46,9 @@ def moved_tip(tip: Floats, start: Floats, velocity: Floats) -> Floats:
     velocity : Floats, shape (n, 3)
         Of their actions, -1 to 1.
     """
-    way = tip + STEP * SPEED * velocity - start
-    far = np.linalg.norm(way, axis=1, keepdims=True)
-    return np.asarray(start + way * np.minimum(1.0, FARTHEST / np.maximum(far, 1e-12)))
+    offset = tip + STEP * SPEED * velocity - start
+    far = np.linalg.norm(offset, axis=1, keepdims=True)
+    return np.asarray(start + offset * np.minimum(1.0, FARTHEST / np.maximum(far, 1e-12)))
 
 
 def moved_jaws(angle: Floats, actions: Floats) -> Floats:

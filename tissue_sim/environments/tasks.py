@@ -255,7 +255,7 @@ class Cut(Task):
         return drawn._replace(half=half, wanted=random.uniform(0.008, 0.014))
 
     def judge(self, now: Now) -> Judged:
-        """Raise NotImplementedError: a cut is judged by its whole way, as CutCopies does."""
+        """Raise NotImplementedError: a cut is judged by its whole path, as CutCopies does."""
         raise NotImplementedError
 
 
@@ -303,6 +303,6 @@ def distance_beside(now: Now) -> Floats:
     now : Now
         What there is after a step.
     """
-    way = now.tip - now.place
-    along = np.einsum("nx,nx->n", way, now.outward)
-    return np.asarray(np.linalg.norm(way - along[:, None] * now.outward, axis=1))
+    offset = now.tip - now.place
+    along = np.einsum("nx,nx->n", offset, now.outward)
+    return np.asarray(np.linalg.norm(offset - along[:, None] * now.outward, axis=1))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import gymnasium
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike
 
 from tissue_sim.array_types import Floats, Longs, Mask, Pixels, Singles
 from tissue_sim.environments.cut_copies import copies_of
@@ -57,7 +58,7 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv):
         self._randoms = [np.random.default_rng(one) for one in np.random.SeedSequence().spawn(num_envs)]
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | list[int | None] | None = None, options: Mapping[str, ArrayLike] | None = None
     ) -> tuple[dict[str, Singles | Pixels], dict[str, object]]:
         """Begin all episodes, or those of the mask `reset_mask` in options; copy i takes the seed plus i."""
         seeds = [seed + copy for copy in range(self.num_envs)] if isinstance(seed, int) else seed

@@ -58,7 +58,7 @@ def losses_of(sinusoids: Sequence[Sinusoid], has_times: bool) -> tuple[Loss | No
     if not has_times:
         return None, before + "its samples have no times"
     if not sinusoids:
-        return None, f"{before}no tool swings in contact ({CYCLES} cycles at the least, along the way of a press)"
+        return None, f"{before}no tool swings in contact ({CYCLES} cycles at the least, along the direction of a press)"
     every = [loss_of(one) for one in sinusoids]
     factor, frequency, stiffness = (
         float(np.mean([one.factor for one in every])),
@@ -105,7 +105,7 @@ def damping_of(
     swing, press, offset = swings[0]
     middle = float(np.mean(swing.depths)) + offset
     amplitude = float(np.sqrt(2.0) * np.std(swing.depths))
-    path = Press(press.place, press.way)
+    path = Press(press.place, press.direction)
 
     def own(scale: float) -> float:
         name = f"sinusoid {press.name} {loss.frequency:.6g} {scale:.6g} {middle:.9g} {organ.digest()[:16]}"
@@ -170,7 +170,7 @@ def model_loss(scene: Scene, path: Press, motion: tuple[float, float, float], sc
     for row in range(count):
         scene.move(0, path.at(float(depths[row])))
         scene.step()
-        forces[row] = -float(scene.wrenches[0, :3] @ path.way)
+        forces[row] = -float(scene.wrenches[0, :3] @ path.direction)
     late = time >= SETTLING / frequency
     return loss_of(Sinusoid("", time[late] - time[late][0], depths[late], forces[late])).factor
 

@@ -228,7 +228,7 @@ def _remarks(map_pays: bool, is_mapped: bool) -> list[str]:
 
 
 def provenance_of(found: Identified) -> JsonObject:
-    """Return what an organ's file tells about its identification, as JSON can hold it."""
+    """Return what an organ's file states about its identification, as JSON can hold it."""
     low, high = found.modulus_interval
     record: JsonObject = {
         "from": found.measurement.source,
@@ -268,8 +268,8 @@ def lines_of(found: Identified) -> list[str]:
     ]
     if high > MOST_UNSURE * low:
         lines.append(
-            f"warning: these presses hardly tell the modulus, its interval is a factor of {high / low:.2g} wide: press"
-            " slowly and straight in, at more places, and hold (docs/identify.md)"
+            f"warning: these presses hardly determine the modulus, its interval is a factor of {high / low:.2g} wide:"
+            " press slowly and straight in, at more places, and hold (docs/identify.md)"
         )
     if found.held_out is None:
         lines.append("held-out error: not known, with presses at a single place")

@@ -22,31 +22,31 @@ class MeasuredPress(NamedTuple):
     name : str
         What messages call it.
     depths : Floats, shape (d,), m
-        Along the way from where the tool first touched, as far as the recording knows; negative before.
+        Along the direction from where the tool first touched, as far as the recording knows; negative before.
     forces : Floats, shape (d,), N
-        On the tool, against the way.
+        On the tool, against the direction.
     place : Floats, shape (3,), m
         Middle of the tool at depth 0, in the organ's axes; NaN where it is unknown.
-    way : Floats, shape (3,)
+    direction : Floats, shape (3,)
         Direction into the tissue; NaN where it is unknown.
     drift : Floats, shape (d, 3), m
-        Displacement of the tool across the way; empty for none.
+        Displacement of the tool across the direction; empty for none.
     speed : float, m/s
-        Mean speed along the way; 0 where no times are known.
+        Mean speed along the direction; 0 where no times are known.
     """
 
     name: str
     depths: Floats
     forces: Floats
     place: Floats
-    way: Floats
+    direction: Floats
     drift: Floats
     speed: float = 0.0
 
     @property
     def is_placed(self) -> bool:
         """Whether its place on the organ is known."""
-        return bool(np.isfinite(self.place).all() and np.isfinite(self.way).all())
+        return bool(np.isfinite(self.place).all() and np.isfinite(self.direction).all())
 
     @property
     def deepest(self) -> float:
@@ -55,7 +55,7 @@ class MeasuredPress(NamedTuple):
 
 
 class MeasuredStroke(NamedTuple):
-    """A tool that slides over tissue: its force along the normal and against the motion, (k,) N, and the way, m."""
+    """A tool that slides over tissue: force along the normal and against the motion, (k,) N; length of its path, m."""
 
     name: str
     normal: Floats
@@ -66,8 +66,8 @@ class MeasuredStroke(NamedTuple):
 class Hold(NamedTuple):
     """A tool that goes into tissue and stands still there.
 
-    press: name of the press; time (k,) s since the tool stopped, negative on its way in; depths (k,) m as of the press,
-    and forces (k,) N against the way.
+    press: name of the press; time (k,) s since the tool stopped, negative while it enters; depths (k,) m as of the
+    press, and forces (k,) N against the direction.
     """
 
     press: str
@@ -82,7 +82,7 @@ class Hold(NamedTuple):
 
 
 class Sinusoid(NamedTuple):
-    """A tool that swings along its way in tissue: whole cycles, as of `Hold`, with the time since the first, s."""
+    """A tool that swings along its direction in tissue: whole cycles, as of `Hold`; times since the first one, s."""
 
     press: str
     time: Floats
@@ -106,7 +106,7 @@ class Measurement(NamedTuple):
     holds : list[Hold]
         Holds.
     is_registered : bool
-        Whether places are in the organ's axes; otherwise they only tell presses apart.
+        Whether places are in the organ's axes; otherwise they only distinguish presses.
     sinusoids : Sequence[Sinusoid]
         Sinusoids.
     """
@@ -122,7 +122,7 @@ class Measurement(NamedTuple):
     @property
     def points(self) -> Floats:
         """Where the tool first touched the surface, (n, 3) m; NaN where it is unknown."""
-        return np.array([press.place + self.radius * press.way for press in self.presses])
+        return np.array([press.place + self.radius * press.direction for press in self.presses])
 
 
 class Samples(NamedTuple):

@@ -26,7 +26,7 @@ class PressPoint(NamedTuple):
     place: int
     kind: str
     point: Floats
-    way: Floats
+    direction: Floats
 
 
 def clear_of_clamp(organ: Organ, points: Floats, edges: float) -> Mask:
@@ -46,15 +46,15 @@ def flat_locations(organ: Organ, count: int) -> list[list[PressPoint]]:
     surface, edge = surface_of(organ), mean_edge(organ)
     corner = surface.positions[organ.surface_triangles]
     middle = corner.mean(axis=1)
-    way = surface.normal[organ.surface_triangles].mean(axis=1)
-    way /= -np.linalg.norm(way, axis=1)[:, None]
+    direction = surface.normal[organ.surface_triangles].mean(axis=1)
+    direction /= -np.linalg.norm(direction, axis=1)[:, None]
     chosen = np.flatnonzero(clear_of_clamp(organ, middle, CLEAR))
     if not len(chosen):
         raise UserError(
             f"organ '{organ.name}' has no point {1e3 * CLEAR * edge:.0f} mm from its clamp; use more points"
         )
     near = cKDTree(surface.positions).query_ball_point(middle[chosen], AROUND * edge)
-    flat = np.array([(-surface.normal[nodes] @ way[one]).min() for one, nodes in zip(chosen, near, strict=True)])
+    flat = np.array([(-surface.normal[nodes] @ direction[one]).min() for one, nodes in zip(chosen, near, strict=True)])
     order = np.argsort(-np.round(flat, 2), kind="stable")[: math.ceil(FLATTEST * len(chosen))]
     candidates = chosen[order[flat[order] > flat.max() - ALIKE]]
     picked = [int(candidates[0])]
@@ -62,20 +62,20 @@ def flat_locations(organ: Organ, count: int) -> list[list[PressPoint]]:
         apart = cKDTree(middle[picked]).query(middle[candidates])[0]
         picked.append(int(candidates[apart.argmax()]))
     return [
-        [PressPoint(number, kind, np.array(weights) @ corner[one], way[one]) for kind, weights in KINDS.items()]
+        [PressPoint(number, kind, np.array(weights) @ corner[one], direction[one]) for kind, weights in KINDS.items()]
         for number, one in enumerate(picked)
     ]
 
 
 def thickness(organ: Organ, spot: PressPoint) -> float:
-    """Return how far the organ's other side is from a spot, along its way, m; inf where there is none."""
+    """Return how far the organ's other side is from a spot, along its direction, m; inf where there is none."""
     corner = organ.surface_positions[organ.surface_triangles] - spot.point
     first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     across = np.cross(first, second)
-    facing = across @ spot.way
+    facing = across @ spot.direction
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead = np.einsum("tx,tx->t", across, corner[:, 0]) / facing
-        sideways = np.cross(corner[:, 0], spot.way)
+        sideways = np.cross(corner[:, 0], spot.direction)
         fractions = np.einsum("tx,tx->t", second, sideways) / facing, -np.einsum("tx,tx->t", first, sideways) / facing
     met = (
         (facing > 0.0)

@@ -32,14 +32,14 @@ class RecordedPath(NamedTuple):
     """Path of a measured press, straight beyond what was recorded."""
 
     place: Floats
-    way: Floats
+    direction: Floats
     depths: Floats
     drift: Floats
 
     def at(self, deep: float) -> Floats:
         """Return the tool's middle at a depth, m."""
         aside = [float(np.interp(deep, self.depths, column)) for column in self.drift.T]
-        return np.asarray(self.place + deep * self.way + np.array(aside))
+        return np.asarray(self.place + deep * self.direction + np.array(aside))
 
 
 def forget(name: str, make: Callable[[], Arrays]) -> Arrays:
@@ -123,7 +123,7 @@ def curves_of(
         deepest = max(press.deepest for press in presses) + REACH
         depths = np.linspace(0.0, deepest, knots)
         spots = flat_locations(organ, 1)[0]
-        paths = [Press(spot.point - measurement.radius * spot.way, spot.way) for spot in spots]
+        paths = [Press(spot.point - measurement.radius * spot.direction, spot.direction) for spot in spots]
         force = [kept(path, depths, 0.0) for path in progress.steps(paths, "presses of the model")]
         return tabulated([depths], [np.mean(force, axis=0)], np.zeros(len(presses), dtype=np.int64))
     check_registration(organ, measurement)
@@ -138,4 +138,4 @@ def curves_of(
 def _path_of(press: MeasuredPress) -> RecordedPath:
     order = np.argsort(press.depths, kind="stable")
     drift = press.drift[order] if len(press.drift) else np.zeros((len(order), 3))
-    return RecordedPath(press.place, press.way, press.depths[order], drift)
+    return RecordedPath(press.place, press.direction, press.depths[order], drift)

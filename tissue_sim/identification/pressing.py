@@ -19,10 +19,10 @@ FRICTION = 10.0  # at which nothing slips
 
 
 class Path(Protocol):
-    """Path of a ball's middle into tissue; way: direction in which its force is measured."""
+    """Path of a ball's middle into tissue, and the direction in which its force is measured."""
 
     @property
-    def way(self) -> Floats:
+    def direction(self) -> Floats:
         """Direction inwards, (3,)."""
 
     def at(self, deep: float) -> Floats:
@@ -33,12 +33,12 @@ class Press(NamedTuple):
     """Point at which a sphere presses, and its direction."""
 
     place: Floats  # (3,) m, of the ball's middle where it touches
-    way: Floats  # (3,) inwards
+    direction: Floats  # (3,) inwards
     node: int = -1  # of the surface, that it presses at; -1 for none
 
     def at(self, deep: float) -> Floats:
         """Return the ball's middle at a depth, m."""
-        return self.place + deep * self.way
+        return self.place + deep * self.direction
 
 
 def ball(organ: Organ, radius: float, friction: float) -> Scene:
@@ -49,7 +49,7 @@ def ball(organ: Organ, radius: float, friction: float) -> Scene:
 
 
 def forces(scene: Scene, press: Path, depths: Floats) -> Floats:
-    """Return the force (d,) N on a ball, against its way, that is held at each of several depths (d,) m."""
+    """Return the force (d,) N on a ball, against its direction, that is held at each of several depths (d,) m."""
     scene.reset()
     deep, found = min(-CLEAR, float(depths[0])), []
     for depth in depths:
@@ -60,13 +60,13 @@ def forces(scene: Scene, press: Path, depths: Floats) -> Floats:
 
 
 def moving_forces(scene: Scene, press: Path, depths: Floats, speed: float) -> Floats:
-    """Return the force (d,) N on a ball, against its way, as it passes several depths (d,) m with a speed, m/s."""
+    """Return the force (d,) N on a ball, against its direction, as it passes depths (d,) m with a speed, m/s."""
     scene.reset()
     deep, found = min(-CLEAR, float(depths[0])), []
     for depth in depths:
         lead(scene, press, (deep, float(depth)), speed)
         deep = float(depth)
-        found.append(-float(scene.wrenches[0, :3] @ press.way))
+        found.append(-float(scene.wrenches[0, :3] @ press.direction))
     return np.array(found)
 
 
@@ -85,7 +85,7 @@ def held(scene: Scene, press: Path, deep: float) -> float:
         for _ in range(round(HOLDING / tick)):
             scene.move(0, press.at(deep))
             scene.step()
-        before, force = force, -float(scene.wrenches[0, :3] @ press.way)
+        before, force = force, -float(scene.wrenches[0, :3] @ press.direction)
         if abs(force - before) <= STILL * abs(force):
             break
     return force

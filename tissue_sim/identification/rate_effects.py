@@ -59,7 +59,7 @@ def rate_effects_of(
     friction: float,
     remember: Remember = forget,
 ) -> RateEffects:
-    """Return what a recording tells about friction, relaxation and damping.
+    """Return what a recording shows about friction, relaxation and damping.
 
     Parameters
     ----------

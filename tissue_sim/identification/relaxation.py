@@ -2,7 +2,7 @@
 
 The force follows the elastic one with a fading memory: F(t) = s (C(t) - g int (1 - exp(-(t - u) / tau)) dC(u)), Fung's
 quasi-linear viscoelasticity with one Prony term. C is the model's elastic force along the recorded depths, so that what
-relaxes on the way in counts as well.
+relaxes while the tool enters counts as well.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def term_of(hold: Hold, elastic: Floats) -> Relaxation:
 
 
 def _thinned(hold: Hold, elastic: Floats) -> _Thinned:
-    """Return a hold with few samples: equally long on the way in, and ever longer in the hold."""
+    """Return a hold with few samples: equally long while it enters, and ever longer in the hold."""
     first = hold.length * 1e-3
     edges = np.concatenate(
         [
@@ -163,7 +163,7 @@ def _fitted(some: Sequence[_Thinned]) -> Relaxation:
     again = max(_correlation(one) for one in residuals)
     square = 2.0 * float(best.cost) / max(len(best.fun) - 2 - len(some), 1) * (1.0 + again) / (1.0 - again)
     deviation = np.sqrt(square * np.diag(np.linalg.pinv(best.jac.T @ best.jac)))
-    if len(some) > 2:  # holds that differ tell more than their noise
+    if len(some) > 2:  # holds that differ show more than their noise
         alone = np.array([[found.fraction, np.log(found.time)] for found in (_fitted([one]) for one in some)])
         deviation = np.maximum(deviation, alone.std(axis=0, ddof=1) / np.sqrt(len(some)))
     total = sum(float(one.averaged.sum()) for one in some)

@@ -51,7 +51,7 @@ def relaxing(organ: Organ, relaxation: Relaxation | None, presses: Presses, reme
     organ : Organ
         The fitted organ, elastic.
     relaxation : Relaxation | None
-        What holds tell; None where they tell nothing, which leaves the organ as it is.
+        Relaxation by the holds; None where they show none, which leaves the organ as it is.
     presses : Presses
         What it was fitted to.
     remember : Remember
@@ -101,7 +101,7 @@ def _held(organ: Organ, hold: Hold, presses: Presses, paths: list[Press], rememb
             lead(scene, path, (float(before), float(after)), press.speed)
             time.append((float(after) - depth) / press.speed)
             depths.append(float(after))
-            forces.append(-float(scene.wrenches[0, :3] @ path.way))
+            forces.append(-float(scene.wrenches[0, :3] @ path.direction))
         length = min(hold.length, max(DECAYS * organ.relaxation_time, LONG_ENOUGH))
         for count in range(1, round(length / tick) + 1):
             scene.move(0, path.at(depth))
@@ -109,7 +109,7 @@ def _held(organ: Organ, hold: Hold, presses: Presses, paths: list[Press], rememb
             if count % EVERY == 0:
                 time.append(count * tick)
                 depths.append(depth)
-                forces.append(-float(scene.wrenches[0, :3] @ path.way))
+                forces.append(-float(scene.wrenches[0, :3] @ path.direction))
         return {"time": np.array(time), "depths": np.array(depths), "forces": np.array(forces)}
 
     found = remember(f"hold {hold.press} {depth:.9g} {press.speed:.6g} {organ.digest()[:16]}", make)
@@ -151,6 +151,6 @@ def _row_of(measurement: Measurement, name: str) -> int:
 def _paths(organ: Organ, measurement: Measurement) -> list[Press]:
     """Return the paths of all presses, at a flat place of the organ where the recording doesn't know theirs."""
     if measurement.is_registered:
-        return [Press(press.place, press.way) for press in measurement.presses]
+        return [Press(press.place, press.direction) for press in measurement.presses]
     spot = flat_locations(organ, 1)[0][0]
-    return [Press(spot.point - measurement.radius * spot.way, spot.way)] * len(measurement.presses)
+    return [Press(spot.point - measurement.radius * spot.direction, spot.direction)] * len(measurement.presses)

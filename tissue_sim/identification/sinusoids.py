@@ -31,7 +31,7 @@ class Loss(NamedTuple):
 
 
 def cycles_of(time: Floats, depths: Floats, begin: int) -> slice | None:
-    """Return the samples of the whole cycles of a sinusoid from a sample on, from one way in to another; or None.
+    """Return the samples of the whole cycles of a sinusoid from a sample on, between crossings of its middle; or None.
 
     Parameters
     ----------
@@ -47,12 +47,12 @@ def cycles_of(time: Floats, depths: Floats, begin: int) -> slice | None:
     own = depths[begin:end]
     if len(own) < 4 * CYCLES:
         return None
-    # The way out is among the samples, which median and median deviation hardly feel.
+    # The retreat is among the samples, which median and median deviation hardly feel.
     middle = float(np.median(own))
     amplitude = float(np.median(np.abs(own - middle))) / np.sin(0.25 * np.pi)
     if amplitude < LEAST:
         return None
-    starts = _ways_in(own - middle, CROSSED * amplitude)
+    starts = _upward_crossings(own - middle, CROSSED * amplitude)
     if len(starts) <= CYCLES:
         return None
     periods = np.diff(time[begin + starts])
@@ -63,7 +63,7 @@ def cycles_of(time: Floats, depths: Floats, begin: int) -> slice | None:
     return found if _left_over(1.0 / float(np.mean(periods)), moved, depths[found]) < 1.0 - PURE else None
 
 
-def _ways_in(off: Floats, beyond: float) -> Floats:
+def _upward_crossings(off: Floats, beyond: float) -> Floats:
     """Return the samples (c,) at which a signal (k,) crosses zero upwards, having been beyond on both sides."""
     state = np.where(off > beyond, 1, np.where(off < -beyond, -1, 0))
     known = np.flatnonzero(state)

@@ -66,7 +66,7 @@ class LawFit(NamedTuple):
 def law_fit(
     curves: LawCurves, samples: Samples, priors: Priors, points: Floats, radius: float, plain: HeldOut | None
 ) -> LawFit:
-    """Return the fit of b, and what it tells.
+    """Return the fit of b, with a line about it.
 
     Parameters
     ----------
@@ -110,6 +110,6 @@ def line_of(found: Stiffening) -> str:
     if not found.pays:
         return f"{text}; not used: {errors}, and must be {100 * (1 - GAIN):.0f} % lower to be worth a number"
     return (
-        f"{text}; used: {errors}. Presses can't tell tissue that stiffens from a thin layer on something hard: where"
-        " the support is not the organ file's, b is not the tissue's"
+        f"{text}; used: {errors}. Presses can't distinguish tissue that stiffens from a thin layer on something hard:"
+        " where the support is not the organ file's, b is not the tissue's"
     )

@@ -21,7 +21,7 @@ LEAST_DEPTH = 0.3e-3  # m, of a press
 MOST_SAMPLES = 24  # of a press; more are averaged by depth
 DEEP = 0.96  # of the largest depth, from which a press has ended, and a hold lasts
 STRAIGHT = 0.7  # cosine between a press and the inward normal at the least
-ASIDE, SLANT = 0.3e-3, 0.1  # m, and of the way, by which a press leaves the line of its approach at most
+ASIDE, SLANT = 0.3e-3, 0.1  # m, and of the depth, by which a press leaves the line of its approach at most
 STILL = 0.3e-3  # m, by which the tool moves aside in a hold at most
 SLID = 3e-3  # m, length of a stroke at the least
 RUN_IN = 1.5e-3  # m of a stroke until everything slides
@@ -126,10 +126,10 @@ def _runs(chosen: Mask) -> Iterator[slice]:
 def _deepest(positions: Floats, depth: Floats) -> int:
     """Return the first sample at the largest depth that is reached before the tool leaves its line of approach."""
     moved = positions - positions[0]
-    way = moved[int(np.argmax(depth >= min(0.0, depth.max())))]
-    way = way / max(float(np.linalg.norm(way)), 1e-12)
-    along = moved @ way
-    aside = np.linalg.norm(moved - along[:, None] * way, axis=1) > ASIDE + SLANT * np.abs(along)
+    direction = moved[int(np.argmax(depth >= min(0.0, depth.max())))]
+    direction = direction / max(float(np.linalg.norm(direction)), 1e-12)
+    along = moved @ direction
+    aside = np.linalg.norm(moved - along[:, None] * direction, axis=1) > ASIDE + SLANT * np.abs(along)
     count = max(1, int(np.argmax(aside)) if aside.any() else len(depth))
     return int(np.argmax(depth[:count] >= DEEP * depth[:count].max()))
 
@@ -139,19 +139,21 @@ def _press(name: str, contact: _Contact) -> MeasuredPress | None:
     last, places = contact.deepest + 1, contact.stream.positions
     if last < 3:
         return None
-    way = places[last - 1] - places[0]
-    length = float(np.linalg.norm(way))
-    way = way / max(length, 1e-12)
-    if length < LEAST_DEPTH or -way @ contact.normal[last - 1] < STRAIGHT:
+    direction = places[last - 1] - places[0]
+    length = float(np.linalg.norm(direction))
+    direction = direction / max(length, 1e-12)
+    if length < LEAST_DEPTH or -direction @ contact.normal[last - 1] < STRAIGHT:
         return None
-    along = (places[:last] - places[0]) @ way
+    along = (places[:last] - places[0]) @ direction
     touched = float(along[int(np.argmax(contact.depth[:last] >= 0.0))])
-    drift = places[:last] - places[0] - along[:, None] * way
+    drift = places[:last] - places[0] - along[:, None] * direction
     spent = float(contact.stream.time[last - 1] - contact.stream.time[0])
-    forces = -contact.stream.forces[:last] @ way
+    forces = -contact.stream.forces[:last] @ direction
     group = np.minimum((along / length * MOST_SAMPLES).astype(np.int64), MOST_SAMPLES - 1)
     depths, forces, drift = (_means(values, group) for values in (along - touched, forces, drift))
-    return MeasuredPress(name, depths, forces, places[0] + touched * way, way, drift, length / max(spent, 1e-6))
+    return MeasuredPress(
+        name, depths, forces, places[0] + touched * direction, direction, drift, length / max(spent, 1e-6)
+    )
 
 
 def _means(values: Floats, group: Longs) -> Floats:
@@ -160,8 +162,8 @@ def _means(values: Floats, group: Longs) -> Floats:
 
 
 def _along(press: MeasuredPress, contact: _Contact) -> tuple[Floats, Floats]:
-    """Return depths (k,) m along the way of a press, and forces (k,) N against it, of its whole contact."""
-    return (contact.stream.positions - press.place) @ press.way, -contact.stream.forces @ press.way
+    """Return depths (k,) m along the direction of a press, and forces (k,) N against it, of its whole contact."""
+    return (contact.stream.positions - press.place) @ press.direction, -contact.stream.forces @ press.direction
 
 
 def _hold(press: MeasuredPress, contact: _Contact) -> list[Hold]:

@@ -94,11 +94,11 @@ def _press(name: str, columns: Columns, row: int, samples: tuple[Floats, Floats]
     """Return a press of depths and forces (d,), up to where it is deepest; its place stands in a row."""
     depths, forces = samples
     last = int(depths.argmax()) + 1
-    place, way = np.full(3, np.nan), np.full(3, np.nan)
+    place, direction = np.full(3, np.nan), np.full(3, np.nan)
     if set(PLACE) <= set(columns):
         place = np.array([columns[axis][row] for axis in PLACE])
     if set(NORMAL) <= set(columns):
         normal = np.array([columns[axis][row] for axis in NORMAL])
-        way = -normal / max(float(np.linalg.norm(normal)), 1e-12)
-        place = place - radius * way
-    return MeasuredPress(name, depths[:last], forces[:last], place, way, np.zeros((0, 3)))
+        direction = -normal / max(float(np.linalg.norm(normal)), 1e-12)
+        place = place - radius * direction
+    return MeasuredPress(name, depths[:last], forces[:last], place, direction, np.zeros((0, 3)))

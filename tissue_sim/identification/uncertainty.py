@@ -1,4 +1,4 @@
-"""How sure a fitted modulus is, and which further press would tell most."""
+"""How sure a fitted modulus is, and which further press would determine it best."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def next_press(
     Returns
     -------
     NextPress
-        The least depth that tells about as much as any, and the places farthest from those that were pressed.
+        The least depth that is about as informative as any, and the places farthest from those that were pressed.
     """
     fit, interval, points = found
     variances = [_variance(curves, fit, priors, fraction * radius) for fraction in DEPTHS]

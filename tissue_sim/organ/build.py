@@ -9,13 +9,13 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Protocol, TypedDict, TypeGuard, Unpack, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tissue_sim.arguments import finite
-from tissue_sim.array_types import Array
+from tissue_sim.array_types import Array, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.inclusions import Inclusion, check_stiffness
@@ -53,7 +53,7 @@ class BuildOptions(TypedDict, total=False):
     interior: int
     organ: str | None
     accept: bool
-    fixed: str | NDArray[np.integer[Any]]
+    fixed: str | Longs
     youngs_modulus: float
     poisson_ratio: float
     density: float
@@ -69,6 +69,38 @@ class BuildOptions(TypedDict, total=False):
     progress: Progress
 
 
+class SourceOptions(TypedDict, total=False):
+    """Those that say how a source is read; see `build` and `BuildOptions`."""
+
+    seed: ArrayLike
+    label: int | str | None
+    unit: str | None
+    spacing: ArrayLike
+    length: float | None
+    keep_points: bool
+    inclusions: Mapping[str, float]
+    part: int | str | None
+    merge_parts: bool
+    series: str | None
+    seed_voxel: ArrayLike | None
+    segmentation: Mapping[str, float]
+
+
+class Mesh(Protocol):
+    """A mesh as `trimesh.Trimesh` has it."""
+
+    @property
+    def vertices(self) -> ArrayLike:
+        """Points (n, 3)."""
+
+    @property
+    def faces(self) -> ArrayLike:
+        """Triangles (t, 3)."""
+
+
+type File = str | os.PathLike[str]
+type Source = File | Mesh | tuple[ArrayLike, ArrayLike] | ArrayLike
+
 # Whose options these are; the rest are the organ's.
 _OF_KIND = {
     "surface": {"unit", "length", "keep_points", "part", "merge_parts"},
@@ -80,7 +112,7 @@ _A = {"surface": "a surface", "mask": "a mask", "image": "an image with a seed"}
 
 
 def build(
-    source: Any,
+    source: Source,
     *,
     seed: ArrayLike | None = None,
     label: int | str | None = None,
@@ -133,9 +165,10 @@ def build(
         raise UserError(re.sub(r"--([a-z]+(?:-[a-z]+)*)", lambda m: m[1].replace("-", "_"), str(error))) from None
 
 
-def _built(source: Any, given: dict[str, Any]) -> Organ:
+def _built(source: Source, given: Mapping[str, Any]) -> Organ:
+    """Return the organ; given: options of the source, and fields of Request, by name."""
     kind = _kind_of(source, given["seed"] is not None or given.get("seed_voxel") is not None)
-    own = {name: value for name, value in given.items() if name in _OF_SOURCE and value is not None}
+    own = cast(SourceOptions, {name: given[name] for name in _OF_SOURCE & given.keys() if given[name] is not None})
     if foreign := sorted(own.keys() - _OF_KIND[kind]):
         raise UserError(f"{foreign[0]} does not belong to {_A[kind]}, which {_described(source)} is taken for")
     of_organ = {name: value for name, value in given.items() if name not in _OF_SOURCE}
@@ -148,7 +181,7 @@ def _built(source: Any, given: dict[str, Any]) -> Organ:
     return make(kind, source, request, own, progress)
 
 
-def make(kind: str, source: Any, request: Request, given: Mapping[str, Any], progress: Progress) -> Organ:
+def make(kind: str, source: Source, request: Request, given: SourceOptions, progress: Progress) -> Organ:
     """Read a source of a kind (surface, mask or image) and build the organ that is asked for.
 
     Parameters
@@ -181,7 +214,8 @@ def make(kind: str, source: Any, request: Request, given: Mapping[str, Any], pro
             check_stiffness(stiffness)
         with progress.stage("read"):
             mask, *parts = _masks(source, request.name, given, list(wanted))
-            mask = one_part(mask, given.get("part"), merge=given.get("merge_parts", False))
+            part = cast(int | None, given.get("part"))  # only a surface's parts have names
+            mask = one_part(mask, part, merge=given.get("merge_parts", False))
             request = replace(request, inclusions=_surrounded(parts, wanted, progress))
         for note in mask.notes:
             progress.say(note)
@@ -197,15 +231,15 @@ def make(kind: str, source: Any, request: Request, given: Mapping[str, Any], pro
 # sources -------------------------------------------------------------------------------------------
 
 
-def _kind_of(source: Any, is_seeded: bool) -> str:
+def _kind_of(source: Source, is_seeded: bool) -> str:
     """Return what a source is: surface, mask or image. Raises UserError for anything else."""
     if isinstance(source, str | os.PathLike):
         from tissue_sim.organ.meshes.mesh_formats import FORMATS
 
         is_surface = Path(source).suffix.lower() in FORMATS
     else:
-        is_surface = hasattr(source, "faces") or (isinstance(source, tuple | list) and len(source) == 2)
-        if not is_surface and np.ndim(source) != 3:
+        is_surface = _is_mesh(source) or (isinstance(source, tuple | list) and len(source) == 2)
+        if not is_surface and np.ndim(cast(ArrayLike, source)) != 3:
             raise UserError(
                 f"nothing can be built from {_described(source)}; give a file, a mesh, positions and triangles,"
                 " or voxels (nx, ny, nz)"
@@ -213,30 +247,33 @@ def _kind_of(source: Any, is_seeded: bool) -> str:
     return "surface" if is_surface else "image" if is_seeded else "mask"
 
 
-def _described(source: Any) -> str:
+def _is_mesh(source: Source) -> TypeGuard[Mesh]:
+    return hasattr(source, "faces")
+
+
+def _described(source: Source) -> str:
     if isinstance(source, str | os.PathLike):
         return str(source)
     shape = np.shape(source) if isinstance(source, np.ndarray) else ()
     return f"an array of shape {shape}" if shape else f"a {type(source).__name__}"
 
 
-def _surface(source: Any, name: str, given: Mapping[str, Any]) -> SurfaceMesh:
+def _surface(source: Source, name: str, given: SourceOptions) -> SurfaceMesh:
     from tissue_sim.organ.meshes import mesh_input
 
-    options: dict[str, Any] = {
-        "longest": given.get("length"),
-        "part": given.get("part"),
-        "merge_parts": given.get("merge_parts", False),
-    }
+    unit, longest, part = given.get("unit"), given.get("length"), given.get("part")
+    merge = given.get("merge_parts", False)
     if isinstance(source, str | os.PathLike):
-        return mesh_input.read_mesh(source if isinstance(source, str) else Path(source), given.get("unit"), **options)
-    positions, triangles = (source.vertices, source.faces) if hasattr(source, "faces") else source
-    unit = given.get("unit") or ("m" if options["longest"] is None else None)
+        file = source if isinstance(source, str) else Path(source)
+        return mesh_input.read_mesh(file, unit, longest=longest, part=part, merge_parts=merge)
+    pair = (source.vertices, source.faces) if _is_mesh(source) else cast(tuple[ArrayLike, ArrayLike], source)
+    positions, triangles = pair
     piece = mesh_input.piece_of(np.asarray(positions), np.asarray(triangles), name)
-    return mesh_input.mesh_of(piece, unit, **options)
+    unit = unit or ("m" if longest is None else None)
+    return mesh_input.mesh_of(piece, unit, longest=longest, part=part, merge_parts=merge)
 
 
-def _masks(source: Any, name: str, given: Mapping[str, Any], parts: Sequence[str]) -> list[Volume]:
+def _masks(source: Source, name: str, given: SourceOptions, parts: Sequence[str]) -> list[Volume]:
     label = given.get("label")
     if isinstance(source, str | os.PathLike):
         from tissue_sim.organ.imaging.masks import read_masks
@@ -252,7 +289,7 @@ def _masks(source: Any, name: str, given: Mapping[str, Any], parts: Sequence[str
     return [_volume(one, name, given) for one in (inside, *covered)]
 
 
-def _image(source: Any, name: str, given: Mapping[str, Any]) -> Volume:
+def _image(source: Source, name: str, given: SourceOptions) -> Volume:
     if isinstance(source, str | os.PathLike):
         from tissue_sim.organ.imaging.image_file import read_image
 
@@ -260,7 +297,7 @@ def _image(source: Any, name: str, given: Mapping[str, Any]) -> Volume:
     return _volume(np.asarray(source, dtype=np.float32), name, given)
 
 
-def _volume(voxels: Array, name: str, given: Mapping[str, Any]) -> Volume:
+def _volume(voxels: Array, name: str, given: SourceOptions) -> Volume:
     """Return voxels (nx, ny, nz) as an image; the first one's centre is the origin."""
     from tissue_sim.organ.imaging.image import Volume
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tissue_sim.organ.surfaces.balloon import Balloon
     from tissue_sim.organ.surfaces.surface import Wall
 
-Tell = Callable[[str], None]
+Write = Callable[[str], None]
 Watch = Callable[[str, float], None]  # stage, fraction of it that is done
 
 STAGES = ("read", "segment", "wall", "balloon", "skeleton", "springs")
@@ -75,7 +75,7 @@ class Progress:
 
     Attributes
     ----------
-    tell : Tell
+    write : Write
         Called with each line.
     watch : Watch
         Called with a stage and the fraction of it that is done.
@@ -83,7 +83,7 @@ class Progress:
         What has been reported and produced so far.
     """
 
-    tell: Tell = _quiet
+    write: Write = _quiet
     watch: Watch = _unobserved
     record: BuildRecord = field(default_factory=BuildRecord)
 
@@ -96,7 +96,7 @@ class Progress:
             The line.
         """
         self.record.lines.append(line)
-        self.tell(line)
+        self.write(line)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -25,7 +25,7 @@ LEAST_FRACTION = 0.9  # of the volume
 # out. Narrower angles are the edges of a body, as of a cube, which would hang by a thread without their cells.
 WIDEST = 120.0
 LEAST_CELLS = 4  # of a node, before one of its cells is left out for its angle
-DETOUR = 2.0  # the way along the surface over an edge outside it, above which that edge joins two walls across a gap
+DETOUR = 2.0  # the path along the surface over an edge outside it, above which that edge joins two walls across a gap
 
 
 def tetrahedra(points: Floats, surface: Floats, triangles: Ints) -> Longs:
@@ -134,7 +134,7 @@ def with_cells(organ: Organ, fractions: tuple[float, float] = (1.0, 1.0)) -> Org
 
 
 def bridging(points: Floats, cells: Longs, surface: Floats, triangles: Ints) -> Mask:
-    """Return which cells join two walls across a gap: an edge is outside, and much shorter than the way around.
+    """Return which cells join two walls across a gap: an edge is outside, and much shorter than the path around.
 
     The centroid of such a cell may well be inside, and its stiffness would hold two loops together that merely touch.
 

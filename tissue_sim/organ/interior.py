@@ -68,7 +68,7 @@ def distribute_interior_atoms(
     One after another each takes the place on a spoke that is farthest from all atoms so far and from the
     boundary, whose distance counts double (farthest point sampling, Gonzalez 1985). On a graded surface distances are
     measured in the edges nearby, so that atoms are close where surface points are. Places whose
-    spoke leaves the organ on the way don't count. layer: the fraction of them that is spread a mean edge under the
+    spoke leaves the organ before them don't count. layer: the fraction of them that is spread a mean edge under the
     boundary, where cells change most; the others lie deeper then.
     Raises UserError for a negative count or more atoms than there are places.
     """

@@ -43,8 +43,8 @@ def _add(row: Floats, point: Floats, positions: Floats, triangles: Ints | Longs)
     """Add the weights (n,) of one point, triangle by triangle."""
     away = positions - point
     distance = np.linalg.norm(away, axis=1)
-    ways = (away / distance[:, None])[triangles]  # (t, 3, 3)
-    opposite = np.linalg.norm(np.roll(ways, -1, axis=1) - np.roll(ways, -2, axis=1), axis=2)
+    directions = (away / distance[:, None])[triangles]  # (t, 3, 3)
+    opposite = np.linalg.norm(np.roll(directions, -1, axis=1) - np.roll(directions, -2, axis=1), axis=2)
     angle = 2.0 * np.arcsin(np.clip(0.5 * opposite, 0.0, 1.0))  # of the side opposite to each corner, seen from here
     half = 0.5 * angle.sum(axis=1)
     following, before = np.roll(angle, -1, axis=1), np.roll(angle, -2, axis=1)
@@ -52,7 +52,7 @@ def _add(row: Floats, point: Floats, positions: Floats, triangles: Ints | Longs)
         cosine = (
             2.0 * np.sin(half)[:, None] * np.sin(half[:, None] - angle) / (np.sin(following) * np.sin(before)) - 1.0
         )
-    sign = np.sign(np.linalg.det(ways))[:, None]
+    sign = np.sign(np.linalg.det(directions))[:, None]
     sine = sign * np.sqrt(np.clip(1.0 - cosine**2, 0.0, None))
     # A triangle whose plane goes through the point contributes nothing.
     off_plane = (half < np.pi - _ON_FACE) & (np.abs(sine) > _ON_FACE).all(axis=1)

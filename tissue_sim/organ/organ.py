@@ -5,16 +5,16 @@ from __future__ import annotations
 import io
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from tissue_sim.array_types import Array, Floats, Ints
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonMapping
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ_file import LAW, SCHEMA_VERSION, check_law, content_digest, read_fields
 from tissue_sim.organ.shipped import shipped_organ
@@ -35,15 +35,15 @@ class SpringKind(IntEnum):
     SKELETON = 3  # two neighbouring medial atoms
 
 
-def _floats(*shape: int | str, empty: tuple[int, ...] | None = None) -> Any:
+def _floats(*shape: int | str, empty: tuple[int, ...] | None = None) -> Floats:
     return _array(np.float64, shape, empty)
 
 
-def _ints(*shape: int | str, empty: tuple[int, ...] | None = None) -> Any:
+def _ints(*shape: int | str, empty: tuple[int, ...] | None = None) -> Ints:
     return _array(np.int32, shape, empty)
 
 
-def _array(dtype: type, shape: tuple[int | str, ...], empty: tuple[int, ...] | None) -> Any:
+def _array[T: np.generic](dtype: type[T], shape: tuple[int | str, ...], empty: tuple[int, ...] | None) -> NDArray[T]:
     """Return a field that holds an array; empty: its default shape, or None where the array is required."""
     metadata = {"dtype": dtype, "shape": shape}
     if empty is None:
@@ -87,7 +87,7 @@ class Organ:
     youngs_modulus: float = 0.0  # Pa
     poisson_ratio: float = 0.0
     density: float = 0.0  # kg/m^3
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    provenance: JsonMapping = field(default_factory=dict)
     # Of calibrated tissue: tetrahedra between the nodes, det(b - a, c - a, d - a) > 0. None where springs are all.
     cell_nodes: Ints = _ints("n_cells", 4, empty=(0, 4))
     cell_mu: Floats = _floats("n_cells", empty=(0,))  # Pa, shear modulus
@@ -278,7 +278,8 @@ class Organ:
         }
         text, stream = json.dumps(header, sort_keys=True), io.BytesIO()
         digest = content_digest(text, arrays)
-        np.savez_compressed(stream, header=np.array(text), sha256=np.array(digest), **arrays)
+        headed = {"header": np.array(text), "sha256": np.array(digest), **arrays}
+        np.savez_compressed(stream, allow_pickle=False, **headed)
         return stream.getvalue()
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -321,7 +322,7 @@ class Organ:
         text = json.dumps(law, sort_keys=True) if law else ""
         return content_digest(text, self._arrays(without=() if len(self.cell_nodes) else ("cell_",)))
 
-    def _arrays(self, without: tuple[str, ...] = ()) -> dict[str, Any]:
+    def _arrays(self, without: tuple[str, ...] = ()) -> dict[str, Array]:
         """Return all arrays except those whose names start so, and those that its schema version doesn't have."""
         if self.schema_version < 5:  # as files were before inclusions existed
             without = (*without, "inclusion_")
@@ -331,7 +332,7 @@ class Organ:
         return {name: getattr(self, name) for name in names if not name.startswith(without)}
 
 
-def _frozen(name: str, value: Any, dtype: type) -> Array:
+def _frozen(name: str, value: ArrayLike, dtype: type) -> Array:
     given = np.asarray(value)
     if given.dtype.kind not in "fiub":
         raise UserError(f"organ: {name} contains {given.dtype.name}, not numbers")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,21 +13,20 @@ from scipy.sparse.csgraph import connected_components
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
+from tissue_sim.json_types import JsonMapping
 from tissue_sim.organ.cell_mesh import tetrahedra
-from tissue_sim.organ.edges import cell_edges, directed_edges
+from tissue_sim.organ.edges import cell_edges
 from tissue_sim.organ.inclusions import Inclusion, inclusions_of, spring_factors, with_inclusions
 from tissue_sim.organ.interior import distribute_interior_atoms
-from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.normals import triangle_area
 from tissue_sim.organ.organ import Organ, SpringKind
+from tissue_sim.organ.springs import Springs, bones_of, columns_of, joined, shell_of
 from tissue_sim.organ.surface_checks import check_surface, signed_volume
 
-NEAREST_ATOMS = 4  # section 3.3: each boundary point is joined with the four nearest medial atoms
 # Fraction of the organ's mass. The skeleton's springs are the stiffest: with less mass on its atoms the skeleton alone
 # would determine the time step.
 SURFACE_MASS_FRACTION = 0.45
 DAMPING_RATE = 45.0  # 1/s: settles a poke of a 10 kPa kidney in 0.2 s with under 5 % overshoot
-SHELL_THICKNESS = 0.8  # of the mean edge: the tissue that edge and angular springs stand for
 RETURN_FRACTION = 0.02  # return spring as a fraction of the tissue column's stiffness
 
 
@@ -46,7 +45,7 @@ def assemble_organ(
     poisson_ratio: float = 0.45,
     density: float = 1060.0,
     inclusions: Sequence[Inclusion] = (),
-    provenance: Mapping[str, Any] | None = None,
+    provenance: JsonMapping | None = None,
 ) -> Organ:
     """Return a node-ready organ from a closed surface and its medial atoms.
 
@@ -56,7 +55,7 @@ def assemble_organ(
     neighbouring medial atoms (skeleton) with E pi r^2/l. Angular springs sit on every edge with the bending stiffness
     of a plate, E h^3/(12 (1 - nu^2)), discretised as in [2]_. With interior atoms, the tetrahedra between the inner
     nodes carry the tissue there, k = E sum(V)/l^2 on their edges [1]_, and the skeleton the rest of its section.
-    Masses: density times volume, 80 % on the surface by area, the rest on the inner nodes by stiffness, so that they
+    Masses: density times volume, 45 % on the surface by area, the rest on the inner nodes by stiffness, so that they
     don't determine the critical step.
 
     Parameters
@@ -87,7 +86,7 @@ def assemble_organ(
         Density.
     inclusions : Sequence[Inclusion], optional
         Tissue of another stiffness, which applies to all springs that run through it.
-    provenance : Mapping[str, Any] | None, optional
+    provenance : JsonMapping | None, optional
         Origin of the organ, kept in its file.
 
     Raises
@@ -112,53 +111,30 @@ def assemble_organ(
         raise UserError(f"organ '{name}' has no medial atoms; build it with --atoms 1 or more")
     check_surface(surface, triangles, f"organ '{name}'")
 
-    area = triangle_area(surface, triangles)
-    edges, corners, edge_area = surface_edges(triangles, area)
-    edge_length = np.linalg.norm(surface[edges[:, 0]] - surface[edges[:, 1]], axis=1)
-    if np.any(edge_length <= 0.0) or np.any(area <= 0.0):
-        raise UserError(f"organ '{name}': the surface has triangles without area; remove them")
-    thickness = SHELL_THICKNESS * float(edge_length.mean())
+    shell = shell_of(name, surface, triangles)
     of_nodes = node_area(surface, triangles)
-
     interior = distribute_interior_atoms(surface, triangles, atoms, interior_atoms, interior_layer)
     inner = np.concatenate([atoms, interior.positions])
     # A column of tissue is neither free to bulge (E) nor confined (oedometric modulus): between them.
     confined = (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
-    columns = _columns(surface, inner, of_nodes, youngs_modulus * np.sqrt(confined))
-    bones = np.flatnonzero(parent >= 0)
-    bone_length = np.linalg.norm(atoms[bones] - atoms[parent[bones]], axis=1)
-    if np.any(bone_length <= 0.0):
-        raise UserError(f"organ '{name}': two neighbouring medial atoms coincide; use fewer --atoms")
-    total_volume = signed_volume(surface, triangles)
+    columns = columns_of(surface, inner, of_nodes, youngs_modulus * np.sqrt(confined))
+    bones = bones_of(name, atoms, radius, parent)
+    volume = signed_volume(surface, triangles)
     core = _inner_springs(inner, interior.spoke[:, 0], surface, triangles, youngs_modulus)
-    bone_section = np.pi * (0.5 * (radius[bones] + radius[parent[bones]])) ** 2
-    bone_section *= max(1.0 - core.volume / total_volume, 0.0)
-
-    n_surface = len(surface)
-    nodes = [edges, columns.nodes, core.nodes + n_surface, np.stack([bones, parent[bones]], axis=1) + n_surface]
-    lengths = [edge_length, columns.length, core.length, bone_length]
-    stiffness = [
-        youngs_modulus * thickness * edge_area / edge_length**2,
-        columns.stiffness,
-        core.stiffness,
-        youngs_modulus * bone_section / bone_length,
-    ]
-    kinds = [np.full(len(edges), SpringKind.EDGE), columns.kind, core.kind, np.full(len(bones), SpringKind.SKELETON)]
-    spring_nodes = np.concatenate(nodes)
-    spring_stiffness = np.concatenate(stiffness)
+    springs = joined(
+        [
+            shell.springs(youngs_modulus),
+            columns,
+            core.after(len(surface)),
+            bones.springs(youngs_modulus, max(1.0 - core.volume / volume, 0.0)).after(len(surface)),
+        ]
+    )
     if inclusions:
-        spring_stiffness *= spring_factors(inclusions, np.concatenate([surface, inner])[spring_nodes])
-    spring_kind = np.concatenate(kinds)
-    order = np.argsort(spring_kind, kind="stable")
-
-    n = n_surface + len(inner)
-    stiffness_sum = np.bincount(spring_nodes.ravel(), weights=np.repeat(spring_stiffness, 2), minlength=n)
-    total_mass = density * total_volume
-    mass = np.empty(n)
-    mass[:n_surface] = SURFACE_MASS_FRACTION * total_mass * of_nodes / of_nodes.sum()
-    mass[n_surface:] = (1.0 - SURFACE_MASS_FRACTION) * total_mass * _normalised(stiffness_sum[n_surface:])
-
-    rigidity = youngs_modulus * thickness**3 / (12.0 * (1.0 - poisson_ratio**2))
+        factors = spring_factors(inclusions, np.concatenate([surface, inner])[springs.nodes])
+        springs = springs._replace(stiffness=springs.stiffness * factors)
+    order = np.argsort(springs.kind, kind="stable")
+    n = len(surface) + len(inner)
+    mass = _masses(density * volume, of_nodes, springs.node_stiffness(n))
     organ = Organ(
         name=name,
         surface_positions=surface,
@@ -172,12 +148,12 @@ def assemble_organ(
         mass=mass,
         damping=DAMPING_RATE * mass,
         return_stiffness=RETURN_FRACTION * columns.node_stiffness(n),
-        spring_nodes=spring_nodes[order],
-        spring_rest_length=np.concatenate(lengths)[order],
-        spring_stiffness=spring_stiffness[order],
-        spring_kind=spring_kind[order],
-        angular_nodes=np.concatenate([edges, corners], axis=1),
-        angular_stiffness=3.0 * rigidity / edge_area,
+        spring_nodes=springs.nodes[order],
+        spring_rest_length=springs.length[order],
+        spring_stiffness=springs.stiffness[order],
+        spring_kind=springs.kind[order],
+        angular_nodes=np.concatenate([shell.edges, shell.corners], axis=1),
+        angular_stiffness=3.0 * shell.rigidity(youngs_modulus, poisson_ratio) / shell.area,
         youngs_modulus=youngs_modulus,
         poisson_ratio=poisson_ratio,
         density=density,
@@ -186,14 +162,27 @@ def assemble_organ(
     return with_inclusions(organ, inclusions)
 
 
-def assemble_like(organ: Organ, **changes: Any) -> Organ:
+class Changes(TypedDict, total=False):
+    """Arguments of assemble_organ in which a reassembled organ may differ."""
+
+    name: str
+    surface_positions: ArrayLike
+    surface_triangles: ArrayLike
+    fixed: ArrayLike
+    interior_atoms: int
+    interior_layer: float
+    inclusions: Sequence[Inclusion]
+    provenance: JsonMapping | None
+
+
+def assemble_like(organ: Organ, **changes: Unpack[Changes]) -> Organ:
     """Return the organ reassembled, with new springs and some arguments of assemble_organ changed.
 
     Parameters
     ----------
     organ : Organ
         The organ.
-    changes : Any
+    changes : Unpack[Changes]
         Arguments of assemble_organ.
 
     Raises
@@ -203,55 +192,40 @@ def assemble_like(organ: Organ, **changes: Any) -> Organ:
     """
     if organ.n_virtual:
         raise UserError(f"organ '{organ.name}' was cut, and would heal if it were reassembled; use the uncut organ")
-    same = {
+    same: Changes = {
         "name": organ.name,
         "surface_positions": organ.surface_positions,
         "surface_triangles": organ.surface_triangles,
-        "atom_positions": organ.atom_positions,
-        "atom_radius": organ.atom_radius,
-        "atom_parent": organ.atom_parent,
         "fixed": organ.fixed,
         "interior_atoms": organ.n_interior,
-        "youngs_modulus": organ.youngs_modulus,
-        "poisson_ratio": organ.poisson_ratio,
-        "density": organ.density,
+        "interior_layer": 0.0,
         "inclusions": inclusions_of(organ),
         "provenance": organ.provenance,
     }
+    same.update(changes)
+    made = assemble_organ(
+        atom_positions=organ.atom_positions,
+        atom_radius=organ.atom_radius,
+        atom_parent=organ.atom_parent,
+        youngs_modulus=organ.youngs_modulus,
+        poisson_ratio=organ.poisson_ratio,
+        density=organ.density,
+        **same,
+    )
     law = {name: getattr(organ, name) for name in ("stiffening", "relaxation_fraction", "relaxation_time")}
-    return replace(assemble_organ(**{**same, **changes}), **law)
+    return replace(made, **law)
 
 
-class _Springs(NamedTuple):
-    """Spokes and virtual springs, and the volume m^3 of the tissue that they represent, where it is known."""
-
-    nodes: Ints
-    length: Floats
-    stiffness: Floats
-    kind: Ints
-    volume: float = 0.0
-
-    def node_stiffness(self, n: int) -> Floats:
-        """Return the sum of the column stiffnesses at each of n nodes, (n,) N/m."""
-        return np.bincount(self.nodes.ravel(), weights=np.repeat(self.stiffness, 2), minlength=n)
+def _masses(total: float, area: Floats, stiffness: Floats) -> Floats:
+    """Return masses (n,) kg: of surface nodes by their area, of inner nodes by the stiffness of their springs."""
+    mass, n_surface = np.empty(len(stiffness)), len(area)
+    mass[:n_surface] = SURFACE_MASS_FRACTION * total * area / area.sum()
+    inner = stiffness[n_surface:]
+    mass[n_surface:] = (1.0 - SURFACE_MASS_FRACTION) * total * (inner / inner.sum())
+    return mass
 
 
-def _columns(surface: Floats, atoms: Floats, node_area: Floats, youngs_modulus: float) -> _Springs:
-    """Return the tissue columns between the surface and the inner nodes."""
-    atom, length = nearest_atoms(surface, atoms, NEAREST_ATOMS)
-    k = atom.shape[1]
-    if np.any(length <= 0.0):
-        raise UserError("a medial atom lies on the surface; use fewer --atoms or more --points")
-    fraction = 1.0 / (length * np.sum(1.0 / length, axis=1, keepdims=True))
-    stiffness = youngs_modulus * node_area[:, None] / length * fraction
-    kind = np.full((len(surface), k), SpringKind.VIRTUAL, dtype=np.int32)
-    kind[:, 0] = SpringKind.SPOKE
-    node = np.repeat(np.arange(len(surface)), k)
-    nodes = np.stack([node, atom.ravel() + len(surface)], axis=1).astype(np.int32)
-    return _Springs(nodes, length.ravel(), stiffness.ravel(), kind.ravel())
-
-
-def _inner_springs(inner: Floats, owner: Ints, surface: Floats, triangles: Ints, youngs_modulus: float) -> _Springs:
+def _inner_springs(inner: Floats, owner: Ints, surface: Floats, triangles: Ints, youngs_modulus: float) -> Springs:
     """Return springs among the inner nodes, of which the last have their medial atom in owner (m,).
 
     They lie on the edges of the Delaunay tetrahedra whose centroid lies inside the organ, and between each interior
@@ -269,7 +243,7 @@ def _inner_springs(inner: Floats, owner: Ints, surface: Floats, triangles: Ints,
     length = np.linalg.norm(inner[unique[:, 0]] - inner[unique[:, 1]], axis=1)
     least = 0.05 * np.median(volume[volume > 0.0]) if np.any(volume > 0.0) else 0.0
     stiffness = youngs_modulus * np.maximum(volume, least) / length**2
-    return _Springs(unique.astype(np.int32), length, stiffness, kind.astype(np.int32), solid.volume)
+    return Springs(unique.astype(np.int32), length, stiffness, kind.astype(np.int32), solid.volume)
 
 
 class TetrahedralEdges(NamedTuple):
@@ -314,10 +288,6 @@ def tetrahedral_edges(points: Floats, surface: Floats, triangles: Ints) -> Tetra
     corner = points[cells]
     volume = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1])) / 6.0
     return TetrahedralEdges(cell_edges(cells), np.tile(volume, 6), float(volume.sum()))
-
-
-def _normalised(values: Floats) -> Floats:
-    return values / values.sum()
 
 
 def check_tissue(youngs_modulus: float, poisson_ratio: float, density: float) -> None:
@@ -378,21 +348,3 @@ def node_area(positions: Floats, triangles: Ints) -> Floats:
     """
     third = np.repeat(triangle_area(positions, triangles) / 3.0, 3)
     return np.bincount(triangles.ravel(), weights=third, minlength=len(positions))
-
-
-def surface_edges(triangles: Ints, area: Floats) -> tuple[Ints, Ints, Floats]:
-    """Return the edges of a closed surface, their opposite corners, and the area beside them.
-
-    The edges have shape (n_edges, 2). The corners opposite to each, (n_edges, 2): the first belongs to the triangle
-    that runs along the edge i -> j, the second to the one that runs j -> i. The summed area of the two triangles has
-    shape (n_edges,).
-    """
-    directed = directed_edges(triangles)
-    opposite = np.concatenate([triangles[:, 2], triangles[:, 0], triangles[:, 1]])
-    owner = np.tile(np.arange(len(triangles)), 3)
-    low, high = directed.min(axis=1).astype(np.int64), directed.max(axis=1).astype(np.int64)
-    backward = (directed[:, 0] > directed[:, 1]).astype(np.int64)
-    order = np.lexsort((backward, high, low))
-    along, against = order[0::2], order[1::2]
-    corners = np.stack([opposite[along], opposite[against]], axis=1)
-    return directed[along].astype(np.int32), corners.astype(np.int32), area[owner[along]] + area[owner[against]]

@@ -1,4 +1,4 @@
-"""Winding number of a closed triangle surface, which tells inside from outside."""
+"""Winding number of a closed triangle surface, which distinguishes inside from outside."""
 
 from __future__ import annotations
 

@@ -12,7 +12,6 @@ import ipaddress
 import secrets
 from collections.abc import Callable, Iterator
 from functools import lru_cache
-from typing import Any
 from unittest.mock import patch
 from urllib.parse import parse_qs, urlsplit
 
@@ -148,9 +147,10 @@ def guarding(guard: Guard) -> Iterator[None]:
     """
     from websockets.asyncio import server
 
-    serve, made = server.serve, []
+    serve: Callable[..., object] = server.serve
+    made = []
 
-    def guarded_serve(*words: Any, process_request: Answer, **named: Any) -> Any:
+    def guarded_serve(*words: object, process_request: Answer, **named: object) -> object:
         made.append(process_request)
         return serve(*words, process_request=guard.before(process_request), **named)
 

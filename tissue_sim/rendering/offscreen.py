@@ -6,7 +6,7 @@ It needs no graphics processor and no display: Mesa's llvmpipe draws on the proc
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
@@ -23,8 +23,8 @@ NEAR, FAR = 0.002, 2.0  # m along the axis between which is drawn
 SHADOW_SIZE = 512  # texels of a side
 WIDER = 1.25  # tangent of what the light shines on, over that of the corner of the picture
 TEXTURE, SHADOW = 0, 1  # units
-# The names under which they are installed for programs to run; without the digit they come with compilers.
-LIBRARIES: dict[str, Any] = {"backend": "egl", "libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
+# Names under which the libraries are installed for programs to run; without the digit they come with compilers.
+GL, EGL = "libGL.so.1", "libEGL.so.1"
 
 
 @dataclass(frozen=True)
@@ -301,7 +301,7 @@ class Offscreen:
         return self._lit[material]
 
     def _set_light(self, lit: moderngl.Program, to_shadow: Floats) -> None:
-        """Tell a program how the light shines, and how the lens projects."""
+        """Set how the light shines, and how the lens projects, in a program."""
         light = self.light
         _set(lit, "light_at", light.offset)
         _set(lit, "reach", light.reach)
@@ -374,7 +374,8 @@ def made_context() -> moderngl.Context:
         Where there is none to be had.
     """
     try:
-        return moderngl.create_context(standalone=True, **LIBRARIES)
+        # moderngl declares settings as dictionaries.
+        return moderngl.create_context(standalone=True, backend="egl", libgl=GL, libegl=EGL)  # type: ignore[arg-type]
     except Exception as error:  # of the loader and of the driver: there are many kinds
         raise UserError(
             f"cannot draw off-screen: {error}; install Mesa's EGL (apt install libegl1 libgl1 libgl1-mesa-dri)"

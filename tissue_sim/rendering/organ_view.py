@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
 
 import numpy as np
 import viser
@@ -80,7 +79,7 @@ def label_place(own: Floats, others: Floats) -> Floats:
     right, up, away = picture_axes()
     picture = np.stack([right, up])
     seen, near = others @ picture.T, others @ away
-    places = [own[np.argmax(own @ way)] + LABEL_GAP * way for way in (up, -up, -right, right)]
+    places = [own[np.argmax(own @ direction)] + LABEL_GAP * direction for direction in (up, -up, -right, right)]
 
     def is_hidden(place: Floats) -> bool:
         beside = np.linalg.norm(seen - picture @ place, axis=1) < 2.0 * LABEL_GAP
@@ -101,8 +100,8 @@ def light(server: viser.ViserServer) -> None:
     scene.configure_default_lights(False)
     scene.configure_environment_map("studio", environment_intensity=0.25)
     scene.add_light_hemisphere("/lights/sky", sky_color=(255, 250, 245), ground_color=(190, 170, 165), intensity=1.2)
-    for name, way, strength in (("key", (-0.9, -1.0, 1.2), 2.2), ("fill", (1.0, -0.6, -0.2), 0.7)):
-        scene.add_light_directional(f"/lights/{name}", position=way, intensity=strength, cast_shadow=False)
+    for name, direction, strength in (("key", (-0.9, -1.0, 1.2), 2.2), ("fill", (1.0, -0.6, -0.2), 0.7)):
+        scene.add_light_directional(f"/lights/{name}", position=direction, intensity=strength, cast_shadow=False)
 
 
 class OrganView:
@@ -126,7 +125,7 @@ class OrganView:
             for k in range(LATER + 1)
         )
         self._hidden, self._turns = hidden, 0
-        self._sent: deque[tuple[int, Any]] = deque()  # the turn at which each is shown, and the surface
+        self._sent: deque[tuple[int, viser.GlbHandle]] = deque()  # the turn at which each is shown, and the surface
         # A name behind another organ must not look like that one's.
         self._label = (
             server.scene.add_label(f"{below}/name", name, position=label_place(self.rest, self.rest), depth_test=True)

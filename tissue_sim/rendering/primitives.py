@@ -67,9 +67,9 @@ def tubes(ends: Floats, radius: float) -> tuple[Floats, Longs]:
     radius : float, m
         Radius of the tubes.
     """
-    way = ends[:, 1] - ends[:, 0]
-    way = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
-    first, second = across(way)
+    direction = ends[:, 1] - ends[:, 0]
+    direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
+    first, second = across(direction)
     angles = np.linspace(0.0, 2.0 * np.pi, AROUND_TUBE, endpoint=False)
     ring = np.einsum("a,kx->kax", np.cos(angles), first) + np.einsum("a,kx->kax", np.sin(angles), second)
     vertices = ends[:, :, None] + radius * ring[:, None]  # (k, 2, AROUND_TUBE, 3)

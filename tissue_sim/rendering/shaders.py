@@ -151,8 +151,8 @@ uniform vec3 albedo;
 in vec3 towards;
 layout(location = 0) out vec4 colour;
 void main() {
-    vec3 way = normalize(towards);
-    float fold = way.x * way.y + 2.0 * way.y * way.z * way.x - 1.5 * way.z * way.x;
+    vec3 ray = normalize(towards);
+    float fold = ray.x * ray.y + 2.0 * ray.y * ray.z * ray.x - 1.5 * ray.z * ray.x;
     colour = vec4(sqrt(albedo * (0.7 + 0.9 * fold + 1.2 * fold * fold)), 1.0);
 }
 """

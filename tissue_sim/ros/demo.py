@@ -10,7 +10,7 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Collection, Iterator, Mapping, MutableMapping
+from collections.abc import Collection, Mapping
 from datetime import datetime
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from tissue_sim import progress
 from tissue_sim.errors import UserError
 from tissue_sim.ros.shared import client, dds
 from tissue_sim.ros.shared.children import Child, stop_all, wait_a_little
-from tissue_sim.ros.shared.domains import claim_domain
+from tissue_sim.ros.shared.domains import chosen_graph
 from tissue_sim.ros.shared.priority import is_allowed
 from tissue_sim.ros.viewer.tokens import TOKEN_VARIABLE
 from tissue_sim.ros.viewer.view import add_page_arguments, address, check_port, page_token
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         words = _command("bridge", "--rate", f"{args.rate:g}", "--wait", f"{WAIT:g}")
         children.append(Child("bridge", words, os.environ))
         print("bridge: strokes, pokes, pinches, lifts and releases; Ctrl-C ends", flush=True)
-        progress.tell_by(None)  # from here on a line a second
+        progress.report_by(None)  # from here on a line a second
         try:
             dead = watch.run(children, stop)
             last_words = dead.last_words() if dead else ""
@@ -96,22 +96,6 @@ def newest_bag(folder: Path, there: Collection[Path]) -> str:
     """Return the newest bag in a folder that was not there before; empty where there is none."""
     made = sorted((path for path in folder.iterdir() if path.is_dir() and path not in there), key=os.path.getmtime)
     return str(made[-1]) if made else ""
-
-
-@contextlib.contextmanager
-def chosen_graph(environment: MutableMapping[str, str]) -> Iterator[None]:
-    """Keep to this machine, and to a ROS domain that is unused there, unless the user chose otherwise.
-
-    environment: the environment variables (updated).
-    """
-    dds.limit_to_this_machine(environment)
-    if "ROS_DOMAIN_ID" in environment:
-        yield
-        return
-    domain, claim = claim_domain()
-    with claim:
-        environment["ROS_DOMAIN_ID"] = str(domain)
-        yield
 
 
 def node_command(organ: str | None, folder: Path, priority: int) -> list[str]:

@@ -85,98 +85,132 @@ def fitted(node: str, values: JsonObject) -> str:
 
 def enclaves_of(node: str, values: JsonObject) -> dict[str, Allowed]:
     """Return what each process may do, by its enclave."""
-    from tissue_sim.ros.camera.topic_names import CAMERA, EYES, NODES, POSE, TOPICS
-    from tissue_sim.ros.node.services.simulation_services import SERVICES
-    from tissue_sim.ros.shared.tool_link import ToolLink
-
-    links = [link for tool in values["tools"] if (link := ToolLink.from_parameters(values, tool, node)) is not None]
-    namespace = f"/{node}".rpartition("/")[0]
-    poses = [name for link in links for name in _topics(namespace, link, "measured_cp", "measured_js")]
-    forces = [name for link in links for name in _topics(namespace, link, "external_cf")]
-    wrenches = [name for link in links for name in _topics(namespace, link, "servo_cf")]
-    own = f"/{node}"
-    shown = _of_organs(own, values, "inclusions", "mesh", "skeleton", "surface")
-    cut = _of_organs(own, values, "cuts", "mesh_version")
-    if values["organs"]:
-        shown += _below(own, "ligaments")
+    allowed = _Permissions(node, values)
     return {
-        own: Allowed(
-            own,
-            [own],
-            # tf and simulation_interfaces where they are installed, and the clock with use_sim_time.
-            [*wrenches, *shown, *cut, *_of_organs(own, values, "markers"), *_below(own, "markers", "tools", "ready")]
-            + _below(own, *(f"{tool}/{topic}" for tool in values["tools"] for topic in ("contacts", "wrench")))
-            + ["/diagnostics", "/rosout", "/tf", "/tf_static"],
-            [
-                *poses,
-                *forces,
-                "/clock",
-                "/tf",
-                "/tf_static",
-                *_below(own, *(["respiration"] if values["organs"] else [])),
-                *_below(own, *(f"{tool}/enable" for tool in values["tools"])),
-                *_of_organs(own, values, "cut_path"),
-            ],
-            [
-                *_below(own, "pause", "record", "reset", "step", *SERVICES, *PARAMETER_SERVICES),
-                *_of_organs(own, values, "cut"),
-            ],
-        ),
-        f"{own}/bridge": Allowed(
-            f"{namespace}/haptic_bridge",
-            [f"{namespace}/haptic_bridge", f"{namespace}/haptic_bridge_parameters"],
-            [*poses, *forces],
-            [*wrenches, *_of_organs(own, values, "mesh"), "/diagnostics"],
-            (),
-            [f"{own}/get_parameters"],
-        ),
-        f"{own}/drive": Allowed(
-            f"{namespace}/{DRIVER}",
-            [f"{namespace}/{DRIVER}", f"{namespace}/{DRIVER}_parameters"],
-            poses,  # of the tool that it is given
-            [*wrenches, *_of_organs(own, values, "mesh", "surface")]
-            + _below(own, *(f"{tool}/wrench" for tool in values["tools"])),
-            (),
-            [f"{own}/get_parameters"],
-        ),
-        f"{own}/viewer": Allowed(
-            f"{namespace}/viewer",
-            [f"{namespace}/viewer{part}" for part in ("", "_parameters", "_services")],
-            poses,  # its page pokes
-            [*shown, f"{own}/tools", "/diagnostics"],
-            (),
-            _below(own, "get_parameters", "record", "reset"),
-        ),
-        f"{own}/camera": Allowed(
-            f"{namespace}/{CAMERA}",
-            [f"{namespace}/{CAMERA}{part}" for part in NODES],
-            # Those of a single camera and of a pair; a topic of its pose has a name of the user's.
-            [path_of(f"{namespace}/{CAMERA}", eye) + f"/{topic}" for eye in ("", *EYES) for topic in TOPICS]
-            + [f"{namespace}/{CAMERA}/{POSE}", "/diagnostics", "/tf", "/tf_static"],
-            [
-                *_of_organs(own, values, "mesh", "surface", "inclusions"),
-                *(f"{own}/{topic}" for topic in ("ligaments", "tools")),
-                *("/diagnostics", "/tf", "/tf_static"),
-            ],
-            (),
-            [f"{own}/get_parameters"],
-        ),
+        allowed.own: allowed.node(),
+        f"{allowed.own}/bridge": allowed.bridge(),
+        f"{allowed.own}/drive": allowed.driver(),
+        f"{allowed.own}/viewer": allowed.viewer(),
+        f"{allowed.own}/camera": allowed.camera(),
     }
 
 
-def _topics(namespace: str, link: ToolLink, *topics: str) -> list[str]:
-    """Return the absolute names of those of a tool's topics that it has; measured_js only of a gripper."""
-    names = [link.topics.names[topic] for topic in topics if topic != "measured_js" or link.tool.has_jaws]
-    return [name if name.startswith("/") else f"{namespace}/{name}" for name in names if name]
+class _Permissions:
+    """Names of a node's topics and services, and what each process may do with them."""
 
+    def __init__(self, node: str, values: JsonObject) -> None:
+        from tissue_sim.ros.shared.tool_link import ToolLink
 
-def _of_organs(own: str, values: JsonObject, *names: str) -> list[str]:
-    """Return topics of every organ: below its name in a scene."""
-    return [topic for organ in [*values["organs"]] or [""] for topic in _below(path_of(own, organ), *names)]
+        self.own, self._namespace, self._values = f"/{node}", f"/{node}".rpartition("/")[0], values
+        links = [link for tool in values["tools"] if (link := ToolLink.from_parameters(values, tool, node)) is not None]
+        self._poses = [name for link in links for name in self._topics(link, "measured_cp", "measured_js")]
+        self._forces = [name for link in links for name in self._topics(link, "external_cf")]
+        self._wrenches = [name for link in links for name in self._topics(link, "servo_cf")]
+        self._shown = self._of_organs("inclusions", "mesh", "skeleton", "surface")
+        if values["organs"]:
+            self._shown += self._below("ligaments")
 
+    def node(self) -> Allowed:
+        """Return what the node may do with tf and simulation_interfaces, where they are installed, and with /clock."""
+        from tissue_sim.ros.node.services.simulation_services import SERVICES
 
-def _below(own: str, *names: str) -> list[str]:
-    return [f"{own}/{name}" for name in names]
+        return Allowed(
+            self.own,
+            [self.own],
+            [
+                *self._wrenches,
+                *self._shown,
+                *self._of_organs("cuts", "mesh_version", "markers"),
+                *self._below("markers", "tools", "ready"),
+                *self._of_tools("contacts", "wrench"),
+                *("/diagnostics", "/rosout", "/tf", "/tf_static"),
+            ],
+            [
+                *self._poses,
+                *self._forces,
+                *("/clock", "/tf", "/tf_static"),
+                *self._below(*(["respiration"] if self._values["organs"] else [])),
+                *self._of_tools("enable"),
+                *self._of_organs("cut_path"),
+            ],
+            [
+                *self._below("pause", "record", "reset", "step", *SERVICES, *PARAMETER_SERVICES),
+                *self._of_organs("cut"),
+            ],
+        )
+
+    def bridge(self) -> Allowed:
+        """Return what the scripted bridge may do."""
+        name = f"{self._namespace}/haptic_bridge"
+        return Allowed(
+            name,
+            [name, f"{name}_parameters"],
+            [*self._poses, *self._forces],
+            [*self._wrenches, *self._of_organs("mesh"), "/diagnostics"],
+            (),
+            self._below("get_parameters"),
+        )
+
+    def driver(self) -> Allowed:
+        """Return what may drive a tool: it sends poses of the one that it is given."""
+        name = f"{self._namespace}/{DRIVER}"
+        return Allowed(
+            name,
+            [name, f"{name}_parameters"],
+            self._poses,
+            [*self._wrenches, *self._of_organs("mesh", "surface"), *self._of_tools("wrench")],
+            (),
+            self._below("get_parameters"),
+        )
+
+    def viewer(self) -> Allowed:
+        """Return what the viewer may do, whose page pokes."""
+        name = f"{self._namespace}/viewer"
+        return Allowed(
+            name,
+            [f"{name}{part}" for part in ("", "_parameters", "_services")],
+            self._poses,
+            [*self._shown, *self._below("tools"), "/diagnostics"],
+            (),
+            self._below("get_parameters", "record", "reset"),
+        )
+
+    def camera(self) -> Allowed:
+        """Return what a camera or a pair of them may do; a topic of its pose has a name of the user's."""
+        from tissue_sim.ros.camera.topic_names import CAMERA, EYES, NODES, POSE, TOPICS
+
+        name = f"{self._namespace}/{CAMERA}"
+        return Allowed(
+            name,
+            [f"{name}{part}" for part in NODES],
+            [
+                *(f"{path_of(name, eye)}/{topic}" for eye in ("", *EYES) for topic in TOPICS),
+                *(f"{name}/{POSE}", "/diagnostics", "/tf", "/tf_static"),
+            ],
+            [
+                *self._of_organs("mesh", "surface", "inclusions"),
+                *self._below("ligaments", "tools"),
+                *("/diagnostics", "/tf", "/tf_static"),
+            ],
+            (),
+            self._below("get_parameters"),
+        )
+
+    def _topics(self, link: ToolLink, *topics: str) -> list[str]:
+        """Return the absolute names of those of a tool's topics that it has; measured_js only of a gripper."""
+        names = [link.topics.names[topic] for topic in topics if topic != "measured_js" or link.tool.has_jaws]
+        return [name if name.startswith("/") else f"{self._namespace}/{name}" for name in names if name]
+
+    def _of_organs(self, *names: str) -> list[str]:
+        """Return topics of every organ: below its name in a scene."""
+        organs = [*self._values["organs"]] or [""]
+        return [f"{path_of(self.own, organ)}/{name}" for organ in organs for name in names]
+
+    def _of_tools(self, *names: str) -> list[str]:
+        return [f"{self.own}/{tool}/{name}" for tool in self._values["tools"] for name in names]
+
+    def _below(self, *names: str) -> list[str]:
+        return [f"{self.own}/{name}" for name in names]
 
 
 def _write(profiles: ElementTree.Element, allowed: Allowed) -> None:

@@ -1,4 +1,4 @@
-"""The comparison of cut organs with finite elements: what planted errors do to its figures, and what it tells."""
+"""The comparison of cut organs with finite elements: what planted errors do to its figures, and what it prints."""
 
 import json
 from dataclasses import replace

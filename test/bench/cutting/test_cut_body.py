@@ -35,9 +35,9 @@ def apart(organ, newton):
     """Opposite forces on the ends of the arms."""
     force = np.zeros((organ.n_surface, 3))
     x, _, z = organ.surface_positions.T
-    for end, way in ((SIDE, 1.0), (0.0, -1.0)):
+    for end, direction in ((SIDE, 1.0), (0.0, -1.0)):
         nodes = np.flatnonzero((np.abs(x - LENGTH) < 1e-9) & (np.abs(z - end) < 1e-9))
-        force[nodes, 2] = way * newton / len(nodes)
+        force[nodes, 2] = direction * newton / len(nodes)
     return force
 
 
@@ -46,9 +46,9 @@ def compressed(organ, pressure):
     force = np.zeros((organ.n_surface, 3))
     area = node_area(organ.surface_positions, organ.surface_triangles)
     x, _, z = organ.surface_positions.T
-    for end, way in ((SIDE, -1.0), (0.0, 1.0)):
+    for end, direction in ((SIDE, -1.0), (0.0, 1.0)):
         nodes = (x > LENGTH - ARM + 0.015) & (np.abs(z - end) < 1e-9)
-        force[nodes, 2] = way * pressure * area[nodes]
+        force[nodes, 2] = direction * pressure * area[nodes]
     return force
 
 

@@ -152,7 +152,7 @@ def test_a_weight_weighs_and_slows_the_model_down():
 
 
 @pytest.mark.extended
-def test_the_end_is_led_along_the_measured_path_and_then_let_go():
+def test_the_end_is_led_along_the_measured_path_and_then_released():
     made = beam.Beam(prepared(beam.plain(3e5), Settings(interior=100)))
     run = beam.run_of("gravity_a", swinging(0.005))
     short = run._replace(moved=run.moved[: run.led + 4])

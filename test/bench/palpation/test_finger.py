@@ -38,7 +38,7 @@ def test_the_finger_feels_the_hard_ball(organs):
     plain, organ = organs
     inclusion = hard([0.0, 0.0, plain.surface_positions[:, 2].max() - 0.012])
     press = over(organ, inclusion)
-    np.testing.assert_allclose(press.way, [0.0, 0.0, -1.0], atol=0.3)
+    np.testing.assert_allclose(press.direction, [0.0, 0.0, -1.0], atol=0.3)
     soft, stiff = (forces(finger(one), press, DEPTHS[:2]) for one in organs)
     assert (np.diff(soft) > 0.0).all()
     assert (soft > 0.0).all()

@@ -28,8 +28,8 @@ def test_a_track_keeps_its_distance_from_the_facets(organ, places):
     distance = distance_to_surface(track.centres, organ.surface_positions, organ.surface_triangles)
     np.testing.assert_allclose(distance, 0.002, atol=2e-6)
     np.testing.assert_allclose(np.linalg.norm(track.centres, axis=1), RADIUS + 0.002, rtol=0.01)
-    way = track.centres / np.linalg.norm(track.centres, axis=1)[:, None]
-    np.testing.assert_allclose(track.normals, way, atol=0.05)
+    direction = track.centres / np.linalg.norm(track.centres, axis=1)[:, None]
+    np.testing.assert_allclose(track.normals, direction, atol=0.05)
 
 
 def test_a_ball_that_slides_feels_more_of_the_mesh_when_tissue_gives_way_as_to_jaws(organ, places, monkeypatch):

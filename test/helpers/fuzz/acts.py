@@ -78,7 +78,7 @@ class Force(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """The angle between the jaws, rad, or fractions of the breath's way, of which the first counts."""
+    """The angle between the jaws, rad, or fractions of the breath's displacement, of which the first counts."""
 
     topic: str
     values: tuple[float, ...]
@@ -125,13 +125,13 @@ class Races(NamedTuple):
     """Moves two tools through the organ, up to a hundred times as fast as a hand."""
 
     speed: float  # m/s
-    way: Vector
+    direction: Vector
 
     def play(self, hostile: Hostile) -> None:
         begun = time.monotonic()
 
         def act() -> None:
-            at = 0.1 * np.sin(10.0 * self.speed * (time.monotonic() - begun)) * np.array(self.way)
+            at = 0.1 * np.sin(10.0 * self.speed * (time.monotonic() - begun)) * np.array(self.direction)
             hostile.pose("left", hostile.middle + at)
             hostile.pose("right", hostile.middle + at + 0.01)
 
@@ -308,7 +308,7 @@ def acts(scene: bool) -> st.SearchStrategy[list[Act]]:
     values = st.floats(0.0, 1.0) | ODD_FLOATS
     breaths = values.map(lambda one: (one,)) | st.just(()) | values.map(lambda one: (one,) * 1000)
     pants = st.builds(Joint, st.just(RESPIRATION), breaths, now | times)
-    ways: dict[str, st.SearchStrategy] = {
+    kinds: dict[str, st.SearchStrategy] = {
         "teleports": several(near),
         "stays": _at_one_place(),
         "races": races,
@@ -335,5 +335,5 @@ def acts(scene: bool) -> st.SearchStrategy[list[Act]]:
         "never reads": st.builds(NeverReads, races),
     }
     if scene:
-        ways["pants"] = several(pants)
-    return st.lists(st.sampled_from(list(ways)).flatmap(ways.__getitem__), min_size=1, max_size=3)
+        kinds["pants"] = several(pants)
+    return st.lists(st.sampled_from(list(kinds)).flatmap(kinds.__getitem__), min_size=1, max_size=3)

@@ -22,13 +22,13 @@ from helpers.fuzz.mutations import (
     ODD_FLOATS,
     Draw,
     chance,
+    mutation,
     odd_count,
     odd_value,
     of_array,
     of_bytes,
     of_text,
     some,
-    way,
 )
 from helpers.fuzz.zips import bomb, members, of_zip, packed
 from helpers.paths import ROOT
@@ -76,7 +76,7 @@ def _use(path: Path) -> str:
 @st.composite
 def bags(draw: Draw) -> Input:
     """Bags with one or more mutations, one in ten without its metadata, as if interrupted."""
-    files = way(draw, _WAYS)(draw)
+    files = mutation(draw, _MUTATIONS)(draw)
     if not isinstance(files, dict):
         return Input({BAG: files}, BAG, prepare)  # a file in place of a bag
     if chance(draw, 10) and files.get(metadata.NAME) is not None:
@@ -124,7 +124,7 @@ def _records(draw: Draw) -> Files:
     for _ in range(draw(st.integers(1, 2))):
         if places := list(_record_places(data)):
             at, length = some(draw, places)
-            way(draw, (_record_field, _record_field, _record_length, _record_kind, _record_out, _record_twice))(
+            mutation(draw, (_record_field, _record_field, _record_length, _record_kind, _record_out, _record_twice))(
                 draw, data, at, length
             )
     return _files() | {NAME: bytes(data)}
@@ -169,7 +169,7 @@ def _record_field(draw: Draw, data: bytearray, at: int, length: int) -> None:
 def _metadata(draw: Draw) -> Files:
     """Change metadata.yaml: other files, wrong counts, invalid YAML."""
     text = _files()[metadata.NAME]
-    return _files() | {metadata.NAME: way(draw, (of_text, of_bytes, _tree, _tree, _aliases))(draw, text)}
+    return _files() | {metadata.NAME: mutation(draw, (of_text, of_bytes, _tree, _tree, _aliases))(draw, text)}
 
 
 def _aliases(_draw: Draw, text: bytes) -> bytes:
@@ -229,7 +229,7 @@ def _messages(draw: Draw) -> Files:
         chosen = some(draw, sorted(_content()[0]))
         if places := [k for k, (name, *_) in enumerate(messages) if name == chosen]:
             k = some(draw, places)
-            messages[k : k + 1] = way(draw, _OF_MESSAGES)(draw, messages, k)
+            messages[k : k + 1] = mutation(draw, _OF_MESSAGES)(draw, messages, k)
             if chance(draw, 15):
                 messages = [one for one in messages if one[0] != chosen]
     return _written(messages)
@@ -330,4 +330,4 @@ def _change_config(draw: Draw, tree: dict[str, Any]) -> None:
 
 
 _OFTEN = (_records, _messages, _arrays)
-_WAYS = (*_OFTEN, *_OFTEN, _arrays, _bytes, _metadata, _disguised, _config)
+_MUTATIONS = (*_OFTEN, *_OFTEN, _arrays, _bytes, _metadata, _disguised, _config)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from helpers.fuzz.child import OUTSIDE, Input, Ready
 from helpers.fuzz.dicom import changed_field
-from helpers.fuzz.mutations import BOMB, ODD_FLOATS, Draw, chance, gz_bomb, odd_count, of_bytes, of_text, some, way
+from helpers.fuzz.mutations import BOMB, ODD_FLOATS, Draw, chance, gz_bomb, mutation, odd_count, of_bytes, of_text, some
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.imaging.image_file import read_image
 from tissue_sim.organ.imaging.itk_output import silenced
@@ -288,7 +288,7 @@ def _mutated_slices(draw: Draw) -> Files:
         if chance(draw, 5):
             del files[name]
         else:
-            files[name] = way(draw, (_tag, _tag, _tag, _tag, of_bytes))(draw, files[name])
+            files[name] = mutation(draw, (_tag, _tag, _tag, _tag, of_bytes))(draw, files[name])
     return files
 
 

@@ -28,9 +28,9 @@ def chance(draw: Draw, percent: int) -> bool:
     return draw(st.integers(0, 99)) >= 100 - percent
 
 
-def way[T: Callable](draw: Draw, ways: Sequence[T]) -> T:
+def mutation[T: Callable](draw: Draw, mutations: Sequence[T]) -> T:
     """One of several functions, which a failure names."""
-    chosen = some(draw, ways)
+    chosen = some(draw, mutations)
     note(chosen.__name__.strip("_").replace("_", " "))
     return chosen
 
@@ -126,7 +126,7 @@ def of_bytes(draw: Draw, data: bytes) -> bytes:
     made = bytearray(data)
     for _ in range(draw(st.integers(1, 3))):
         if made:
-            way(draw, _RARE if chance(draw, 8) else _EDITS)(draw, made)
+            mutation(draw, _RARE if chance(draw, 8) else _EDITS)(draw, made)
     return bytes(made)
 
 
@@ -145,7 +145,7 @@ def of_text(draw: Draw, text: bytes) -> bytes:
     for _ in range(draw(st.integers(1, 3))):
         # Counts are mostly in the head.
         most = min(len(lines), 15) if chance(draw, 60) else len(lines)
-        way(draw, (_double_a_line, _drop_a_line, _change_a_word, _change_a_word))(
+        mutation(draw, (_double_a_line, _drop_a_line, _change_a_word, _change_a_word))(
             draw, lines, draw(st.integers(0, most - 1))
         )
     return b"\n".join(lines)
@@ -175,7 +175,7 @@ def _change_a_word(draw: Draw, lines: list[bytes], at: int) -> None:
 
 def of_array(draw: Draw, array: NDArray) -> NDArray:
     """An array with other values, another shape or type."""
-    return way(draw, (_with_values, _with_values, _with_values, *_OF_ARRAYS))(draw, np.array(array))
+    return mutation(draw, (_with_values, _with_values, _with_values, *_OF_ARRAYS))(draw, np.array(array))
 
 
 def _with_values(draw: Draw, array: NDArray) -> NDArray:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from helpers.fuzz.child import Input, Ready
-from helpers.fuzz.mutations import ODD_FLOATS, Draw, chance, odd_count, of_array, of_bytes, some, way
+from helpers.fuzz.mutations import ODD_FLOATS, Draw, chance, mutation, odd_count, of_array, of_bytes, some
 from helpers.fuzz.zips import bomb, members, of_zip, packed
 from tissue_sim.bench.sweeps.trial_simulations import small_organ
 from tissue_sim.model.simulation import Simulation
@@ -56,7 +56,7 @@ def organs(draw: Draw) -> Input:
     if draw(st.integers(0, 199)) == 199:
         data = bomb(draw, members(_arrays(name)))
     else:
-        data = way(draw, (_bytes, _zip, _zip, _content, _content, _content))(draw, name)
+        data = mutation(draw, (_bytes, _zip, _zip, _content, _content, _content))(draw, name)
     return Input({"organ.npz": data}, "organ.npz", prepare)
 
 

@@ -12,7 +12,7 @@ TICKS = 160
 # Most are small, as the errors of a large one are mostly the same: of a hundred plays, so many.
 ALONE = {"springs": 45, "springs, modal": 10, "springs, frozen": 5, "cells": 35, "cells, modal": 5}
 JOINED = {"two of springs": 60, "two of springs, folding": 20, "two of cells": 20}
-WAYS = ("away", "presses", "swings", "snaps", "is inside", "spins", "teleports", "shoots through", "flies far")
+MOTIONS = ("away", "presses", "swings", "snaps", "is inside", "spins", "teleports", "shoots through", "flies far")
 BREATHS = ("no breath", "breathes", "pants", "gasps")
 
 Vector = tuple[float, float, float]
@@ -21,7 +21,7 @@ Vector = tuple[float, float, float]
 class Hand(NamedTuple):
     """What a tool does."""
 
-    way: str
+    motion: str
     node: int = 0  # of the surface, that it aims at
     speed: float = 1.0  # m/s
     turn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
@@ -73,7 +73,7 @@ def _unit(four: tuple[float, ...]) -> tuple[float, ...]:
 quaternions = st.tuples(*[st.floats(-1.0, 1.0)] * 4).map(_unit)
 nodes = st.integers(0, 2000)  # of more than any organ here has; they count on from the first one
 forces = st.builds(
-    lambda size, ways: tuple(tuple(size * one for one in way) for way in ways),
+    lambda size, forces: tuple(tuple(size * one for one in force) for force in forces),
     powers(-2.0, 1.0) | powers(1.0, 9.0),
     st.lists(vectors(), min_size=1, max_size=3),
 )
@@ -84,7 +84,7 @@ def plays(variants: dict[str, int]) -> st.SearchStrategy[Play]:
     organs = st.integers(0, 1 if variants is JOINED else 0)
     hand = st.builds(
         Hand,
-        way=st.sampled_from(WAYS),
+        motion=st.sampled_from(MOTIONS),
         node=nodes,
         speed=powers(-1.0, 1.3),
         turn=quaternions,

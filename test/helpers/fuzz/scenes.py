@@ -32,7 +32,7 @@ TOOLS = (
     Tool("rod", "capsule", radius=0.003, length=0.05),
     Tool("jaws", "gripper", radius=0.003, length=0.04),
 )
-WAY = (0.003, 0.0, 0.015)  # m that the first organ moves with the breath
+DISPLACEMENT = (0.003, 0.0, 0.015)  # m that the first organ moves with the breath
 BREATHES = (1.0, 0.6)
 LIGAMENT = {"within": 0.008, "stiffness": 100.0, "damping": 0.1}
 FRICTION = 0.3  # between organs
@@ -71,7 +71,7 @@ def _made(variant: str) -> tuple[Scene, list[Settings]]:
     if beside is not None:
         options = options | {
             "attachments": [Attachment((0, 1), **LIGAMENT)],
-            "breathing": Breathing(0.0, WAY),
+            "breathing": Breathing(0.0, DISPLACEMENT),
             "breathes": BREATHES,
             "organ_friction": FRICTION,
         }
@@ -103,7 +103,7 @@ def scene_file(folder: Path) -> Path:
         "format": FORMAT,
         "organs": organs,
         "attachments": [{"between": ["left", "right"], **LIGAMENT}],
-        "breathing": {"way": list(WAY)},
+        "breathing": {"way": list(DISPLACEMENT)},
         "friction": FRICTION,
     }
     (path := folder / "scene.yaml").write_text(json.dumps(scene), encoding="utf-8")  # JSON is YAML, too
@@ -152,7 +152,7 @@ def _presses(aim: Aim, tick: int) -> NDArray:
     return aim.at + (0.01 - 1e-4 * tick) * aim.outward
 
 
-_WAYS: dict[str, Callable[[Aim, int, Rng], Place]] = {
+_MOTIONS: dict[str, Callable[[Aim, int, Rng], Place]] = {
     "away": lambda aim, tick, rng: (aim.centre + 1.0, aim.hand.turn, 0.5),
     "teleports": _teleports,
     "spins": lambda aim, tick, rng: (aim.at, _rotation(rng), 0.2),
@@ -234,7 +234,7 @@ def _played(play: Play, scene: Scene) -> float:
         scene.joined.set_breathing(_BREATHS[breath](period, tick, rng))
         for tool, aim in enumerate(aims):
             if rng.random() >= aim.hand.holes:
-                place = _WAYS[aim.hand.way](aim, tick, rng)
+                place = _MOTIONS[aim.hand.motion](aim, tick, rng)
                 stamp = int(rng.integers(0, 2**62)) if aim.hand.wild else 1_000_000 * (1000 + tick)
                 scene.move(tool, *(np.asarray(one) for one in place[:2]), place[2], stamp)
             if play.load.tips and begin <= tick < end:

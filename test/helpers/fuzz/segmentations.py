@@ -15,7 +15,7 @@ from helpers.frames import item
 from helpers.fuzz.child import Input, Ready
 from helpers.fuzz.dicom import changed_field
 from helpers.fuzz.images import check_place
-from helpers.fuzz.mutations import Draw, of_bytes, some, way
+from helpers.fuzz.mutations import Draw, mutation, of_bytes, some
 from tissue_sim.organ.imaging.masks import read_mask
 
 _STORAGE = {"BINARY": "66.4", "FRACTIONAL": "66.4", "LABELMAP": "66.7"}  # behind 1.2.840.10008.5.1.4.1.1.
@@ -74,7 +74,7 @@ def segmentations(draw: Draw) -> Input:
     data = _written(some(draw, tuple(_STORAGE)))
     for _ in range(draw(st.integers(1, 3))):
         if data:
-            data = way(draw, (_field, _field, of_bytes))(draw, data)
+            data = mutation(draw, (_field, _field, of_bytes))(draw, data)
     return Input({"seg.dcm": data}, "seg.dcm", prepare, (some(draw, _LABELS),))
 
 

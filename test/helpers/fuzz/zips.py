@@ -14,7 +14,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from helpers.fuzz.child import OUTSIDE
-from helpers.fuzz.mutations import BOMB, Draw, chance, odd_count, of_bytes, some, way
+from helpers.fuzz.mutations import BOMB, Draw, chance, mutation, odd_count, of_bytes, some
 
 Files = dict[str, bytes]
 
@@ -48,7 +48,7 @@ def packed(files: Files) -> bytes:
 
 def of_zip(draw: Draw, files: Files) -> bytes:
     """A zip with a wrong structure."""
-    return way(draw, _WAYS)(draw, dict(files))
+    return mutation(draw, _MUTATIONS)(draw, dict(files))
 
 
 def _left_out(draw: Draw, files: Files) -> bytes:
@@ -166,4 +166,4 @@ def _bytes_of_a_member(draw: Draw, files: Files) -> bytes:
 
 
 _OFTEN = (_bytes_of_the_zip, _directory, _header, _bytes_of_a_member, _pickled)
-_WAYS = (*_OFTEN, *_OFTEN, _left_out, _added, _doubled, _named_by_a_path)
+_MUTATIONS = (*_OFTEN, *_OFTEN, _left_out, _added, _doubled, _named_by_a_path)

@@ -80,7 +80,7 @@ SENSABLE: dict[str, type | None] = {
     **dict.fromkeys(("measured_cp", "tip/measured_cp", "setpoint_cp"), PoseStamped),
     "measured_cv": TwistStamped,
     "measured_js": JointState,
-    "measured_cf": WrenchStamped,  # HD_LAST_FORCE: what the device was told to exert
+    "measured_cf": WrenchStamped,  # HD_LAST_FORCE: the force that the device was commanded to exert
     **dict.fromkeys(("button1", "button2"), Joy),
 }
 FD: dict[str, type | None] = {

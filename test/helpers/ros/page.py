@@ -57,7 +57,7 @@ class Page:
         slider.value = degrees
         asyncio.run(self.poke.jaws._on_slider(SimpleNamespace(client_id=HAND, target=slider)))
 
-    def press_and_let_go(self) -> None:
+    def press_and_release(self) -> None:
         """Take up the tool, press the shipped organ until there is a force, release the tool."""
         assert self.wait(lambda: not self.poke._box.disabled)
         self.tick(True)

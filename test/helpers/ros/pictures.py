@@ -33,14 +33,14 @@ def pixels(message):
     return np.frombuffer(bytes(message.data), kind).reshape(message.height, message.width, channels).squeeze()
 
 
-def first_hit(origin, way, vertices, triangles):
+def first_hit(origin, direction, vertices, triangles):
     """Distance along a ray to a surface (Moeller and Trumbore, 1997); infinite where it misses."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    across = np.cross(way, c - a)
+    across = np.cross(direction, c - a)
     area = np.einsum("ij,ij->i", b - a, across)
     with np.errstate(divide="ignore", invalid="ignore"):
         u = np.einsum("ij,ij->i", origin - a, across) / area
         turned = np.cross(origin - a, b - a)
-        v = turned @ way / area
+        v = turned @ direction / area
         far = np.einsum("ij,ij->i", c - a, turned) / area
     return min(far[(u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (far > 0.0)], default=np.inf)

@@ -40,7 +40,7 @@ class Sabotaged(TissueNode):
             libc.signal(number, ctypes.cast(handler, ctypes.c_void_p))
         output, answer = self.ports[0].output, self.ports[0].output.answer
         organs, post_poses = self.organs, self.organs.post_poses
-        ways = {
+        services = {
             "fail": failing,
             "break_poses": lambda: setattr(organs, "post_poses", failing),
             "break_answers": lambda: setattr(output, "answer", failing),
@@ -51,7 +51,7 @@ class Sabotaged(TissueNode):
             "resume": lambda: self.let_hang(False),
             "end_loop": self.end_loop,
         }
-        for name, act in ways.items():
+        for name, act in services.items():
             self.create_service(Trigger, f"~/{name}", lambda _, response, act=act: self.done(act, response))
 
     @staticmethod

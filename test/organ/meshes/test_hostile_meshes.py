@@ -91,7 +91,7 @@ def test_the_same_files_whole_are_read(tmp_path):
 
 @pytest.mark.extended
 def test_what_a_library_puts_up_with_is_not_printed(tmp_path):
-    """A normal of an STL that is no number: its triangle tells it as well. In a process whose logging nobody took."""
+    """A normal of an STL that is no number: its triangle defines it as well. In a process whose logging nobody took."""
     text = trimesh.Trimesh(POINTS, TRIANGLES, process=False).export(file_type="stl_ascii")
     (tmp_path / "box.stl").write_text(text.replace("facet normal ", "facet normal x", 1))
     code = (

@@ -1,4 +1,4 @@
-"""Segments that run through a surface, against the places inside it on their way."""
+"""Segments that run through a surface, against the places inside it on their path."""
 
 import numpy as np
 
@@ -14,8 +14,8 @@ def test_a_segment_crosses_where_one_end_is_outside_or_it_leaves_on_the_way():
     low, high = surface.min(axis=0), surface.max(axis=0)
     ends = np.random.default_rng(2).uniform(low, high, (100, 2, 3))
     crossed = [is_crossed(start, end, corners) for start, end in ends]
-    way = ends[:, None, 0] + np.linspace(0.0, 1.0, 200)[None, :, None] * (ends[:, None, 1] - ends[:, None, 0])
-    within = inside(way.reshape(-1, 3), surface, triangles).reshape(len(ends), -1)
+    path = ends[:, None, 0] + np.linspace(0.0, 1.0, 200)[None, :, None] * (ends[:, None, 1] - ends[:, None, 0])
+    within = inside(path.reshape(-1, 3), surface, triangles).reshape(len(ends), -1)
     changes = np.any(within != within[:, :1], axis=1)
     assert 10 < np.count_nonzero(changes) < 90
     # Between two of the places looked at a segment may leave and come back; never the other way about.

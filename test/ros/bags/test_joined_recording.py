@@ -31,7 +31,7 @@ def written():
     both = simulations()
     hang = Attachment((0, 1), stiffness=5.0, within=0.01, slack=0.0)
     loop = Loop(join(both, [hang], Breathing(60.0, [0.0, 0.0, 0.01]), [1.0, 0.0], 0.3))
-    messages, topics = SimpleNamespace(together=None, active=True), {}
+    messages, topics = SimpleNamespace(lock=None, active=True), {}
     messages.packed = lambda name, arrays: topics.setdefault(name.rpartition("/")[2], []).append(arrays)
     recorder = JoinedRecorder(messages, "/node", loop)
     loop.start()
@@ -66,7 +66,7 @@ def test_it_comes_back_as_it_was(written):
 
 
 def test_of_an_organ_alone_there_is_nothing_but_the_journal():
-    recorder = JoinedRecorder(SimpleNamespace(together=None, active=True), "/node", Loop(Joined(simulations()[:1])))
+    recorder = JoinedRecorder(SimpleNamespace(lock=None, active=True), "/node", Loop(Joined(simulations()[:1])))
     assert recorder.names == {"journal": "/node/journal"}
     recorder.begin()
     recorder.state(300)

@@ -29,7 +29,7 @@ def test_an_organ_is_exchanged_only_once_a_bag_that_began_has_its_state(ends_by,
     """Else the bag holds one organ, and the state of the next one: it could not be replayed."""
     monkeypatch.setattr(organ_recorder, "STATE_WAIT", inf)
     simulation = Simulation(ball(1))
-    messages = SimpleNamespace(together=threading.Lock(), active=False, packed=lambda *_: None)
+    messages = SimpleNamespace(lock=threading.Lock(), active=False, packed=lambda *_: None)
     physics = SimpleNamespace(simulation=simulation, box=SimpleNamespace(snapshot=simulation.state.words.copy()))
     recorder = OrganRecorder(messages, "organ", physics)
     recorder.wait_for_state()  # no bag

@@ -1,4 +1,4 @@
-"""What `tissue_sim replay` tells and writes beside whether a bag repeats."""
+"""What `tissue_sim replay` prints and writes beside whether a bag repeats."""
 
 import json
 import sys

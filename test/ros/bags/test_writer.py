@@ -140,15 +140,15 @@ def test_files_go_on_when_one_is_large(tmp_path):
 @pytest.fixture
 def stalled(tmp_path, monkeypatch):
     """A recorder whose disk takes nothing until it is released, and has room for 8 MB until then."""
-    let_go, stuck = threading.Event(), threading.Event()
+    released, stuck = threading.Event(), threading.Event()
     write = BagWriter.write
 
-    def when_let_go(self, *words):
+    def when_released(self, *words):
         stuck.set()
-        assert let_go.wait(LIMIT)
+        assert released.wait(LIMIT)
         write(self, *words)
 
-    monkeypatch.setattr(BagWriter, "write", when_let_go)
+    monkeypatch.setattr(BagWriter, "write", when_released)
     monkeypatch.setattr(spool, "MOST_WAITING", 8e6)
     organs = Organs(Loop(Joined([Simulation(ball(2))])))
     recorder = Recorder("/tissue_sim", organs, [""], {"tools": ["left"]})
@@ -157,8 +157,8 @@ def stalled(tmp_path, monkeypatch):
     organs.loop.start()
     recorder.start(tmp_path, {})
     assert stuck.wait(LIMIT)
-    yield recorder, let_go
-    let_go.set()
+    yield recorder, released
+    released.set()
     organs.loop.stop()
 
 
@@ -168,13 +168,13 @@ def counts(path):
 
 
 def test_markers_are_left_out_before_surfaces_and_inputs_never(stalled):
-    recorder, let_go = stalled
+    recorder, released = stalled
     large = b"\0" * 100_000
     for tick in range(50):
         recorder.of_organ[0].surface(10**6 + tick, large, large, large)
         recorder.received(POSE, b"\0" * 64)
     assert recorder.active
-    let_go.set()
+    released.set()
     path = recorder.stop()
     assert recorder.error == ""
     found = counts(path)
@@ -193,14 +193,14 @@ def journal_of(raw):
 
 
 def test_a_disk_that_is_too_far_behind_ends_the_bag_before_an_input_is_lost(stalled):
-    recorder, let_go = stalled
+    recorder, released = stalled
     sent = 0
     while recorder.active:
         recorder.received(POSE, sent.to_bytes(4, "little") * 2500)
         sent += 1
     assert "the disk is too slow" in recorder.error
     assert 600 < sent < 900
-    let_go.set()
+    released.set()
     path = recorder.stop()
     with Reader(path) as reader:
         topics = [topic for topic in reader.connections if topic.topic == POSE]
@@ -252,16 +252,16 @@ def resident():
     return 4096 * int(Path("/proc/self/statm").read_text().split()[1])
 
 def fill(count):
-    let_go.clear()
+    released.clear()
     for number in range(count):
         assert spool.put("/pose", number.to_bytes(8, "little") * 12)
-    let_go.set()
+    released.set()
     while spool._count:
         time.sleep(0.05)
     time.sleep(1.0)
 
-let_go, write = threading.Event(), BagWriter.write
-BagWriter.write = lambda *words: let_go.wait() and write(*words)
+released, write = threading.Event(), BagWriter.write
+BagWriter.write = lambda *words: released.wait() and write(*words)
 writer = BagWriter(Path(sys.argv[1]))
 writer.open()
 spool = Spool(writer, writer.add_topics({"/pose": Topic("geometry_msgs/msg/PoseStamped", [])}), {})

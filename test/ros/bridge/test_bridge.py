@@ -39,10 +39,10 @@ class RecordedTool:
     def open(self, stamp, angle):
         assert angle == 0.0, "a tool without jaws"
 
-    def feel(self):
+    def receive(self):
         pass
 
-    def rivals(self):
+    def other_publishers(self):
         return 0
 
 

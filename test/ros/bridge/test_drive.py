@@ -15,7 +15,7 @@ from helpers.patience import wait_for
 from helpers.ros.processes import UNHURRIED, Process, shipped, start_node
 from helpers.scenes import ball_of_cells
 from tissue_sim.contact.tools import Tool
-from tissue_sim.environments.blade_way import GOOD_DEPTH
+from tissue_sim.environments.blade_path import GOOD_DEPTH
 from tissue_sim.environments.cut_copies import copies_of
 from tissue_sim.environments.policies import Learned
 from tissue_sim.environments.steering import observation_of

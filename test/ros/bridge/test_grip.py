@@ -177,7 +177,7 @@ class Watcher(Client):
         x, y, z = Rotation.from_quat(self.grasp.turn).inv().apply(organ.surface_positions - self.grasp.place).T
         self.held = np.flatnonzero((np.abs(x) > 0.01) & (np.abs(y) < 0.008) & (z < 0.0))
         self.rest = organ.surface_positions[self.held]
-        self.newest_lift = 0.0  # m along the way out
+        self.newest_lift = 0.0  # m along the direction out
         self.runs: list[Run] = []  # what the jaws did in turn: opened or held
         self._running: Run | None = None  # none while they move
         self.node.destroy_publisher(self.pose)

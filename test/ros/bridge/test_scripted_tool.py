@@ -36,7 +36,7 @@ def test_it_feels_a_wrench_of_every_type(graph, kind, is_reliable):
 
     def has_force():
         publisher.publish(pushed(kind))
-        tool.feel()
+        tool.receive()
         return tool.received > 0
 
     wait_for(has_force)

@@ -100,10 +100,10 @@ def test_jaws_face_each_other_and_squeeze(planned):
     poses, names = path.poses, path.phases
     open_, closed = poses[names == "nip/close", :, :3][[0, -1]]
     across = (open_[1] - open_[0]) / np.linalg.norm(open_[1] - open_[0])
-    ways = closed - open_
-    assert np.linalg.norm(ways, axis=1) == pytest.approx(SQUEEZE + HOVER, abs=1e-4)
-    assert ways[0] @ across > 0.95 * np.linalg.norm(ways[0])
-    assert ways[1] @ -across > 0.95 * np.linalg.norm(ways[1])
+    closings = closed - open_
+    assert np.linalg.norm(closings, axis=1) == pytest.approx(SQUEEZE + HOVER, abs=1e-4)
+    assert closings[0] @ across > 0.95 * np.linalg.norm(closings[0])
+    assert closings[1] @ -across > 0.95 * np.linalg.norm(closings[1])
     height = organ[0][:, 2]
     assert open_[:, 2].mean() > height.min() + 0.5 * np.ptp(height)
     lifted = poses[names == "nip/hold", :, :3][0]

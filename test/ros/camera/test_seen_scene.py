@@ -29,7 +29,7 @@ def node(tmp_path_factory):
 
 
 def test_an_organ_that_is_cut_while_it_runs_is_seen_with_its_walls(node, graph, begin, listen):
-    """A ball presses: what the picture tells of distances is that of the surface with the walls, at the same time."""
+    """A ball presses: the distances in the picture are those of the surface with the walls, at the same time."""
     begin("--name=cut", *LOOKING)
     boxes = listen("camera_info", before="/cut")
     for topic in ("depth/image_raw", "segmentation/image_raw"):  # every one: a busy machine asks seldom

@@ -102,7 +102,7 @@ def served(monkeypatch):
     """Serves a made-up node, whose spinning fails again and again; notes what is done to it."""
     done, notes = [], []
     node = SimpleNamespace(**{name: partial(done.append, name) for name in ("start", "close", "destroy_node")})
-    node.mishaps = SimpleNamespace(note=notes.append)
+    node.unexpected_errors = SimpleNamespace(note=notes.append)
     node.loop = SimpleNamespace(ended=False, failure=None)
     ending = SimpleNamespace(asked=threading.Event(), started=lambda: None, closes=lambda: None)
 

@@ -6,7 +6,7 @@ import pytest
 
 from helpers.ros.clients import Client
 from helpers.ros.processes import UNHURRIED, running_node
-from tissue_sim.cli import main
+from helpers.ros.replaying import repeated
 
 # To find the kidney's shape without weight takes ten seconds; test/model shows that of a ball.
 pytestmark = pytest.mark.extended
@@ -38,8 +38,7 @@ def repeats(client, capsys):
         client.spin(before)
         yield
         assert client.record(False).success
-        assert main(["replay", started.message, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0
-        assert "repeats" in capsys.readouterr().out
+        repeated(started.message, capsys)
 
     return recorded
 

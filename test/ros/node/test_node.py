@@ -24,7 +24,7 @@ from helpers.ros.processes import (
     start_node,
     start_publisher,
 )
-from tissue_sim.cli import main
+from helpers.ros.replaying import repeated
 from tissue_sim.ros.shared.parameter_specs import NODE_SPECS, TOOL_SPECS
 
 
@@ -332,10 +332,7 @@ def test_recording_on_demand_replays_bit_for_bit(client, capsys):
     assert topics["/left/measured_cp"] >= arrived > 100, "all that reached the node: DDS loses some on a busy machine"
     assert topics["/left/servo_cf"] >= topics["/left/measured_cp"] - 1, "a wrench for each pose that arrives"
     assert topics["/tissue_sim/surface"] > 1, "how many depends on how fast the machine is"
-    code = main(["replay", stopped.message, "--force-tolerance", "0", "--position-tolerance", "0"])
-    said = capsys.readouterr()
-    assert code == 0, said.err
-    assert "repeats" in said.out
+    repeated(stopped.message, capsys)
     assert not client.record(False).success
 
 

@@ -30,7 +30,7 @@ def loop():
 
 def test_a_loop_that_is_cut_does_what_is_done_by_hand(loop):
     physics = Organs(loop).each[0]
-    loop.hold.begin()
+    loop.pause.begin()
     by_hand = make()
     by_hand.step(loop.ticks)
     made = physics.simulation.prepared_cut(*CUT)
@@ -39,7 +39,7 @@ def test_a_loop_that_is_cut_does_what_is_done_by_hand(loop):
     assert physics.version == 1
     cut = by_hand.cut(*CUT)
     for _ in range(5):
-        loop.hold.step()
+        loop.pause.step()
     cut.step(5)
     shown = np.zeros_like(cut.positions)
     assert physics.positions(shown)[0] == tick + 4
@@ -54,7 +54,7 @@ def test_readers_with_room_for_fewer_nodes_get_these(loop):
     physics.exchange(made)
     assert physics.surface_sequence > before
     fewer, every = np.zeros((shipped().n_nodes, 3)), np.zeros((made.organ.n_nodes, 3))
-    loop.hold.begin()
+    loop.pause.begin()
     physics.positions(every)
     physics.positions(fewer)
     np.testing.assert_array_equal(fewer, every[: len(fewer)])

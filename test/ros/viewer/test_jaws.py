@@ -42,7 +42,7 @@ def test_jaws_turn_without_a_blow_and_then_are_silent(graph):
         jaws.turn(0.2, 0.8)
         assert listener.spin_until(lambda: bool(heard))
         assert jaws.moving
-        assert jaws.rivals() == 0
+        assert jaws.other_publishers() == 0
         assert listener.spin_until(lambda: not jaws.moving)
         assert listener.spin_until(lambda: heard[-1] == pytest.approx(0.2, abs=1e-3)), heard[-1]
         tips = 0.5 * length * np.array(heard)  # m

@@ -21,7 +21,7 @@ def clock(monkeypatch):
 
 
 def page(clock, takes, fails=None):
-    """A page that answers after as many s as it is told, one look after the other."""
+    """A page that answers after the given times, s, one look after the other."""
     each = iter(takes)
 
     def get_item(_, timeout):

@@ -28,17 +28,17 @@ EVERY = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)  # a
 
 # the hand --------------------------------------------------------------------------------------
 @pytest.mark.parametrize("step", [0.001, 0.004, 0.02])
-@pytest.mark.parametrize("way", [0.0005, 0.01, 0.3])
-def test_a_tool_follows_its_goal_without_a_blow(step, way):
-    goal = way * np.array([0.6, 0.0, -0.8])
+@pytest.mark.parametrize("distance", [0.0005, 0.01, 0.3])
+def test_a_tool_follows_its_goal_without_a_blow(step, distance):
+    goal = distance * np.array([0.6, 0.0, -0.8])
     position, velocity = np.zeros(3), np.zeros(3)
-    for _ in range(round((way / TOP_SPEED + 0.5) / step)):
+    for _ in range(round((distance / TOP_SPEED + 0.5) / step)):
         after, speed = follow(position, velocity, goal, step)
         assert np.linalg.norm(after - position) <= TOP_SPEED * step * (1 + 1e-9)
         assert np.linalg.norm(speed - velocity) <= ACCELERATION * step * (1 + 1e-9)
         position, velocity = after, speed
-        assert position @ goal <= way**2 * (1 + 0.02) + 1e-6, "past the goal"
-    assert np.linalg.norm(position - goal) < 1e-5 + 0.001 * way
+        assert position @ goal <= distance**2 * (1 + 0.02) + 1e-6, "past the goal"
+    assert np.linalg.norm(position - goal) < 1e-5 + 0.001 * distance
 
 
 @pytest.mark.parametrize("index", range(5))
@@ -71,7 +71,7 @@ def test_a_held_tool_publishes_until_it_is_released(graph):
     assert listener.spin_until(lambda: len(poses) > 0)
     tool.goal = np.array([0.2, 0.2, 0.3])
     assert listener.spin_until(lambda: poses[-1].pose.position.x > 0.19)
-    assert tool.rivals() == 0
+    assert tool.other_publishers() == 0
     message = poses[-1]
     assert message.header.frame_id == "theatre"
     assert (message.pose.orientation.y, message.pose.orientation.w) == (0.6, 0.8)
@@ -81,7 +81,7 @@ def test_a_held_tool_publishes_until_it_is_released(graph):
     assert np.diff(x).max() <= TOP_SPEED * 0.021, "a leap"
     assert x[-1] <= 0.2002
     listener.node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
-    assert listener.spin_until(lambda: tool.rivals() == 1)
+    assert listener.spin_until(lambda: tool.other_publishers() == 1)
     tool.release()
     assert listener.hears_no_more(poses)
     listener.close()

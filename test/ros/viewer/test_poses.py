@@ -87,7 +87,7 @@ def node(tmp_path_factory):
 @pytest.mark.extended
 @pytest.mark.parametrize("kind", [KINDS[0], *(pytest.param(kind, marks=pytest.mark.extended) for kind in KINDS[1:])])
 def test_a_tool_of_any_type_can_be_poked_with(kind, node, open_page):
-    open_page(kind).press_and_let_go()
+    open_page(kind).press_and_release()
 
 
 @pytest.mark.extended
@@ -109,7 +109,7 @@ def test_an_organ_that_is_registered_anew_is_poked_where_it_is_now(node, open_pa
 
 
 @pytest.mark.extended
-def test_another_frame_has_the_tool_let_go(graph):
+def test_another_frame_has_the_tool_released(graph):
     tool = PokedTool(graph, "left")
     link = ToolLink.from_parameters(values(), "left", "tissue_sim")
     tool.use(link)

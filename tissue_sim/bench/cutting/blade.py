@@ -54,7 +54,7 @@ class BladeRun(NamedTuple):
     toughness: float  # J/m^2
     entry: float  # N before it entered
     dent: float  # m by which the surface yielded before
-    force: float  # N, mean of the last third of its way
+    force: float  # N, mean of the last third of its path
     area: float  # m^2 at rest
     work: float  # J of the blade
     stored: float  # J, elastic and kinetic, and in what yields at the blade

@@ -94,8 +94,8 @@ def placed(organ: Organ, cut: Cut) -> Place:
     """
     surface = surface_of(organ)
     middle = organ.surface_positions.mean(axis=0)
-    way = np.asarray(cut.from_) / np.linalg.norm(cut.from_)
-    on = _struck(organ, middle[None], way)[0]
+    direction = np.asarray(cut.from_) / np.linalg.norm(cut.from_)
+    on = _struck(organ, middle[None], direction)[0]
     near = np.argsort(np.linalg.norm(surface.positions - on, axis=1))[:PATCH]
     into = -surface.normal[near].mean(axis=0)
     into /= np.linalg.norm(into)
@@ -132,13 +132,13 @@ def _line(cut: Cut, spacing: float) -> Floats:
     raise UserError(f"a cut has no shape '{cut.shape}': flat, curved or L")
 
 
-def _struck(organ: Organ, points: Floats, way: Floats) -> Floats:
-    """Return where lines (k,) through points along a way leave the surface last, (k, 3) m."""
-    where = line_hits(organ, points, way)
+def _struck(organ: Organ, points: Floats, direction: Floats) -> Floats:
+    """Return where lines (k,) through points along a direction leave the surface last, (k, 3) m."""
+    where = line_hits(organ, points, direction)
     if np.isnan(where).all(axis=1).any():
         raise UserError(f"a cut leaves organ '{organ.name}'")
     far = np.nanmax(where, axis=1)
-    return np.asarray(points + far[:, None] * way)
+    return np.asarray(points + far[:, None] * direction)
 
 
 def _clearance(organ: Organ, sheet: Sheet) -> float:
@@ -150,8 +150,8 @@ def _clearance(organ: Organ, sheet: Sheet) -> float:
 
 def _across(sheet: Sheet, middle: Floats, along: Floats) -> Floats:
     """Return the unit vector across a cut in its middle, which halves the angle of an L, to the positive side."""
-    way = np.cross(sheet.direction, along)
-    return np.asarray(way * np.sign(sheet.place((middle + CLOSE * way)[None]).across[0]))
+    direction = np.cross(sheet.direction, along)
+    return np.asarray(direction * np.sign(sheet.place((middle + CLOSE * direction)[None]).across[0]))
 
 
 class Loads(NamedTuple):
@@ -169,7 +169,7 @@ def loads_of(organ: Organ, place: Place) -> Loads:
     surface = surface_of(organ)
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)
     _, along, into, across, sheet = place
-    plus, minus = (_patch(surface, sheet, place.middle + way * BESIDE * edge * across, way) for way in (1.0, -1.0))
+    plus, minus = (_patch(surface, sheet, place.middle + side * BESIDE * edge * across, side) for side in (1.0, -1.0))
     beside = _patch(surface, sheet, place.middle - FAR * edge * across, -1.0)
     ends = [_end(surface, place.middle, along), _end(surface, place.middle, -along)]
     made = {
@@ -185,8 +185,8 @@ def loads_of(organ: Organ, place: Place) -> Loads:
     }
     force = np.zeros((len(made), organ.n_surface, 3))
     for load, parts in zip(force, made.values(), strict=True):
-        for nodes, way in parts:
-            load[nodes] += (surface.area[nodes] / surface.area[nodes].sum())[:, None] * way
+        for nodes, direction in parts:
+            load[nodes] += (surface.area[nodes] / surface.area[nodes].sum())[:, None] * direction
     return Loads(tuple(made), force)
 
 
@@ -212,11 +212,11 @@ def _patch(surface: Surface, sheet: Sheet, middle: Floats, side: float) -> Longs
     return nodes[np.argsort(apart[nodes], kind="stable")[:PATCH]]
 
 
-def _end(surface: Surface, middle: Floats, way: Floats) -> Longs:
+def _end(surface: Surface, middle: Floats, direction: Floats) -> Longs:
     """Return the free nodes around the one that is farthest from the cut in a direction, and not at the clamp."""
     held = surface.positions[~surface.free]
     clear = cKDTree(held).query(surface.positions)[0] > CLEAR * surface.edge if len(held) else surface.free
-    ahead = np.where(clear, (surface.positions - middle) @ way, -np.inf)
+    ahead = np.where(clear, (surface.positions - middle) @ direction, -np.inf)
     node = int(np.argmax(ahead))
     good = np.flatnonzero(surface.free & (surface.normal @ surface.normal[node] > 0.0))
     apart = np.linalg.norm(surface.positions[good] - surface.positions[node], axis=1)

@@ -84,7 +84,7 @@ class Lips:
 
     below (w, 6): quadratic facets of the wall on the sheet's negative side; above (w, 6): those of the other wall (each
     node lies on that of the first wall); points (p, 3) m: corners of the elements; cells (c, 4): the elements' corners,
-    which tell on which side of a facet its wall's tissue lies.
+    which show on which side of a facet its wall's tissue lies.
     """
 
     def __init__(self, below: Longs, above: Longs, points: Floats, cells: Longs) -> None:

@@ -86,9 +86,13 @@ class _Fronts:
 
     def slopes(self, points: Floats) -> Floats:
         """Return their gradients (k, 4, 3)."""
-        ways = STEP * np.eye(3)
+        directions = STEP * np.eye(3)
         return np.stack(
-            [(self.values(points + way) - self.values(points - way)) / (2.0 * STEP) for way in ways], axis=2
+            [
+                (self.values(points + direction) - self.values(points - direction)) / (2.0 * STEP)
+                for direction in directions
+            ],
+            axis=2,
         )
 
     def covers(self, points: Floats, more: float = 0.0) -> Mask:

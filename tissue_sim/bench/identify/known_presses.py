@@ -63,7 +63,7 @@ def forces_by_elements(organ: Organ, spots: list[PressPoint], kind: str) -> Floa
         kept = Checkpoint(user_cache() / f".{kind}-{organ.digest()[:24]}", {"organ": organ.digest(), "kind": kind})
 
         def one(spot: PressPoint) -> Floats:
-            name = " ".join(f"{value:.9g}" for value in (*spot.point, *spot.way))
+            name = " ".join(f"{value:.9g}" for value in (*spot.point, *spot.direction))
             return kept.remember(name, lambda: {"force": by_elements(organ, [spot], FINGER, DEEP)[0]})["force"]
 
         solved = np.array([one(spot) for spot in progress.steps(spots, "finite elements")])

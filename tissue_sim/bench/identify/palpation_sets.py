@@ -113,7 +113,7 @@ def errors_of(name: str, presses: list[MeasuredPress], curves: dict[str, ForceCu
     """Return the errors of a set by law; curves of all presses by law, for a modulus, Pa."""
     radius = BALLS[SETS[name]]
     samples = samples_of(presses)
-    points = np.array([press.place + radius * press.way for press in presses])
+    points = np.array([press.place + radius * press.direction for press in presses])
     errors = {}
     for law, own in curves.items():
         errors[law] = held_out(own, samples, points, radius, PRIORS)

@@ -86,7 +86,8 @@ def elements_of(organ: Organ, solved: Floats) -> ForceCurves:
 def model_curves(organ: Organ, spots: list[PressPoint]) -> ForceCurves:
     """Return the model's curves at spots; they take minutes, and are kept in the user's cache, each as it comes."""
     presses = [
-        MeasuredPress("", DEPTHS, DEPTHS, spot.point - FINGER * spot.way, spot.way, np.zeros((0, 3))) for spot in spots
+        MeasuredPress("", DEPTHS, DEPTHS, spot.point - FINGER * spot.direction, spot.direction, np.zeros((0, 3)))
+        for spot in spots
     ]
     measurement = Measurement("", FINGER, presses, [], [], True)
     key = hashlib.sha256(f"{organ.digest()} {measurement.points.tolist()} {__version__}".encode()).hexdigest()

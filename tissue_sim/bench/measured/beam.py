@@ -20,11 +20,11 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.measured.body import Rate, built, calibrated, timed
 from tissue_sim.bench.measured.lattice import places, rigid_motion, shell
 from tissue_sim.bench.rows import report, until_stopped
-from tissue_sim.calibration.calibrate import Progress
 from tissue_sim.calibration.dynamics import SMOOTHED, Forces, Start, Steps, swing
 from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.inertia import frequencies_of
+from tissue_sim.calibration.progress import Progress
 from tissue_sim.calibration.solid import Material
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject

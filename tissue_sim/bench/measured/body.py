@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
-from tissue_sim.calibration.calibrate import Progress, calibrate
+from tissue_sim.calibration.calibrate import calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
+from tissue_sim.calibration.progress import Progress
 from tissue_sim.calibration.solid import Material, Solid
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.errors import UserError

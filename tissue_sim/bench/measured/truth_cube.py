@@ -18,9 +18,9 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench.measured.body import Rate, built, calibrated, solve_prescribed_surface, timed
 from tissue_sim.bench.measured.lattice import places, shell
 from tissue_sim.bench.rows import report, until_stopped
-from tissue_sim.calibration.calibrate import Progress
 from tissue_sim.calibration.fe_mesh import FeMesh, coordinates
 from tissue_sim.calibration.fem import Body
+from tissue_sim.calibration.progress import Progress
 from tissue_sim.calibration.solid import Material
 from tissue_sim.errors import UserError
 from tissue_sim.json_types import JsonObject

@@ -14,7 +14,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
 from tissue_sim.bench.palpation.presses import DEPTHS, Pressed, presses
 from tissue_sim.bench.palpation.slab import slab
-from tissue_sim.bench.palpation.slides import SLID_DEPTH, WAY, SlidingPress, slides
+from tissue_sim.bench.palpation.slides import SLID_DEPTH, SLID_LENGTH, SlidingPress, slides
 from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines
 from tissue_sim.errors import UserError
 from tissue_sim.identification.places import KINDS, flat_locations
@@ -179,8 +179,8 @@ def text(found: JsonObject) -> str:
         *aligned(table),
         *([f"the finite elements did not converge {unsettled} times; these are excluded"] if unsettled else []),
         "",
-        f"spheres that slide {WAY:g} edges, {SLID_DEPTH:g} radii deep: half the force's range about a parabola, and how"
-        " far they carry the surface along",
+        f"spheres that slide {SLID_LENGTH:g} edges, {SLID_DEPTH:g} radii deep: half the force's range about a parabola,"
+        " and how far they carry the surface along",
         "",
         *aligned(slid),
         "",

@@ -34,7 +34,7 @@ class PressForces(NamedTuple):
 
     inclusion: Inclusion
     press: Press
-    ours: Floats  # (d,) N, along the way
+    ours: Floats  # (d,) N, along its direction
     reference: Floats  # (d,) N, of finite elements; nan where they did not settle
     plain: Floats  # (d,) N, of these without the inclusion
 
@@ -109,7 +109,7 @@ def by_elements(organ: Organ, press: Press) -> Floats:
     found = np.full(len(deep), np.nan)
     for number, step in enumerate(steps):
         if step.settled:
-            found[number] = step.forces[0] @ press.way
+            found[number] = step.forces[0] @ press.direction
     return found[STEPS - 1 :: STEPS]
 
 

@@ -29,7 +29,7 @@ def drawn(organ: Organ, pressed: PressForces, around: Map) -> Figure:
         left.plot(depths, np.concatenate([[0.0], force]), style, label=name)
     left.set(xlabel="depth, mm", ylabel="force, N", title="above the inclusion")
     left.legend()
-    across = np.linalg.svd(pressed.press.way[None])[2][1:]
+    across = np.linalg.svd(pressed.press.direction[None])[2][1:]
     middle = organ.surface_positions[pressed.press.node]
     seen = 1e3 * (organ.surface_positions[around.nodes] - middle) @ across.T
     painted = right.tripcolor(*seen.T, around.stiffness, shading="gouraud", cmap="viridis")

@@ -61,7 +61,7 @@ def presses(
     with progress.task("presses", len(radii) * sum(map(len, places))) as under_way:
         for (radius, spots, depths), found in zip(runs, wanted, strict=True):
             for spot, one in zip(spots, found, strict=True):
-                press = Press(spot.point - radius * edge * spot.way, spot.way)
+                press = Press(spot.point - radius * edge * spot.direction, spot.direction)
                 ours = forces(balls[radius], press, radius * edge * depths)
                 yield Pressed(radius, spot.place, spot.kind, depths, ours, one)
                 under_way.advance()
@@ -90,16 +90,16 @@ def by_elements(organ: Organ, spots: Sequence[PressPoint], radius: float, depths
     for spot, row in zip(spots, found, strict=True):
         under = np.flatnonzero(np.linalg.norm(centre - spot.point, axis=1) < 1.1 * radius + edge)
         nodes = _beneath(body, own_nodes(body, under), spot, radius)
-        path = spot.point - radius * spot.way + deep[:, None] * spot.way
+        path = spot.point - radius * spot.direction + deep[:, None] * spot.direction
         steps = compressed(body.solid, nodes, path[:, None], radius)
         for number, step in enumerate(steps[STEPS - 1 :: STEPS]):
             if step.settled:
-                row[number] = step.forces[0] @ spot.way
+                row[number] = step.forces[0] @ spot.direction
     return found
 
 
 def _beneath(body: Body, nodes: Longs, spot: PressPoint, radius: float) -> Longs:
     """Return the nodes that a ball moving straight in can reach: fewer take less time."""
     away = body.solid.nodes[nodes] - spot.point
-    beside = np.linalg.norm(away - np.outer(away @ spot.way, spot.way), axis=1)
+    beside = np.linalg.norm(away - np.outer(away @ spot.direction, spot.direction), axis=1)
     return nodes[beside < 1.1 * radius]

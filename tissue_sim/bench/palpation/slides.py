@@ -24,7 +24,7 @@ from tissue_sim.organ.tool_resolution import mean_edge
 
 FRICTIONS = 0.6, 0.0  # of a sliding ball: the node's default, and none
 SLID_DEPTH = 0.5  # radii
-RUN_IN, WAY = 1.0, 3.0  # edges that are slid before the force counts, and while it does
+RUN_IN, SLID_LENGTH = 1.0, 3.0  # edges that are slid before the force counts, and while it does
 SLIDING, ENTERING = 0.01, 0.02  # m/s
 OUTSIDE, PAUSE = 0.0005, 0.2  # m before it enters, s before it slides
 KNOTS, ROUNDS = 25, 4  # of a track on an edge; of finding its distance
@@ -60,7 +60,7 @@ def track_over(organ: Organ, spot: PressPoint, radius: float) -> Track:
     It follows a quadric through the nodes around, at a constant distance from the triangles: on a smooth track the ball
     would feel the shape of the facets, which finite elements have, too.
     """
-    surface, edge, out = surface_of(organ), mean_edge(organ), -spot.way
+    surface, edge, out = surface_of(organ), mean_edge(organ), -spot.direction
     sideways = np.cross(out, [0.3, 1.0, 0.1])  # no axis, which rows of a mesh might follow
     sideways /= np.linalg.norm(sideways)
     frame = np.array([sideways, np.cross(out, sideways), out])
@@ -69,7 +69,7 @@ def track_over(organ: Organ, spot: PressPoint, radius: float) -> Track:
     x, y, z = ((surface.positions[near] - spot.point) @ frame.T).T
     basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     level, slope, tilt, bend, twist, _ = np.linalg.lstsq(basis, z, rcond=None)[0]
-    along = np.linspace(-RUN_IN - 0.5 * WAY, 0.5 * WAY, round(KNOTS * (RUN_IN + WAY))) * edge
+    along = np.linspace(-RUN_IN - 0.5 * SLID_LENGTH, 0.5 * SLID_LENGTH, round(KNOTS * (RUN_IN + SLID_LENGTH))) * edge
     rise = np.stack([-slope - 2.0 * bend * along, -tilt - twist * along, np.ones_like(along)], axis=1)
     normals = rise @ frame / np.linalg.norm(rise, axis=1)[:, None]
     feet = np.stack([along, np.zeros_like(along), level + slope * along + bend * along**2], axis=1)
@@ -91,7 +91,7 @@ def slides(organ: Organ, radii: Sequence[float], places: Sequence[Sequence[Press
                 for spots in places:
                     over = spots[-1]
                     found = slide(scene, track_over(organ, over, radius * edge))
-                    carried = float(np.linalg.norm(found.carried - (found.carried @ over.way) * over.way))
+                    carried = float(np.linalg.norm(found.carried - (found.carried @ over.direction) * over.direction))
                     yield SlidingPress(
                         radius, over.place, friction, float(found.force.mean()), ripple(found.force), carried
                     )
@@ -125,7 +125,7 @@ def slide(scene: Scene, track: Track) -> Slide:
     force, carried = [], []
     for place, one in zip(along, zip(*track.at(along), strict=True), strict=True):
         now = force_at(*one)
-        if place >= begin + RUN_IN / (RUN_IN + WAY) * (end - begin):
+        if place >= begin + RUN_IN / (RUN_IN + SLID_LENGTH) * (end - begin):
             force.append(now)
             carried.append(displaced(scene))
     return Slide(np.array(force), np.mean(carried, axis=0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from tissue_sim.bench.peers.mujoco import Mujoco
 from tissue_sim.bench.peers.ours import Ours
 from tissue_sim.bench.peers.tetrahedra import Tetrahedra, tetrahedra_of
 from tissue_sim.bench.peers.xpbd import Xpbd, tuned
+from tissue_sim.bench.simulation_options import SimulationOptions
 from tissue_sim.bench.variants import BALANCED, Variants
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
@@ -45,8 +46,8 @@ def rows_of(variants: Variants, tuning: Sequence[Load], *, own: bool, quick: boo
     points, balanced = plain.n_surface, cells[BALANCED]
     thorough = own and not quick
 
-    def ours(name: str, organ: Organ | str, **options: Any) -> Row:
-        return Row(name, True, points, partial(_ours, organ, **options))
+    def ours(name: str, organ: Organ | str, finer: int = 1, **options: Unpack[SimulationOptions]) -> Row:
+        return Row(name, True, points, partial(_ours, organ, finer, **options))
 
     for aim, made in cells.items():
         yield ours(CALIBRATED if aim == BALANCED else f"{CALIBRATED}, {aim}", made)
@@ -79,7 +80,7 @@ def rows_of(variants: Variants, tuning: Sequence[Load], *, own: bool, quick: boo
         yield peer("pypbd, XPBD", shared.xpbd)
 
 
-def _ours(organ: Organ | str, *, finer: int = 1, **options: Any) -> tuple[Engine, str]:
+def _ours(organ: Organ | str, finer: int, **options: Unpack[SimulationOptions]) -> tuple[Engine, str]:
     """Return one of the package's models; finer: factor of its default number of substeps."""
     if isinstance(organ, str):
         raise UserError(organ)

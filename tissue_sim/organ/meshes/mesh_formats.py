@@ -9,9 +9,9 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable
+from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
@@ -64,12 +64,12 @@ def _read_trimesh(source: Path) -> MeshFile:
 
 
 def _load_trimesh(source: Path) -> Geometry:
-    options: dict[str, Any] = {"process": False, "maintain_order": True}
+    load = partial(trimesh.load, process=False, maintain_order=True)
     if source.suffix.lower() != ".glb":
-        return trimesh.load(source, **options)
+        return load(source)
     # Read from memory: from a file, trimesh would request as much memory as a chunk claims to hold.
     resolver = trimesh.resolvers.FilePathResolver(str(source))
-    return trimesh.load(BytesIO(source.read_bytes()), file_type="glb", resolver=resolver, **options)
+    return load(BytesIO(source.read_bytes()), file_type="glb", resolver=resolver)
 
 
 def _pieces(loaded: Geometry, suffix: str) -> MeshFile:

@@ -199,7 +199,7 @@ def _inside(outer: Part, other: Part) -> bool:
     few = other.positions[np.linspace(0, len(other.positions) - 1, 5).astype(int)]
     filled = fill(outer.positions, outer.triangles, outer.gaps) if outer.gaps else None
     triangles = outer.triangles if filled is None else filled
-    return bool(np.all(np.abs(winding_number(few, outer.positions, triangles)) > 0.5))  # wound either way
+    return bool(np.all(np.abs(winding_number(few, outer.positions, triangles)) > 0.5))  # wound in either direction
 
 
 def _volume(volume: float) -> str:

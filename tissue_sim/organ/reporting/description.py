@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,12 +209,12 @@ _NAMES = {
 }
 
 
-def text_lines(found: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
+def text_lines(found: Mapping[str, object], indent: int = 0) -> Iterator[str]:
     """Yield the figures of `describe`, or a provenance, as lines of text, nested by indentation.
 
     Parameters
     ----------
-    found : Mapping[str, Any]
+    found : Mapping[str, object]
         The figures by name.
     indent : int, optional
         Level of indentation.
@@ -226,28 +226,30 @@ def text_lines(found: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
     """
     pad = "  " * indent
     for key, value in found.items():
-        if is_nested(value):
+        parts = parts_of(value)
+        if parts is not None:
             yield f"{pad}{label(key)}:"
-            inner = value.items() if isinstance(value, Mapping) else enumerate(value, start=1)
-            yield from text_lines({str(name): item for name, item in inner}, indent + 1)
+            yield from text_lines(parts, indent + 1)
         else:
             yield f"{pad}{label(key)}: {shown(value)}"
 
 
-def is_nested(value: Any) -> bool:
-    """Return whether a value needs lines of its own: a mapping that is not a range, or a list of lists or mappings.
+def parts_of(value: object) -> dict[str, object] | None:
+    """Return by name or number what needs lines of its own: a mapping that is not a range, or lists in a list.
 
     Parameters
     ----------
-    value : Any
-        The value.
+    value : object
+        The value; None is returned for one that fits on a line.
     """
     if isinstance(value, Mapping):
-        return not is_range(value)
-    return isinstance(value, list | tuple) and any(isinstance(item, Mapping | list | tuple) for item in value)
+        return None if is_range(value) else {str(name): item for name, item in value.items()}
+    if isinstance(value, list | tuple) and any(isinstance(item, Mapping | list | tuple) for item in value):
+        return {str(number): item for number, item in enumerate(value, start=1)}
+    return None
 
 
-def is_range(value: Any) -> bool:
+def is_range(value: object) -> TypeGuard[Mapping[str, float]]:
     """Return whether a value is a range as `describe` makes it."""
     return isinstance(value, Mapping) and value.keys() == {"least", "median", "largest"}
 
@@ -268,12 +270,12 @@ def label(key: str) -> str:
     return key.replace("_", " ")
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Return a plain value as text: four significant digits, `least to largest, median m` for a range.
 
     Parameters
     ----------
-    value : Any
+    value : object
         The value.
     """
     if is_range(value):

@@ -6,7 +6,7 @@ import base64
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from tissue_sim.organ.edges import directed_edges
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.organ import Organ, SpringKind
 from tissue_sim.organ.reporting import pictures, slice_pictures
-from tissue_sim.organ.reporting.description import describe, is_nested, label, shown
+from tissue_sim.organ.reporting.description import describe, label, parts_of, shown
 from tissue_sim.organ.reporting.exchange import bones
 from tissue_sim.organ.surfaces.marching_cubes import MarchingCubesReport, marching_cubes_report, marching_cubes_surface
 from tissue_sim.organ.surfaces.surface import SurfaceComparison, SurfaceQuality, Wall, compare, corner_angles, measure
@@ -131,14 +131,14 @@ def _shots(organ: Organ, surfaces: Surfaces) -> dict[str, pictures.Picture]:
     }
 
 
-def flat(nested: Mapping[str, Any], before: str = "") -> list[tuple[str, str]]:
+def flat(nested: Mapping[str, object], before: str = "") -> list[tuple[str, str]]:
     """Return nested figures as rows of words and text."""
     rows: list[tuple[str, str]] = []
     for key, value in nested.items():
         words = f"{before}{label(str(key))}"
-        if is_nested(value):
-            inner = value.items() if isinstance(value, Mapping) else enumerate(value, start=1)
-            rows += flat({str(name): item for name, item in inner}, f"{words}: ")
+        parts = parts_of(value)
+        if parts is not None:
+            rows += flat(parts, f"{words}: ")
         else:
             rows.append((words, shown(value)))
     return rows

@@ -9,7 +9,8 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from tissue_sim.organ.reporting.render import Solid, View, balls, draw, rods, vi
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.typing import RcKeyType
 
 
 Surface = tuple[Floats, Ints]
@@ -28,7 +30,7 @@ MASK, CUBES, BALLOON, ATOMS = "#f0e442", "#56b4e9", "#d55e00", "#cc79a7"
 _CUBES_SKIN, _BALLOON_SKIN = (0.52, 0.76, 0.92), (0.95, 0.66, 0.46)
 _GLASS, _ATOM, _BONE, _SPOKE = (0.45, 0.55, 0.70), (0.78, 0.18, 0.12), (0.30, 0.30, 0.34), (0.55, 0.62, 0.72)
 _PICTURE = 620  # pixels, the longer side of a rendered picture
-_STYLE: dict[Any, Any] = {
+_STYLE: dict[RcKeyType, object] = {
     "font.family": "sans-serif",
     "font.size": 11.0,
     "axes.edgecolor": "#888888",
@@ -181,9 +183,9 @@ def histograms(sets: Sequence[tuple[str, str, Floats, Floats]]) -> bytes:
         for label, colour, edges, angles in sets:
             for axis, values, steps in ((left, edges, bins[0]), (right, angles, bins[1])):
                 weights = np.full(len(values), 100.0 / len(values))
-                options: dict[str, Any] = {"bins": steps, "weights": weights, "color": colour}
-                axis.hist(values, histtype="stepfilled", alpha=0.35, **options)
-                axis.hist(values, histtype="step", linewidth=1.3, label=label, **options)
+                plot = partial(axis.hist, values, bins=steps, weights=weights, color=colour)
+                plot(histtype="stepfilled", alpha=0.35)
+                plot(histtype="step", linewidth=1.3, label=label)
         left.set_xlabel("edge length (mm)")
         right.set_xlabel("angle of a triangle (degrees)")
         left.set_ylabel("fraction (%)")

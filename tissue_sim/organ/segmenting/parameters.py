@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import Any
 
 from tissue_sim.errors import UserError
 
 
-def _option(default: Any, unit: str, text: str, bounds: tuple[float, float]) -> Any:
+def _option[T: float | None](default: T, unit: str, text: str, bounds: tuple[float, float]) -> T:
+    """Return a field with its metadata, which type checkers take for its default."""
     return field(default=default, metadata={"unit": unit, "help": text, "range": bounds})
 
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from tissue_sim.array_types import Mask, Singles
 
@@ -63,12 +60,19 @@ class Region:
 
     @property
     def wall(self) -> float:
-        """Intensity half-way between the organ and fat."""
+        """Intensity halfway between the organ and fat."""
         return 0.5 * (self.mean + self.dark)
 
     def cropped(self, box: Box) -> Region:
         """Return the part in a box of array indices that holds the apex; arrays are views."""
-        arrays = {item.name: getattr(self, item.name) for item in fields(self)}
-        parts: dict[str, Any] = {name: array[box] for name, array in arrays.items() if isinstance(array, np.ndarray)}
         z, y, x = (i - side.start for i, side in zip(self.apex, box, strict=True))
-        return replace(self, **parts, apex=(z, y, x))
+        return replace(
+            self,
+            sharp=self.sharp[box],
+            smooth=self.smooth[box],
+            inside=self.inside[box],
+            level=self.level[box],
+            eroded=self.eroded[box],
+            others=self.others[box],
+            apex=(z, y, x),
+        )

@@ -91,16 +91,16 @@ def segment(
         Where the seed lies outside the image, in air, fat or bone, where nothing organ-like is found around it, and,
         unless `accept`, where the result can't be the organ.
     """
-    p, tell = parameters or SegmentationParameters(), progress or _quiet
+    p, report = parameters or SegmentationParameters(), progress or _quiet
     bounds = anatomy_of(organ)
     point = np.asarray(seed, dtype=np.float64)
     check_seed(ct, point)
-    tell("examining the seed's surroundings", 0.0)
+    report("examining the seed's surroundings", 0.0)
     p, mean, deviation = _at_seed(ct, point, p)
     # An organ that isn't named may be small: its neighbourhood is looked at closely first.
     reaches = (min(bounds.longest[1], _SURVEY_REACH),) if organ else (_CLOSE_REACH, _SURVEY_REACH)
     for reach in reaches:
-        tried = _surveys(ct, Seed(point, mean, deviation), p, reach, organ, tell)
+        tried = _surveys(ct, Seed(point, mean, deviation), p, reach, organ, report)
         if any(found.fits and not found.ran_out for found in tried):
             break
     results: list[Segmentation] = []
@@ -108,7 +108,7 @@ def segment(
         if not fits and not accept and survey.volume > _GROSS * bounds.volume[1]:
             results.append(survey)
             continue
-        tell("segmenting the organ", 0.5 + 0.4 * k / _CHOICES)
+        report("segmenting the organ", 0.5 + 0.4 * k / _CHOICES)
         try:
             result = _closely(ct, point, replace(p, window=window), survey)
         except UserError:
@@ -117,7 +117,7 @@ def segment(
         if not misfits(result.mask, result.mean, organ):
             results = [result]
             break
-    tell("checking the organ", 0.95)
+    report("checking the organ", 0.95)
     return _checked(ct, results[0], point, organ, accept)
 
 
@@ -137,7 +137,7 @@ def _surveys(
     p: SegmentationParameters,
     reach: float,
     organ: str | None,
-    tell: Progress,
+    report: Progress,
 ) -> list[_Survey]:
     """Return rough segmentations within `reach` mm of the seed, one per intensity window, the likeliest first."""
     around = np.array([start.point - reach, start.point + reach])
@@ -148,7 +148,7 @@ def _surveys(
     tried: list[_Survey] = []
     windows = (p.window,) if p.window else WINDOWS
     for k, window in enumerate(windows):
-        tell("measuring the organ", 0.1 + 0.4 * k / len(windows))
+        report("measuring the organ", 0.1 + 0.4 * k / len(windows))
         try:
             found = segment_crop(crop, inside, start, replace(p, window=window), smoothed, most)
         except UserError:

@@ -52,7 +52,7 @@ class Segmentation:
     deviation : float, HU
         Standard deviation of the organ.
     wall : float, HU
-        Intensity half-way to fat, at which the wall lies.
+        Intensity halfway to fat, at which the wall lies.
     erosion : float, mm
         Depth of the erosion.
     volume : float, mL

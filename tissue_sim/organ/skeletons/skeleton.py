@@ -24,7 +24,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.skeletons.atom_placement import place_atoms
 from tissue_sim.organ.skeletons.polyline import arc_length
 from tissue_sim.organ.skeletons.skeleton_tree import Limb, Line, find_limbs, join, longest_chain, path_between
-from tissue_sim.organ.skeletons.voxel_tree import approach, grow_tree, middle_way
+from tissue_sim.organ.skeletons.voxel_tree import approach, grow_tree, middle_path
 from tissue_sim.organ.surfaces.solid_ball import flip_simple
 from tissue_sim.organ.surfaces.surface import Wall
 
@@ -118,23 +118,23 @@ def extract(wall: Wall, atoms: int, branches: str = "auto") -> Skeleton:
     if depth.max() < 1.5:
         raise UserError("the organ is under four voxels thick, too thin for a skeleton; use a finer image")
     stride = int(np.ceil(np.cbrt(np.count_nonzero(inside) / _MOST_VOXELS)))
-    ways = _without_handles(_thinned_out(depth, stride))
-    parent, order = grow_tree(ways.ravel(), np.array(ways.shape))
-    chain = _chain(ways, parent, order)
-    limbs = find_limbs(ways, parent, order, chain, _inner_end)
+    coarse = _without_handles(_thinned_out(depth, stride))
+    parent, order = grow_tree(coarse.ravel(), np.array(coarse.shape))
+    chain = _chain(coarse, parent, order)
+    limbs = find_limbs(coarse, parent, order, chain, _inner_end)
     if limbs:
-        chain = _longest(ways, parent, chain, limbs)
-        limbs = find_limbs(ways, parent, order, chain, _inner_end) if branches == "auto" else []
+        chain = _longest(coarse, parent, chain, limbs)
+        limbs = find_limbs(coarse, parent, order, chain, _inner_end) if branches == "auto" else []
     h, step = wall.spacing, wall.spacing * stride
     deep = gaussian_filter(np.where(inside, depth, 0.0), 0.7).astype(np.float32) * np.float32(h)
-    path = _places(middle_way(ways.ravel(), np.array(ways.shape), chain[0], chain[-1]), ways.shape) * step
+    path = _places(middle_path(coarse.ravel(), np.array(coarse.shape), chain[0], chain[-1]), coarse.shape) * step
     first, last = _trimmed(path, _sample(deep, path, h))
     path = path[first:last]
     lines = [Line(_middle(path, deep, h))]
     for limb in limbs:
         own = float(np.median(limb.thickness[-8:])) * step
         line = join(lines, _middle(limb.path * step, deep, h), own, limb.centre * step, limb.reach * step)
-        lines.append(_kept_inside(line, wall, ways, step))
+        lines.append(_kept_inside(line, wall, coarse, step))
     if atoms == 1 and not limbs:
         positions, length = path[[int(_sample(deep, path, h).argmax())]], float(arc_length(lines[0].points)[-1])
         above, branch, count = np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.int32), 1
@@ -147,16 +147,16 @@ def extract(wall: Wall, atoms: int, branches: str = "auto") -> Skeleton:
     return Skeleton(positions + corner, radius, above, length, branch, count)
 
 
-def _kept_inside(line: Line, wall: Wall, ways: Floats, step: float) -> Line:
+def _kept_inside(line: Line, wall: Wall, coarse: Floats, step: float) -> Line:
     """Return the line with a path to its junction inside, where the straight one from its limb leaves the organ."""
     first, second = line.points[:2]
     if np.all(wall.sample(first + np.linspace(0.0, 1.0, 16)[:, None] * (second - first)) < 0.0):
         return line
-    shape = np.array(ways.shape)
+    shape = np.array(coarse.shape)
     index = np.clip(np.rint(line.points[:2] / step).astype(np.int64)[:, ::-1], 0, shape - 1)
-    ends = np.ravel_multi_index((index[:, 0], index[:, 1], index[:, 2]), ways.shape)
-    way = _places(middle_way(ways.ravel(), shape, int(ends[0]), int(ends[1])), ways.shape) * step
-    return replace(line, points=np.concatenate([first[None], way[1:-1], line.points[1:]]))
+    ends = np.ravel_multi_index((index[:, 0], index[:, 1], index[:, 2]), coarse.shape)
+    path = _places(middle_path(coarse.ravel(), shape, int(ends[0]), int(ends[1])), coarse.shape) * step
+    return replace(line, points=np.concatenate([first[None], path[1:-1], line.points[1:]]))
 
 
 def _cropped(wall: Wall) -> tuple[Wall, Floats]:
@@ -193,29 +193,29 @@ def _without_handles(depth: Floats) -> Floats:
     return np.where(grown == 1, depth, 0.0)
 
 
-def _chain(ways: Floats, parent: Longs, order: Longs) -> Longs:
+def _chain(coarse: Floats, parent: Longs, order: Longs) -> Longs:
     """Return the tree's path between the two voxels farthest from each other inside: indices, from tip to tip."""
     reached = order[order >= 0]
-    first = _farthest(ways, reached, int(order[0]))
-    return path_between(parent, first, _farthest(ways, reached, first))
+    first = _farthest(coarse, reached, int(order[0]))
+    return path_between(parent, first, _farthest(coarse, reached, first))
 
 
-def _longest(ways: Floats, parent: Longs, chain: Longs, limbs: list[Limb]) -> Longs:
+def _longest(coarse: Floats, parent: Longs, chain: Longs, limbs: list[Limb]) -> Longs:
     """Return the tree's path between those two tips, of the chain and its branches, with the longest centreline.
 
     A wide pocket's far corner can be farther than the tip of a branch with the longer centreline.
     """
-    first, last = _trimmed(_places(chain, ways.shape), ways.ravel()[chain])
+    first, last = _trimmed(_places(chain, coarse.shape), coarse.ravel()[chain])
     tips = [chain[0], chain[-1], *(limb.tip for limb in limbs)]
     starts = [chain[first], chain[last - 1], *(limb.start for limb in limbs)]
-    return longest_chain(parent, ways.shape, np.array(tips), np.array(starts))
+    return longest_chain(parent, coarse.shape, np.array(tips), np.array(starts))
 
 
-def _farthest(ways: Floats, reached: Longs, source: int) -> int:
+def _farthest(coarse: Floats, reached: Longs, source: int) -> int:
     """Return the reached voxel with the longest path inside from the source."""
-    distance = np.full(ways.size, np.inf)
-    nearest = np.full(ways.size, -1, dtype=np.int64)
-    approach(ways.ravel(), np.array(ways.shape), np.array([source]), distance, nearest)
+    distance = np.full(coarse.size, np.inf)
+    nearest = np.full(coarse.size, -1, dtype=np.int64)
+    approach(coarse.ravel(), np.array(coarse.shape), np.array([source]), distance, nearest)
     return int(reached[distance[reached].argmax()])
 
 

@@ -303,12 +303,12 @@ def join(lines: list[Line], limb: Floats, own: float, centre: Floats, reach: flo
     base = limb[-1]
     arc = arc_length(limb)
     behind = np.array([np.interp(max(arc[-1] - 2.0 * own, 0.0), arc, limb[:, k]) for k in range(3)])
-    way = base - behind if np.any(base != behind) else centre - base
-    way = way / np.linalg.norm(way)
+    direction = base - behind if np.any(base != behind) else centre - base
+    direction = direction / np.linalg.norm(direction)
     best: tuple[float, int, int] | None = None
     for k, line in enumerate(lines):
-        ahead = np.maximum((line.points - base) @ way, 0.0)
-        miss = np.linalg.norm(line.points - base - ahead[:, None] * way, axis=1)
+        ahead = np.maximum((line.points - base) @ direction, 0.0)
+        miss = np.linalg.norm(line.points - base - ahead[:, None] * direction, axis=1)
         far = np.linalg.norm(line.points - centre, axis=1)
         # Outside the ball the nearest point counts, so that a junction is found wherever the line was moved.
         miss += np.where(far <= 0.9 * reach, 0.0, 1e3 * reach + far)

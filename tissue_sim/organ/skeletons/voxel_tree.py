@@ -129,7 +129,7 @@ def approach(depth: Floats, shape: Longs, sources: Longs, distance: Floats, near
 
 
 @kernel
-def middle_way(depth: Floats, shape: Longs, source: int, target: int) -> Longs:
+def middle_path(depth: Floats, shape: Longs, source: int, target: int) -> Longs:
     """Return the cheapest path inside, where a step costs its length over the squared depth.
 
     It keeps to the middle as the tree does, but goes straight through wide places whose ridges go round.

@@ -40,12 +40,12 @@ def local_edges(positions: Floats, triangles: Ints) -> Floats:
 
 def distance_to_line(points: Floats, line: Floats) -> Floats:
     """Return how far points (n, 3) are from a polyline (m, 3), or from a point (1, 3): (n,), in their unit."""
-    start, way = line[:-1], np.diff(line, axis=0)
-    if not len(way):
-        start, way = line, np.zeros_like(line)
-    square = np.maximum(np.einsum("mx,mx->m", way, way), 1e-300)
-    run = np.clip(np.einsum("nmx,mx->nm", points[:, None] - start, way) / square, 0.0, 1.0)
-    apart = points[:, None] - start - run[:, :, None] * way
+    start, segment = line[:-1], np.diff(line, axis=0)
+    if not len(segment):
+        start, segment = line, np.zeros_like(line)
+    square = np.maximum(np.einsum("mx,mx->m", segment, segment), 1e-300)
+    run = np.clip(np.einsum("nmx,mx->nm", points[:, None] - start, segment) / square, 0.0, 1.0)
+    apart = points[:, None] - start - run[:, :, None] * segment
     found: Floats = np.linalg.norm(apart, axis=2).min(axis=1)
     return found
 

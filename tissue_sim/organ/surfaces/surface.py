@@ -199,7 +199,7 @@ def make_wall(mask: Volume) -> Wall:
 
 
 def _signed_distance(solid: Mask, sampling: Floats) -> NDArray[np.float32]:
-    """Return distances, zero half-way between inner and outer voxels, exact between voxel centres otherwise."""
+    """Return distances, zero halfway between inner and outer voxels, exact between voxel centres otherwise."""
     inner = ndimage.distance_transform_edt(solid, sampling)
     outer = ndimage.distance_transform_edt(~solid, sampling)
     half = 0.5 * float(sampling.min())

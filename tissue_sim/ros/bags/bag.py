@@ -83,7 +83,7 @@ class RespirationRow(Record):
     """Where the breath was to be."""
 
     respiration: int  # its number
-    share: float  # fraction of the way; the name that bags have
+    share: float  # fraction of the displacement; the name that bags have
 
 
 class WrenchRow(Record):

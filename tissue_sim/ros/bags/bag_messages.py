@@ -22,7 +22,7 @@ class BagMessages:
         self.recording = False
         # Held while something is posted to the loop and noted here: a journal that says that it was applied then also
         # holds the note, or follows it, so that a bag may break off anywhere.
-        self.together = threading.RLock()
+        self.lock = threading.RLock()
         self._store = get_typestore(Stores.ROS2_JAZZY)
 
     @property

@@ -6,7 +6,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from tissue_sim.ros.bags.comparison import Shown
 from tissue_sim.ros.bags.organ_player import ShownSurface
 from tissue_sim.ros.bags.player import Player
 from tissue_sim.ros.bags.reading import Bag
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
 STEEL = (190, 195, 200)  # a tool's colour
 MOST_FRAMES = 10_000
@@ -124,7 +127,7 @@ class _ShownTool:
         return made
 
 
-def _mesh(tools: ToolSet, body: int) -> Any:
+def _mesh(tools: ToolSet, body: int) -> Trimesh:
     """Return a body as a mesh of trimesh, m, in its own frame."""
     import trimesh
 
@@ -136,14 +139,16 @@ def _mesh(tools: ToolSet, body: int) -> Any:
         made = trimesh.creation.capsule(length, radius)
         made.apply_translation([0.0, 0.0, -made.bounds.mean(axis=0)[2] - 0.5 * length])
         return made
-    return tools.meshes[body]
+    mesh = tools.meshes[body]
+    assert mesh is not None
+    return mesh
 
 
 # files ---------------------------------------------------------------------------------------------
 
 
 def write_vtu(path: Path, frames: Sequence[Frame], scale: float) -> list[Path]:
-    """Write each part of each frame as VTU into a folder beside `path`, a .pvd file that tells their times.
+    """Write each part of each frame as VTU into a folder beside `path`, a .pvd file that states their times.
 
     path: the .pvd file, which ParaView opens as one animation; frames: in order; scale: factor on metres. Returns what
     was written, the .pvd file first. Raises UserError without meshio; OSError where a file can't be written.

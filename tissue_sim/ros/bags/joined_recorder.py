@@ -24,19 +24,19 @@ class JoinedRecorder:
     def __init__(self, messages: BagMessages, below: str, loop: Loop) -> None:
         topics = ["journal"] if loop.joined.alone else bag.SCENE_TOPICS
         self.names = {name: f"{below}/{name}" for name in topics}
-        self.together = messages.together
+        self.lock = messages.lock
         self._messages, self._joined, self._box = messages, loop.joined, loop.joined_box
         self._read = 0  # rows of the loop's journal
         self._notes: list[tuple[int, Sequence[int]]] = []
         self._surfaces: dict[int, tuple[int, int, int]] = {}  # by organ, the newest bag.PairSurfaceRow
         self._surface_notes: list[tuple[int, int, int]] = []
         self._newest: tuple[int, Longs] | None = None  # number and words of a set
-        self._newest_fraction = (0, 0.0)  # number, and fraction of the breath's way
+        self._newest_fraction = (0, 0.0)  # number, and fraction of the breath's displacement
         self._fractions = [self._newest_fraction]
         self._state_tick = -1
 
     def begin(self) -> None:
-        """Begin a bag; call it with `together` held."""
+        """Begin a bag; call it with `lock` held."""
         self._read, self._notes, self._state_tick = int(self._box.journal_written[0]), [], -1
         self._surface_notes = list(self._surfaces.values())
         self._fractions = [self._newest_fraction]
@@ -65,7 +65,7 @@ class JoinedRecorder:
     def pairs(self, sequence: int, ticks: Sequence[int], found: OrganContactSet) -> None:
         """Record what pairs were found from, or all of them while a surface may not be in the bag.
 
-        Call it with `together` held since they were posted.
+        Call it with `lock` held since they were posted.
 
         ticks (k,): ticks of the surfaces that they were found from.
         """
@@ -81,7 +81,7 @@ class JoinedRecorder:
     def surface(self, organ: int, number: int, is_cut: bool) -> None:
         """Record that pairs are found on the surface of an organ after a cut from now on.
 
-        Call it with `together` held.
+        Call it with `lock` held.
 
         number: number of the cut; is_cut: whether the organ has cuts on it, and not none after their reset.
         """
@@ -93,16 +93,16 @@ class JoinedRecorder:
             self._surface_notes.append(row)
 
     def respiration(self, sequence: int, fraction: float) -> None:
-        """Record where the breath is to be; call it with `together` held since it was posted.
+        """Record where the breath is to be; call it with `lock` held since it was posted.
 
-        fraction: fraction of the breath's way.
+        fraction: fraction of the breath's displacement.
         """
         self._newest_fraction = sequence, fraction
         if self._messages.active:
             self._fractions.append(self._newest_fraction)
 
     def rows(self) -> dict[str, Array]:
-        """Return the journal's rows since the last call; to be called with `together` held."""
+        """Return the journal's rows since the last call; to be called with `lock` held."""
         if self._joined.alone:
             return {}
         written = int(self._box.journal_written[0])

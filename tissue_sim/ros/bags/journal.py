@@ -29,7 +29,7 @@ SHOWING = ("inputs", "wrenches", "surfaces")  # whose ticks a replay visits
 
 
 def check_journal(rows: Mapping[str, Array], n_bodies: int, first_tick: int, rate: float) -> None:
-    """Check that the rows of a journal have their fields, fit together and tell of possible ticks.
+    """Check that the rows of a journal have their fields, fit together and are of possible ticks.
 
     rows: rows by kind, see recorder; n_bodies: number of bodies; first_tick: tick of the state; rate: ticks per second,
     Hz. Raises ValueError when they don't; the message names the rows.

@@ -52,7 +52,7 @@ class OrganRecorder:
     """
 
     def __init__(self, messages: BagMessages, below: str, physics: Physics) -> None:
-        self.together, self.physics = messages.together, physics
+        self.lock, self.physics = messages.lock, physics
         self.names = {name: f"{below}/{name}" for name in bag.ORGAN_TOPICS}
         self._messages = messages
         self._file, self._file_version = b"", -1
@@ -75,7 +75,7 @@ class OrganRecorder:
             self._file, self._file_version = self.physics.simulation.organ.to_bytes(), version
 
     def begin(self) -> None:
-        """Begin a bag with the organ itself; call this and the following methods with `together` held."""
+        """Begin a bag with the organ itself; call this and the following methods with `lock` held."""
         self.physics.journal()  # rows of ticks before this bag
         self._notes, self.state_tick, self.shown_tick = _Notes(), -1, -1
         self._messages.octets(self.names["organ"], np.frombuffer(self._file, dtype=np.uint8))
@@ -105,7 +105,7 @@ class OrganRecorder:
         wait_until(lambda: not self.active or self.state_tick >= 0, STATE_WAIT)
 
     def rows(self) -> dict[str, Array]:
-        """Return the journal's rows since the last call; call it with `together` held."""
+        """Return the journal's rows since the last call; call it with `lock` held."""
         inputs, body_inputs = self.physics.journal()
         noted, self._notes = self._notes, _Notes()
         return {"inputs": inputs, "body_inputs": body_inputs} | noted.arrays(self.physics.n_bodies)
@@ -113,7 +113,7 @@ class OrganRecorder:
     # what happens ------------------------------------------------------------------------------
     def mesh(self, mesh: bytes) -> None:
         """Record a rest surface that a cut has changed, by the bytes of its message."""
-        with self.together:
+        with self.lock:
             if self.active:
                 self._messages.put(self.names["mesh"], mesh)
 
@@ -123,7 +123,7 @@ class OrganRecorder:
         tick: the first tick with it; file: content of its organ's file.
         """
         fields = fields_of_cut(self.physics.version, tick, made, file)
-        with self.together:
+        with self.lock:
             self._cut = fields if made.cuts else None
             if self.active:
                 self._messages.packed(self.names["cut"], fields)
@@ -131,7 +131,7 @@ class OrganRecorder:
     def searched(self, first_set: int) -> None:
         """Record which contact set is the first that was found on the surface after the newest cut.
 
-        Call it with `together` held.
+        Call it with `lock` held.
         """
         numbers = {"number": np.array(self.physics.version), "first_set": np.array(first_set)}
         if self._cut is not None:
@@ -144,7 +144,7 @@ class OrganRecorder:
 
         tick: the tick that they show.
         """
-        with self.together:
+        with self.lock:
             if not self.active:
                 return
             self._surface(tick, surface)
@@ -165,7 +165,7 @@ class OrganRecorder:
         shown.fill(rows, nodes)
         cloud = CloudTemplate(frame_id, shown.n_points, ("x", "y", "z"))
         cloud.points[:] = shown.points(rows)
-        with self.together:
+        with self.lock:
             if self.active and tick > self.state_tick:
                 self._surface(tick, cloud.message(time.time_ns()))
 
@@ -181,13 +181,13 @@ class OrganRecorder:
         return int(state.status.tick), state.position + state.carried
 
     def _surface(self, tick: int, surface: bytes) -> None:
-        """Record a surface; call it with `together` held."""
+        """Record a surface; call it with `lock` held."""
         if self._messages.put(self.names["surface"], surface):
             self._notes.surfaces.append((tick,))
             self.shown_tick = max(self.shown_tick, tick)
 
     def settings(self, sequence: int, settings: Settings) -> None:
-        """Record new settings; call it with `together` held since they were posted. sequence: their number."""
+        """Record new settings; call it with `lock` held since they were posted. sequence: their number."""
         if self.active:
             fields = {"sequence": np.array(sequence), "settings": array_of(settings)}
             self._messages.packed(self.names["settings"], fields)
@@ -195,7 +195,7 @@ class OrganRecorder:
     def contacts(self, sequence: int, ticks: tuple[int, int], found: ContactSet, bodies: Sequence[BodyContact]) -> None:
         """Record what a contact set was found from, or all of it while that may not be in the bag.
 
-        Call it with `together` held since it was posted.
+        Call it with `lock` held since it was posted.
 
         ticks: tick of its surface, and of the tools' places; bodies: rows of its bodies.
         """

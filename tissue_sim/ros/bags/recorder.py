@@ -70,7 +70,7 @@ class Recorder:
         self._node_name, self._organs, self._config = node_name, organs, config
         self._frame_id = str(config.get("parameters", {}).get("frame_id", ""))
         self._messages = BagMessages()
-        self.together = self._messages.together
+        self.lock = self._messages.lock
         self.of_organ = [
             OrganRecorder(self._messages, path_of(node_name, name), physics)
             for name, physics in zip(names, organs.each, strict=True)
@@ -140,7 +140,7 @@ class Recorder:
             for one in self.of_organ:
                 kept.enter_context(one.exchanging)
                 one.prepare()
-            kept.enter_context(self.together)
+            kept.enter_context(self.lock)
             self.path, messages.spool = path, Spool(writer, writer.add_topics(self._topics()), patience)
             self._wrenches, self._has_state, self._started = [], False, time.monotonic()
             self._shown_tick, self.kept = -1, True
@@ -220,7 +220,7 @@ class Recorder:
         if now - self._journal_at < JOURNAL_EVERY:
             return
         self._journal_at = now
-        with self.together:
+        with self.lock:
             self._write_journal()
         if self._hurry and self._messages.spool is not None:
             self._hurry = False
@@ -250,7 +250,7 @@ class Recorder:
 
         pose (7,) m and quaternion xyzw: the organ's pose.
         """
-        with self.together:
+        with self.lock:
             self._organ_pose = np.array(pose, dtype=np.float64)
             if self.active:
                 self._put_organ_pose()
@@ -274,7 +274,7 @@ class Recorder:
 
         name: its topic; tool: index of the tool; tick: the tick that it shows.
         """
-        with self.together:
+        with self.lock:
             if self.active and self._messages.put(name, raw):
                 self._wrenches.append((tool, tick))
                 self._shown_tick = max(self._shown_tick, tick)

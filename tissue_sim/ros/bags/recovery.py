@@ -82,7 +82,7 @@ def listed(folder: Path) -> list[Path]:
             " expected: mcap and none. `ros2 bag convert` converts it"
         )
     files = [folder / PurePath(str(name)).name for name in said["relative_file_paths"]]
-    return [file for file in files if file.is_file()]  # rosbags tells those that are missing
+    return [file for file in files if file.is_file()]  # rosbags reports those that are missing
 
 
 @contextmanager

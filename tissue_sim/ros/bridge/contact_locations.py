@@ -16,7 +16,7 @@ from tissue_sim.ros.bridge.motion import Ball
 
 FRONT = np.array([0.0, 1.0, 0.0])  # direction of the first tool: from the front to the back of a patient (LPS)
 UP = np.array([0.0, 0.0, 1.0])  # away from the lowest tenth, which is fixed
-REFERENCE = 0.03  # m; thinner organs get proportionally smaller depths and ways
+REFERENCE = 0.03  # m; thinner organs get proportionally smaller depths and distances
 MARGIN = 0.012  # m, of the ball around organ and tool
 POINT = 1e-6  # m, radius of a ball that represents a point; and the distance from the surface at which a ball stops
 STROKE_LENGTH, STROKE_POINTS = 0.040, 21  # m
@@ -25,23 +25,20 @@ MOST_SAMPLES = 150  # of the surface, in search of a place to nip
 
 
 class Touch(NamedTuple):
-    """Where a tool meets the organ: its place (3,) m, the straight way in (3,), its rotation (4,)."""
+    """Where a tool meets the organ: its place (3,) m, the direction in which it enters (3,), its rotation (4,)."""
 
     place: Floats
-    way: Floats
+    direction: Floats
     turn: Floats
 
     def at(self, depth: float) -> Floats:
         """Return the tool's place (3,), m, deeper by some m."""
-        return self.place + depth * self.way
+        return self.place + depth * self.direction
 
 
-def looking(way: Floats) -> Floats:
-    """Return a tool's rotation (4,) when its z axis points a way: the tip looks ahead, the shaft lies behind.
-
-    way (3,): the direction.
-    """
-    return np.asarray(Rotation.align_vectors([way], [UP])[0].as_quat())
+def rotation_towards(direction: Floats) -> Floats:
+    """Return a tool's rotation (4,) when its z axis points in a direction (3,): its tip is ahead, its shaft behind."""
+    return np.asarray(Rotation.align_vectors([direction], [UP])[0].as_quat())
 
 
 class Surface:
@@ -54,7 +51,7 @@ class Surface:
         self._vertices, self._triangles, self.radius = vertices, triangles, radius
         self._low, self._high = vertices.min(axis=0), vertices.max(axis=0)
         self._thinnest = float((self._high - self._low).min())
-        self.scale = min(1.0, self._thinnest / REFERENCE)  # of depths and ways
+        self.scale = min(1.0, self._thinnest / REFERENCE)  # of depths and distances
         centre = 0.5 * (self._low + self._high)
         self.ball = Ball(centre, float(np.linalg.norm(vertices - centre, axis=1).max()) + radius + MARGIN)
         # The organ's longest direction across the front's line of sight, pointing up.
@@ -67,24 +64,24 @@ class Surface:
         mesh.endModel()
         self._surface = fcl.CollisionObject(mesh, fcl.Transform())
 
-    def touch(self, through: Floats, way: Floats, depth: float = 0.0) -> Touch | None:
+    def touch(self, through: Floats, direction: Floats, depth: float = 0.0) -> Touch | None:
         """Return where a ball that comes from outside along a line first reaches a depth, by sphere tracing.
 
-        through (3,) m: a point of the line; way (3,): its direction, of length 1; depth: m. Returns None where the line
-        misses the organ.
+        through (3,) m: a point of the line; direction (3,): of length 1; depth: m. Returns None where the line misses
+        the organ.
         """
         offset = through - self.ball.centre
-        across = offset - (offset @ way) * way
+        across = offset - (offset @ direction) * direction
         if across @ across >= self.ball.radius**2:
             return None
-        place, end = (self.ball.leave(self.ball.centre + across, side * way) for side in (-1.0, 1.0))
+        place, end = (self.ball.leave(self.ball.centre + across, side * direction) for side in (-1.0, 1.0))
         probe = fcl.CollisionObject(fcl.Sphere(self.radius - depth), fcl.Transform(place))
         while (gap := fcl.distance(probe, self._surface)) > POINT:
-            place = place + gap * way
-            if (end - place) @ way < 0.0:
+            place = place + gap * direction
+            if (end - place) @ direction < 0.0:
                 return None
             probe.setTranslation(place)
-        return Touch(place, way, looking(way))
+        return Touch(place, direction, rotation_towards(direction))
 
     def normal(self, touch: Touch) -> Floats:
         """Return the unit direction (3,) from the surface to a ball that touches it there."""

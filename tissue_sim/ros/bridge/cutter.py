@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import Parameter, ParameterType
 from rcl_interfaces.srv import SetParameters
+from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
@@ -44,12 +44,13 @@ class Cutter:
         """
         value = Parameter(name="cut_depth")
         value.value.type, value.value.double_value = ParameterType.PARAMETER_DOUBLE, depth
-        (result,) = self._call(self._set, SetParameters.Request(parameters=[value])).results
+        request = SetParameters.Request(parameters=[value])
+        (result,) = self._call(self._set, request, SetParameters.Response).results
         if not result.successful:
             raise UserError(f"the node refused cut_depth {depth:g}: {result.reason}")
         self._wait(lambda: self._path.get_subscription_count() > 0, "cut_path")
         self._path.publish(cut_path(polyline, direction, frame_id))
-        answer = self._call(self._cut, Trigger.Request())
+        answer = self._call(self._cut, Trigger.Request(), Trigger.Response)
         # A path comes on a topic of its own, and may come after the call.
         if not answer.success and "no path has come" in answer.message:
             answer = self._wait(self._cut_again, "cut")
@@ -58,7 +59,7 @@ class Cutter:
         return float(self._wait(lambda: self._depth_of(answer.message), "cuts"))
 
     def _cut_again(self) -> Trigger.Response | None:
-        answer = self._call(self._cut, Trigger.Request())
+        answer = self._call(self._cut, Trigger.Request(), Trigger.Response)
         return None if "no path has come" in answer.message else answer
 
     def _depth_of(self, text: str) -> float | None:
@@ -69,12 +70,13 @@ class Cutter:
                     return next(float(item.value) for item in status.values if item.key == "depth_m")
         return None
 
-    def _call(self, service: Any, request: Any) -> Any:
+    def _call[Response](self, service: Client, request: object, kind: type[Response]) -> Response:
+        """Return the answer, of a kind, to a request."""
         name = service.srv_name.rpartition("/")[2]
         self._wait(service.service_is_ready, name)
         pending = service.call_async(request)
 
-        def answer() -> Any:
+        def answer() -> Response | None:
             self._executor.spin_once(timeout_sec=0.0)
             return pending.result() if pending.done() else None
 

@@ -15,7 +15,7 @@ from tissue_sim.ros.bridge.served import served_by, write_missing
 from tissue_sim.ros.shared import client
 
 if TYPE_CHECKING:
-    from tissue_sim.environments.blade_way import MadeCut
+    from tissue_sim.environments.blade_path import MadeCut
     from tissue_sim.environments.policies import Learned
     from tissue_sim.environments.tasks import Task
     from tissue_sim.ros.bridge.cutter import Cutter
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         if not is_there:
             write_missing(args, f"wrench on /{args.node}/{link.tool.name}/wrench", stop)
             return 0 if stop else 1
-        progress.tell_by(None)  # nothing of it runs beside the poses
+        progress.report_by(None)  # nothing of it runs beside the poses
         steps = NAMES[learned.task] if args.seconds is None else round(args.seconds / STEP)
         done = tool.drive(learned, goal, start, steps, stop)
         tool.leave(done.tip, goal)
@@ -102,21 +102,21 @@ def run(args: argparse.Namespace) -> int:
 
 
 def made_cut(cutter: Cutter, done: Done, goal: Goal, frame_id: str) -> MadeCut | None:
-    """Cut along the way of a blade, as the environment does; None where there is no such cut, or it is refused."""
-    way = done.way
-    if way is None or not done.is_met or (planned := way.planned()) is None:
+    """Cut along the path of a blade, as the environment does; None where there is no such cut, or it is refused."""
+    path = done.path
+    if path is None or not done.is_met or (planned := path.planned()) is None:
         return None
-    with progress.task("cutting along the blade's way"):
+    with progress.task("cutting along the blade's path"):
         depth = cutter.cut(planned.polyline, -goal.outward, planned.depth, frame_id)
-    return way.judge(planned, depth)
+    return path.judge(planned, depth)
 
 
 def cut_line(done: Done, made: MadeCut | None, step: float) -> str:
     """Return the line about a cut."""
     after = f"after {step * done.steps:.2f} s; {done.late} of {done.steps} steps late"
-    peak = 0.0 if done.way is None else done.way.peak
+    peak = 0.0 if done.path is None else done.path.peak
     if made is None:
-        reason = "the blade was in the tissue along too short a way" if done.is_met else "not finished"
+        reason = "the blade's path through the tissue was too short" if done.is_met else "not finished"
         return f"Cut: goal not met: {reason}, at most {peak:.3f} N, {after}"
     return (
         f"Cut: goal {'' if made.is_good else 'not '}met: {1e3 * made.beside:.2f} mm beside the line,"
@@ -132,8 +132,8 @@ def result_line(learned: Learned, goal: Goal, done: Done, step: float) -> str:
     )
     if learned.task == "Palpate":
         return f"Palpate: {'says that it is here' if done.is_met else 'found nothing'} {after}"
-    way = done.tip - goal.place
-    beside = 1e3 * float(np.linalg.norm(way - (way @ goal.outward) * goal.outward))
+    offset = done.tip - goal.place
+    beside = 1e3 * float(np.linalg.norm(offset - (offset @ goal.outward) * goal.outward))
     force = float(done.force @ goal.outward)
     wanted = "" if learned.task == "Retract" else f" of {goal.wanted:.3f} N"
     fraction = f" in {100.0 * done.fraction:.0f} % of the steps" if learned.task == "Hold" else ""

@@ -13,7 +13,7 @@ from sensor_msgs.msg import PointCloud2
 
 from tissue_sim.array_types import Floats, Mask
 from tissue_sim.contact.tools import Tool
-from tissue_sim.environments.blade_way import BladeWay, Line, moved_blade
+from tissue_sim.environments.blade_path import BladePath, Line, moved_blade
 from tissue_sim.environments.policies import Learned
 from tissue_sim.environments.steering import Sensed, clipped, declared, moved_jaws, moved_tip, observation_of
 from tissue_sim.environments.tasks import HELD, STEP, Judged, Now, Task, task_of
@@ -51,7 +51,7 @@ class Done(NamedTuple):
     late: int  # steps that began more than a tenth of a step late
     tip: Floats  # (3,) m, where the tool was in the end
     force: Floats  # (3,) N on the hand then
-    way: BladeWay | None = None  # of the blade of a cut
+    path: BladePath | None = None  # of the blade of a cut
 
 
 class DrivenTool:
@@ -89,7 +89,7 @@ class DrivenTool:
         goal: what it is to do; start (3,) m: where the tool is; steps: steps of 20 ms at most.
         """
         task, tip, held, met, late, count = task_of(learned.task), start, 0, 0, 0, 0
-        way = BladeWay(Line(goal.place, goal.half, goal.outward, goal.wanted)) if task.has_blade else None
+        path = BladePath(Line(goal.place, goal.half, goal.outward, goal.wanted)) if task.has_blade else None
         self._blade = np.zeros(1)
         learned.begin()
         began = time.monotonic()
@@ -105,16 +105,16 @@ class DrivenTool:
                 self._angle = before_angle + fraction * (opened - before_angle)
                 self._send(before + fraction * (tip - before), began + (count + fraction) * STEP)
             count += 1
-            if way is None:
+            if path is None:
                 judged = self._judge(task, goal, tip, declared(task, given))
             else:
                 self._blade = moved_blade(self._blade, given)
-                judged = self._note(way, tip, declared(task, given))
+                judged = self._note(path, tip, declared(task, given))
             held = held + 1 if judged.is_good[0] else 0
             met += bool(judged.is_good[0])
             if judged.is_over[0] or (task.ends and held >= HELD):
-                return Done(True, count, met / count, late, tip, self.wrench[:3], way)
-        return Done(not task.ends and held >= HELD, count, met / max(count, 1), late, tip, self.wrench[:3], way)
+                return Done(True, count, met / count, late, tip, self.wrench[:3], path)
+        return Done(not task.ends and held >= HELD, count, met / max(count, 1), late, tip, self.wrench[:3], path)
 
     def leave(self, tip: Floats, goal: Goal) -> None:
         """Take the tool out of the tissue."""
@@ -146,11 +146,11 @@ class DrivenTool:
             blade=self._blade,
         )
 
-    def _note(self, way: BladeWay, tip: Floats, says: Mask) -> Judged:
+    def _note(self, path: BladePath, tip: Floats, says: Mask) -> Judged:
         """Note where the blade is; the cut itself is judged when it is made."""
         moved, force = self._surface_now(), float(np.linalg.norm(self.wrench[:3]))
         if len(moved) == len(self._rest[0]):
-            way.note(tip, float(self._blade[0]), force, moved, self._rest)
+            path.note(tip, float(self._blade[0]), force, moved, self._rest)
         return Judged(np.zeros(1), np.zeros(1, dtype=np.bool_), says)
 
     def _surface_now(self) -> Floats:

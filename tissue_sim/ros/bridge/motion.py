@@ -23,7 +23,7 @@ _QUINTIC = BPoly.from_derivatives([0.0, 1.0], [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
 
 
 def minimum_jerk(progress: Floats) -> Floats:
-    """Return the fraction of the way at a fraction of the time [1]_: without speed and acceleration at both ends.
+    """Return the fraction of the path at a fraction of the time [1]_: without speed and acceleration at both ends.
 
     Parameters
     ----------
@@ -43,17 +43,17 @@ class Ball(NamedTuple):
     centre: Floats
     radius: float
 
-    def leave(self, start: Floats, way: Floats) -> Floats:
+    def leave(self, start: Floats, direction: Floats) -> Floats:
         """Return where a line leaves the ball; the start itself when that is outside already.
 
-        start (3,) m: start of the line; way (3,): its direction, of length 1.
+        start (3,) m: start of the line; direction (3,): of length 1.
         """
         offset = start - self.centre
-        b, c = float(offset @ way), float(offset @ offset) - self.radius**2
-        return start if c >= 0.0 else start + (np.sqrt(b * b - c) - b) * way
+        b, c = float(offset @ direction), float(offset @ offset) - self.radius**2
+        return start if c >= 0.0 else start + (np.sqrt(b * b - c) - b) * direction
 
     def arc(self, start: Floats, end: Floats) -> Floats:
-        """Return points (k, 3) m around the centre, the short way, between points at the same distance from it.
+        """Return points (k, 3) m around the centre, on the shorter arc, between points at the same distance from it.
 
         start (3,) m: first point; end (3,) m: last point.
         """
@@ -81,7 +81,7 @@ class Leg:
     turn : Mapping[int, Floats], shape (4,)
         Rotation at the end.
     outward : Mapping[int, Floats], shape (3,)
-        The way out of the tissue.
+        The direction out of the tissue.
     """
 
     phase: str
@@ -112,7 +112,7 @@ class Path:
     angles : Floats, shape (m, T), rad
         Angles between jaws.
     outward : Floats, shape (m, T, 3)
-        The way out of the tissue, zero where a tool is outside and clear of it.
+        The direction out of the tissue, zero where a tool is outside and clear of it.
     """
 
     rate: float
@@ -141,8 +141,8 @@ class Path:
     def then(self, leg: Leg) -> Path:
         """Return this path with one more leg."""
         before, shut = self.poses[-1], self.angles[-1]
-        ways = [np.vstack([pose[:3], leg.to.get(tool, pose[:3])]) for tool, pose in enumerate(before)]
-        along = [np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))) for way in ways]
+        lines = [np.vstack([pose[:3], leg.to.get(tool, pose[:3])]) for tool, pose in enumerate(before)]
+        along = [np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))) for line in lines]
         turns = [Rotation.from_quat([pose[3:], leg.turn.get(tool, pose[3:])]) for tool, pose in enumerate(before)]
         opening = np.array([leg.angle.get(tool, now) for tool, now in enumerate(shut)]) - shut
         turning = max((end * start.inv()).magnitude() for start, end in turns)
@@ -153,8 +153,8 @@ class Path:
             return self
         fraction = minimum_jerk(np.arange(1, n + 1) / n)
         places = [
-            np.stack([np.interp(fraction * length[-1], length, axis) for axis in way.T], axis=1)
-            for way, length in zip(ways, along, strict=True)
+            np.stack([np.interp(fraction * length[-1], length, axis) for axis in line.T], axis=1)
+            for line, length in zip(lines, along, strict=True)
         ]
         rotations = [Slerp([0.0, 1.0], pair)(fraction).as_quat() for pair in turns]
         out = np.array([leg.outward.get(tool, np.zeros(3)) for tool in range(len(before))])
@@ -169,7 +169,7 @@ class Path:
     def retreat(self, index: int) -> Path:
         """Return a path from one of the poses straight out; jaws open first, or they would keep what they hold."""
         here = {name: getattr(self, name)[index : index + 1] for name in ("phases", "poses", "angles", "outward")}
-        inside = {tool: way for tool, way in enumerate(self.outward[index]) if way.any()}
+        inside = {tool: outward for tool, outward in enumerate(self.outward[index]) if outward.any()}
         opened = {tool: float(self.angles[:, tool].max()) for tool in inside}
-        out = {tool: self.ball.leave(self.poses[index, tool, :3], way) for tool, way in inside.items()}
+        out = {tool: self.ball.leave(self.poses[index, tool, :3], outward) for tool, outward in inside.items()}
         return replace(self, **here).then(Leg("open", speed=OPENING, angle=opened)).then(Leg("retreat", out))

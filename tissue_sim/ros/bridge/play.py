@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
                 f" {args.rate:g} Hz",
                 flush=True,
             )
-            progress.tell_by(None)  # nothing of it runs beside the poses
+            progress.report_by(None)  # nothing of it runs beside the poses
             organ = player.play(path, stop, served.meshes, vertices)
             if organ is not None:
                 print("the node has another organ", flush=True)

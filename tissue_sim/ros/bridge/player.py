@@ -102,7 +102,7 @@ class Player:
 
     def _warn_of_other_publishers(self) -> None:
         for tool in self._tools:
-            if tool.name not in self._warned and tool.rivals() > 0:
+            if tool.name not in self._warned and tool.other_publishers() > 0:
                 self._warned.add(tool.name)
                 what = f"{tool.topic} has another publisher: {tool.name} jumps between the two"
                 sys.stderr.write(f"tissue_sim bridge: {what}\n")
@@ -120,7 +120,7 @@ class Player:
         for tool, pose in zip(self._tools, poses, strict=True):
             tool.publish(stamp, pose)
         for tool in self._tools:
-            tool.feel()
+            tool.receive()
 
 
 def _other_organ(mesh: Mesh | None, organ: Floats) -> tuple[Floats, Longs] | None:

@@ -12,7 +12,7 @@ from tissue_sim.ros.shared.node_parameters import NodeParameters
 
 
 class Registration:
-    """Reads the parameters of the node `target` again after its diagnostics tell that `organ_pose` has changed."""
+    """Reads the parameters of the node `target` again after its diagnostics report that `organ_pose` has changed."""
 
     def __init__(self, node: Node, target: str, parameters: NodeParameters) -> None:
         self._target, self._parameters = target, parameters

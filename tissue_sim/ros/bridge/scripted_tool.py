@@ -27,7 +27,7 @@ class ScriptedTool:
         self._jaws = node.create_publisher(JointState, topics.names["measured_js"], link.qos) if has_jaws else None
         self._wrench_type = topics.wrench_type
         kind = WRENCH_TYPES[topics.wrench_type]
-        self._wrenches = NewestMessage(node, kind, topics.names["servo_cf"], link.qos, raw=True)
+        self._wrenches: NewestMessage[bytes] = NewestMessage(node, kind, topics.names["servo_cf"], link.qos, raw=True)
         self.sent = self.received = 0
         self.peak = 0.0  # N, largest force so far
 
@@ -54,11 +54,11 @@ class ScriptedTool:
         publishers = [self._publisher] if self._jaws is None else [self._publisher, self._jaws]
         return all(publisher.get_subscription_count() for publisher in publishers)
 
-    def rivals(self) -> int:
+    def other_publishers(self) -> int:
         """Return how many others publish the tool's poses."""
         return int(self._node.count_publishers(self.topic)) - 1
 
-    def feel(self) -> None:
+    def receive(self) -> None:
         """Take the newest wrench, if one has come."""
         raw = self._wrenches.take()
         if raw is not None:

@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from tissue_sim.contact.gripper import Jaws
 from tissue_sim.errors import UserError
-from tissue_sim.ros.bridge.contact_locations import FRONT, UP, Surface, Touch, looking
+from tissue_sim.ros.bridge.contact_locations import FRONT, UP, Surface, Touch, rotation_towards
 from tissue_sim.ros.bridge.motion import Leg, Path
 from tissue_sim.ros.bridge.script import SCRIPT, check
 
-# Depths and ways in m, of a tool of a radius in m; thin organs get proportionally smaller values.
+# Depths and distances in m, of a tool of a radius in m; thin organs get proportionally smaller values.
 STROKE_DEPTH, POKE_DEPTH, SQUEEZE, LIFT = 0.002, 0.006, 0.008, 0.010
 HOVER = 0.006  # between tool and surface, where a fast approach ends
 # Peak speeds in m/s, times in s.
@@ -56,7 +56,10 @@ class _Planner:
         self._placed: set[int] = set()
         # A tool without an action waits behind the organ, each a little farther round.
         outward = [Rotation.from_rotvec(0.5 * (tool - 1) * UP).apply(FRONT) for tool in range(n_tools)]
-        poses = [np.append(surface.ball.leave(surface.ball.centre, way), looking(-way)) for way in outward]
+        poses = [
+            np.append(surface.ball.leave(surface.ball.centre, direction), rotation_towards(-direction))
+            for direction in outward
+        ]
         reach = max((jaws.length for _, jaws in gripper), default=0.0)
         self._path = Path.standing(np.array(poses), rate, surface.ball, reach)
 
@@ -85,10 +88,10 @@ class _Planner:
         first = self._path.poses[-1, 0, :3]
         jaws = sorted(self._surface.pinch_locations(), key=lambda jaw: float(np.linalg.norm(jaw.place - first)))
         # Up and to the side, square to the jaws, to where the tissue between them widens.
-        way, sideways = jaws[0].way, np.cross(jaws[0].way, UP)
+        direction, sideways = jaws[0].direction, np.cross(jaws[0].direction, UP)
         widening = sum(self._surface.normal(jaw) for jaw in jaws)
         lift = -np.sign(sideways @ widening) * sideways / np.linalg.norm(sideways) + 0.5 * UP
-        lift -= (lift @ way) * way
+        lift -= (lift @ direction) * direction
         lift *= self._scale * LIFT / np.linalg.norm(lift)
         closed = {tool: jaw.at(self._scale * SQUEEZE) for tool, jaw in enumerate(jaws)}
         self._enter("nip", dict(enumerate(jaws)))
@@ -129,8 +132,8 @@ class _Planner:
         angle: between jaws when they are there, rad.
         """
         ball, turn = self._path.ball, {tool: touch.turn for tool, touch in touches.items()}
-        self._action, self._out = action, {tool: -touch.way for tool, touch in touches.items()}
-        starts = {tool: ball.leave(touch.place, -touch.way) for tool, touch in touches.items()}
+        self._action, self._out = action, {tool: -touch.direction for tool, touch in touches.items()}
+        starts = {tool: ball.leave(touch.place, -touch.direction) for tool, touch in touches.items()}
         for tool in set(touches) - self._placed:  # it waits where its first action begins
             self._path.poses[:, tool] = np.append(starts[tool], turn[tool])
         self._placed |= set(touches)
@@ -140,10 +143,14 @@ class _Planner:
         self._then(Leg("approach", before, angle=angle or {}))
 
     def _then(self, leg: Leg) -> None:
-        """Add a leg of the action, during which the way out of the tissue stays the same."""
+        """Add a leg of the action, during which the direction out of the tissue stays the same."""
         self._path = self._path.then(replace(leg, phase=f"{self._action}/{leg.phase}", outward=self._out))
 
     def _leave(self) -> None:
         """Go straight out, until the tools are clear of the organ."""
         last = self._path.poses[-1, :, :3]
-        self._then(Leg("retreat", {tool: self._path.ball.leave(last[tool], way) for tool, way in self._out.items()}))
+        self._then(
+            Leg(
+                "retreat", {tool: self._path.ball.leave(last[tool], direction) for tool, direction in self._out.items()}
+            )
+        )

@@ -94,7 +94,7 @@ class Camera:
             if any(wants.values()):
                 seen_from = beside(pose, self._settings.baseline) if number else pose
                 eye.send(stamp, self.drawn.take(seen_from, **wants))
-        self._tell_pose(stamp, pose)
+        self._report_pose(stamp, pose)
         self.pictures += 1
         self._took.append(time.monotonic() - began)
         return True
@@ -134,7 +134,7 @@ class Camera:
         self._tools.use(values.get("tools", ()))
         self._viewpoint.use(values)
 
-    def _tell_pose(self, stamp: int, pose: Floats) -> None:
+    def _report_pose(self, stamp: int, pose: Floats) -> None:
         """Publish where the picture was taken from, and the frame on tf, where that is installed."""
         if self._pose_template is None:
             self._pose_template = NumbersTemplate(PoseStamped(), N_POSE, self._frame_id)

@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         if args.record is not None:
             recorded = Path(args.record), frozenset(RECORDED + (RECORDED_DEPTH if args.record_depth else ()))
         camera = Camera(node, args.node, settings, viewpoint_of(args, node, settings), recorded)
-        progress.tell_by(None)
+        progress.report_by(None)
         print(
             f"/{settings.name}: {settings.lens.width} x {settings.lens.height} at {settings.rate:g} Hz, drawn by"
             f" {camera.drawn.drawn_by}; drawn when there are subscribers",

@@ -178,7 +178,7 @@ class TissueNode(GuardedNode):
             *(one for one in self.presenters if isinstance(one, OrganPublisher)),
             *([self.respiration] if self.respiration is not None else []),
             outlet,
-            self.mishaps,
+            self.unexpected_errors,
         ]
         self.contacts.rate = self.parameters["contact_rate"]
         self.contacts.start()
@@ -206,7 +206,7 @@ class TissueNode(GuardedNode):
     def close(self) -> None:
         """End with zero forces, close the bag, delete the markers, end the threads; in well under a second."""
         self.pausing.close()
-        noted = self.mishaps.noted  # where one of them fails, the others are still done
+        noted = self.unexpected_errors.noted  # where one of them fails, the others are still done
         if self._outlet is not None:
             self._outlet.stop()
         self.answers.stop()
@@ -322,7 +322,7 @@ class TissueNode(GuardedNode):
         return self.recorder.start(folder, newest, split)
 
     def _post_settings(self, organ: int, settings: Settings) -> None:
-        with self.recorder.together:
+        with self.recorder.lock:
             self.recorder.of_organ[organ].settings(self.organs.each[organ].post_settings(settings), settings)
 
     def _place_frames(self) -> None:

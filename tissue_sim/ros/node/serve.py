@@ -52,7 +52,7 @@ def serve(arguments: list[str], ending: ShutdownHandler) -> int:
         dds.prepare()
         _start_rclpy(arguments)
         _check_own(arguments)
-        progress.tell_by(get_logger(NAME).info)
+        progress.report_by(get_logger(NAME).info)
         with progress.task("starting"):
             node = TissueNode()
             executor = make_executor()
@@ -60,7 +60,7 @@ def serve(arguments: list[str], ending: ShutdownHandler) -> int:
                 node.get_logger().warning(OLD_RCLPY)
             executor.add_node(node)
             node.start()
-        progress.tell_by(None)  # nothing of it runs beside the loop
+        progress.report_by(None)  # nothing of it runs beside the loop
         ending.started()
         _go_on(node, executor, ending)
         return 0
@@ -87,7 +87,7 @@ def _go_on(node: TissueNode, executor: Executor, ending: ShutdownHandler) -> Non
         try:
             executor.spin_once(timeout_sec=SPIN)
         except Exception as error:  # of rclpy itself: callbacks are guarded
-            node.mishaps.note(error)
+            node.unexpected_errors.note(error)
             ending.asked.wait(AFTER_FAILURE)
         if node.loop.ended:
             why = node.loop.failure
@@ -96,7 +96,7 @@ def _go_on(node: TissueNode, executor: Executor, ending: ShutdownHandler) -> Non
 
 def _noted(node: TissueNode, error: BaseException | None) -> None:
     if error is not None:
-        node.mishaps.note(error)
+        node.unexpected_errors.note(error)
 
 
 def usage() -> str:

@@ -83,7 +83,7 @@ class CutProbe(Hand):
     def press(self, place: CutPlace) -> None:
         """Reset the organ, which heals it, and press beside where it will be cut."""
         self._call("reset", Trigger.Request())
-        self._touch, self._way = place.touch - RADIUS * place.inward, place.inward
+        self._touch, self._inward = place.touch - RADIUS * place.inward, place.inward
         for depth in np.linspace(-FROM, DEPTH, 400):
             self._delay(float(depth))
 

@@ -28,7 +28,7 @@ def check_rclpy() -> None:
         raise UserError("this benchmark needs rclpy: pip install 'tissue_sim[ros]', or source a ROS 2")
 
 
-def first_within[Found](find: Callable[[], Found], seconds: float, problem: str) -> Found:
+def first_within[Found](find: Callable[[], Found | None], seconds: float, problem: str) -> Found:
     """Return the first answer that is true.
 
     find: gives an answer; seconds: time for it, s; problem: what is wrong without one. Raises UserError when there is
@@ -117,12 +117,12 @@ class Graph(ExitStack):
 def ticks(node: Child) -> None:
     """Return when the node has done its first tick. Raises UserError when it ends, or has not for START_TIME."""
 
-    def tells() -> bool:
+    def has_ticked() -> bool:
         if node.exit_code is not None:
             raise UserError(f"the node did not start: {node.last_words()}")
         return any("surface nodes" in line for line in (*node.output, *node.errors))
 
-    first_within(tells, START_TIME, "the node did not tick")
+    first_within(has_ticked, START_TIME, "the node did not tick")
 
 
 def last_line(child: Child) -> str:

@@ -65,7 +65,7 @@ class PressProbe(Hand):
         self._angles.publish(JointState(name=["jaw"], position=[0.0]))
 
         def is_answered() -> bool:
-            self._send_and_feel(each[0])
+            self._send_and_receive(each[0])
             time.sleep(1.0 / rate)
             return len(self._answers) >= ANSWERED
 
@@ -74,7 +74,7 @@ class PressProbe(Hand):
         sent = began
         while (now := int((time.monotonic() - began) * rate)) < len(each):
             if now > last:
-                self._send_and_feel(each[now])
+                self._send_and_receive(each[now])
                 sent, before, last = time.monotonic(), sent, now
                 self.gap = max(self.gap, sent - before)
             time.sleep(max(0.0, began + (last + 1) / rate - time.monotonic()))
@@ -90,7 +90,7 @@ class PressProbe(Hand):
         done: list[int] = []
 
         def is_over() -> bool:
-            self._send_and_feel(self._last)
+            self._send_and_receive(self._last)
             time.sleep(1.0 / self._rate)
             values = client.physics_status(self._reports.take_all(), self._target)
             if values is not None:
@@ -101,7 +101,7 @@ class PressProbe(Hand):
         first_within(is_over, START_TIME, f"the loop did not do {ticks} ticks")
         return force_in_the_end(self._answers)
 
-    def _send_and_feel(self, pose: Floats) -> None:
+    def _send_and_receive(self, pose: Floats) -> None:
         """Send a pose (7,), and note the newest wrench that came."""
         self.send_pose(pose)
         message = self._wrenches.take()

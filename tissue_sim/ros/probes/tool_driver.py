@@ -33,8 +33,8 @@ class Hand:
         self._message = PoseStamped()
         self._message.header.frame_id = "organ"
         points = organ.surface_positions
-        self._way: Floats = np.array([-1.0, 0.0, 0.0])
-        self._touch: Floats = points[np.argmax(points[:, 0])] - RADIUS * self._way
+        self._inward: Floats = np.array([-1.0, 0.0, 0.0])
+        self._touch: Floats = points[np.argmax(points[:, 0])] - RADIUS * self._inward
 
     def meet(self) -> None:
         """Wait until the node hears the hand. Raises UserError when it doesn't."""
@@ -59,7 +59,7 @@ class Hand:
 
     def send(self, depth: float, publisher: Publisher | None = None) -> None:
         """Send a pose at a depth in the organ, m; to the node, or by another publisher."""
-        self.send_pose(np.concatenate([self._touch + depth * self._way, UNTURNED]), publisher)
+        self.send_pose(np.concatenate([self._touch + depth * self._inward, UNTURNED]), publisher)
 
     def send_pose(self, pose: Floats, publisher: Publisher | None = None) -> None:
         """Send a pose (7,), m and a unit quaternion xyzw, to the node, or by another publisher."""

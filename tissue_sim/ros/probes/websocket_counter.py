@@ -10,7 +10,6 @@ import json
 import sys
 import time
 from collections.abc import Iterator
-from typing import Any
 
 from tissue_sim.json_types import JsonObject
 from tissue_sim.ros.probes.graph import START_TIME, first_within
@@ -51,9 +50,9 @@ def watch(address: str, seconds: float) -> JsonObject:
     """
     import msgspec
     import viser
-    from websockets.sync.client import connect
+    from websockets.sync.client import ClientConnection, connect
 
-    def connected() -> Any:
+    def connected() -> ClientConnection | None:
         try:
             return connect(
                 "ws" + address.removeprefix("http"),
@@ -69,7 +68,7 @@ def watch(address: str, seconds: float) -> JsonObject:
     with first_within(connected, START_TIME, "nothing is served") as page:
         page.send(msgspec.msgpack.encode(CAMERA))
         while not began or time.monotonic() < began + seconds:
-            message = page.recv(timeout=START_TIME)
+            message = page.recv(timeout=START_TIME, decode=False)
             now, whose = time.monotonic(), list(pictures(message))
             if whose and not settled:
                 settled = now + SETTLING

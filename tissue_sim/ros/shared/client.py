@@ -6,8 +6,8 @@ import argparse
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -72,16 +72,15 @@ class Stop:
     def __init__(self) -> None:
         # A plain attribute: an Event's lock could be held by the very thread that the handler interrupts.
         self._asked = False
-        self._before: dict[int, Any] = {}
+        self._restored = ExitStack()
 
     def __enter__(self) -> Stop:
         for asked_by in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            self._before[asked_by] = signal.signal(asked_by, self._ask)
+            self._restored.callback(signal.signal, asked_by, signal.signal(asked_by, self._ask))
         return self
 
     def __exit__(self, *_: object) -> None:
-        for asked_by, handler in self._before.items():
-            signal.signal(asked_by, handler)
+        self._restored.close()
 
     def _ask(self, *_: object) -> None:
         self._asked = True
@@ -168,7 +167,7 @@ def latched_qos() -> QoSProfile:
     return LATCHED
 
 
-class NewestMessage:
+class NewestMessage[Message]:
     """The newest message of a topic, fetched on request.
 
     No callback runs for the messages in between: a 1 kHz stream costs as little as its reader's rate.
@@ -176,15 +175,15 @@ class NewestMessage:
     qos: how it is subscribed; raw: whether messages are returned as bytes.
     """
 
-    def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile, raw: bool = False) -> None:
+    def __init__(self, node: Node, kind: type[Message], topic: str, qos: QoSProfile, raw: bool = False) -> None:
         self._node = node
         self._subscription: Subscription = node.create_subscription(kind, topic, _unused, qos, raw=raw)
 
-    def take(self) -> Any:
+    def take(self) -> Message | None:
         """Return the newest message since the last call (bytes when raw), or None."""
         return next(reversed(self.take_all()), None)
 
-    def take_all(self) -> list[Any]:
+    def take_all(self) -> list[Message]:
         """Return the messages since the last call that the topic's depth has kept, oldest first."""
         messages, subscription = [], self._subscription
         with subscription.handle:

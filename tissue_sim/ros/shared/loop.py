@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.handles import handle, place_of, row
 from tissue_sim.memory import provide
 from tissue_sim.model.data.records import copy_of, field_of
-from tissue_sim.model.data.world import make_world
+from tissue_sim.model.data.world import World, make_world
 from tissue_sim.model.joined import ExchangePlan, Joined
 from tissue_sim.model.runtime import loop as rt
 from tissue_sim.model.runtime import mailboxes as mb
@@ -63,7 +62,7 @@ class Loop:
         self._worlds, self._box_row = row(self._world_handles), row(self._box_handles)
         links = len(joined.links.lightness)
         self._exchange = make_exchange(self._worlds, self._box_row, self._world_handles[0], self._box_handles[0], links)
-        self.hold = PauseControl(self)
+        self.pause = PauseControl(self)
         self.before_reset: list[Callable[[], None]] = []  # called first: they exchange cut organs
 
     def _run(self) -> None:
@@ -77,7 +76,7 @@ class Loop:
         joined = self.joined.handle, handle(self.joined_box)
         rt.run_loop(self._worlds, self._box_row, handle(self.words), *joined, handle(self._exchange))
 
-    def _world_of(self, simulation: Simulation, organ: int) -> Any:
+    def _world_of(self, simulation: Simulation, organ: int) -> World:
         """Return the handle of a simulation's world with the settings that the loop applies."""
         one = simulation
         return handle(make_world(one.model, one.state, one.shapes, self._settings[organ], one.scratch))
@@ -124,13 +123,13 @@ class Loop:
 
     @property
     def standing(self) -> bool:
-        """Whether no tick is due: the loop is held, or the clock that it follows stands."""
-        return self.hold.active or self.clock_stands
+        """Whether no tick is due: the loop is paused, or the clock that it follows stands."""
+        return self.pause.active or self.clock_stands
 
     @property
     def clock_stands(self) -> bool:
         """Whether ticks follow a posted time that has not come yet, or has stood still for half a second."""
-        return bool(self._standing[0]) and not self.hold.active
+        return bool(self._standing[0]) and not self.pause.active
 
     @property
     def tick_time(self) -> float:
@@ -169,7 +168,7 @@ class Loop:
         return int(self.words.control.resets)
 
     def post_respiration(self, fraction: float) -> int:
-        """Post where the breath is to be, as a fraction of its way; return its sequence number."""
+        """Post where the breath is to be, as a fraction of its displacement; return its sequence number."""
         return int(mb.put(self._respiration, 0, np.array([fraction]).view(np.int64)))
 
     def post_organ_contacts(self, found: OrganContactSet) -> int:
@@ -195,7 +194,7 @@ class Loop:
     ) -> int:
         """Go on with a simulation that continues one of the organs; return the first tick with it.
 
-        A held loop takes it up at once.
+        A paused loop takes it up at once.
 
         made: the simulation, whose `carry_plan` fits the one in use; plan: what changes for all organs, None for an
         organ alone; patience: how long to wait for the tick, None: as long as a running loop may take, s. Raises
@@ -207,14 +206,14 @@ class Loop:
         provide((made.model, made.state.words, made.scratch, box.shape, box.carry))
         world_handle, box_handle = self._world_of(made, organ), handle(box)
         exchange, words = self._exchange, self._exchange.words
-        with self._snapshot_lock, self.hold.kept() as is_held:
+        with self._snapshot_lock, self.pause.kept() as is_paused:
             exchange.next_world[0], exchange.next_box[0] = place_of(world_handle), place_of(box_handle)
             words.organ = organ
             if plan is not None:
                 words.coarse_square, words.added, words.version = plan.coarse_square, plan.added, plan.version
                 exchange.lightness[:] = plan.lightness
             words.asked += 1
-            if is_held:
+            if is_paused:
                 take_exchange(self._worlds, self._box_row, self.joined.handle, handle(exchange))
                 mb.post_results(world_handle, box_handle)
                 words.done = words.asked

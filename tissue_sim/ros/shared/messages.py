@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
@@ -14,16 +14,16 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.shared.cdr import CDR_HEADER, LITTLE_ENDIAN
 from tissue_sim.ros.shared.shown_organ import ShownOrgan
+from tissue_sim.ros.shared.tool_messages import WrenchMessage
 
 
 class NumbersTemplate:
     """A message that ends in doubles, ready to be patched: a wrench or a pose, with or without a header.
 
-    message: a PoseStamped, WrenchStamped, Wrench or Float64MultiArray (empty layout), whose numbers are replaced;
-    n_numbers: number of the doubles.
+    message: whose numbers are replaced; a Float64MultiArray has an empty layout; n_numbers: number of the doubles.
     """
 
-    def __init__(self, message: Any, n_numbers: int, frame_id: str = "") -> None:
+    def __init__(self, message: PoseStamped | WrenchMessage, n_numbers: int, frame_id: str = "") -> None:
         self._stamped = hasattr(message, "header")
         if self._stamped:
             message.header.frame_id = frame_id

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from tissue_sim.contact.quaternions import unit_quaternion
 from tissue_sim.contact.tools import SHAPE_NAMES
@@ -24,14 +23,14 @@ class Spec:
     """One parameter; `setting` is the field of the simulation's settings that it changes, if any."""
 
     name: str
-    default: Any
+    default: bool | float | str | list[float] | list[str]
     text: str
     low: float | None = None
     high: float | None = None
     live: bool = False
     choices: tuple[str, ...] = ()
     setting: str = ""
-    check: Callable[[Any], object] | None = None  # raises ValueError with the reason
+    check: Callable[..., object] | None = None  # of a value; raises ValueError with the reason
 
 
 def _check_pose(value: Sequence[float]) -> None:

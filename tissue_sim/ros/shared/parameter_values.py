@@ -14,7 +14,7 @@ from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
 
 class Values(Protocol):
-    """Parameters by name: a node's own, or a dictionary of another node's."""
+    """Parameters by name: a node's own, or a dictionary of another node's; their Specs say of which type each is."""
 
     def __getitem__(self, name: str, /) -> Any:
         """Return the value of a parameter."""

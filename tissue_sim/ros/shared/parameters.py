@@ -33,7 +33,7 @@ class Parameters:
         self._specs: dict[str, Spec] = {}
         self.changed: list[Callable[[set[str]], None]] = []  # called with the names after a live change
         # Checks of live changes, by name; they raise UserError.
-        self.checks: dict[str, Callable[[Any], object]] = {"organ_pose": partial(check_organ_pose, self)}
+        self.checks: dict[str, Callable[..., object]] = {"organ_pose": partial(check_organ_pose, self)}
         for spec in NODE_SPECS:
             self._declare(spec.name, spec)
         self._declare("tools", Spec("tools", ["left", "right"], "names of the tools"))

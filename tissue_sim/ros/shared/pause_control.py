@@ -1,4 +1,4 @@
-"""Holding of a loop: it takes no ticks but those that it is given one by one."""
+"""Pausing of a loop: it takes no ticks but those that it is given one by one."""
 
 from __future__ import annotations
 
@@ -6,17 +6,21 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Protocol
+
+from tissue_sim.model.runtime.mailboxes import LoopWords
 
 LONGEST = 1.0  # s that the loop may need until it stands, goes on, or has done a tick
 LOOK = 1e-4  # s between two checks whether it has
 SECOND = 1_000_000_000  # ns
 
 
-class Holdable(Protocol):
-    """What a hold needs of the loop, which has it for a part."""
+class Pausable(Protocol):
+    """What the control needs of its loop."""
 
-    words: Any
+    @property
+    def words(self) -> LoopWords:
+        """What it shares with its compiled part."""
 
     @property
     def alive(self) -> bool:
@@ -38,33 +42,33 @@ class Holdable(Protocol):
 
 
 class PauseControl:
-    """Control that holds a running loop that follows the monotonic clock; any thread may call it.
+    """Control that pauses a running loop that follows the monotonic clock; any thread may call it.
 
-    A held loop follows a time of its own, as others follow /clock: that stands, and advances by a tick at a time, so
+    A paused loop follows a time of its own, as others follow /clock: that stands, and advances by a tick at a time, so
     that exactly those ticks are due.
     """
 
-    def __init__(self, loop: Holdable) -> None:
+    def __init__(self, loop: Pausable) -> None:
         self._loop = loop
-        self._time = 0  # ns, followed by a held loop
-        self._lost = 0.0  # s of the monotonic clock for which loops were held
-        self._frozen: float | None = None  # s, the time of `now` while held
+        self._time = 0  # ns, followed by a paused loop
+        self._lost = 0.0  # s of the monotonic clock for which loops were paused
+        self._frozen: float | None = None  # s, the time of `now` while paused
         self._lock = threading.Lock()
 
     @property
     def active(self) -> bool:
-        """Whether the loop is held."""
+        """Whether the loop is paused."""
         return self._frozen is not None
 
     def now(self) -> float:
-        """Return the monotonic time, without that for which the loop was held, and with the ticks in it, s."""
+        """Return the monotonic time, without that for which the loop was paused, and with the ticks in it, s."""
         frozen = self._frozen
         return time.monotonic() - self._lost if frozen is None else frozen
 
     def begin(self) -> None:
-        """Hold the loop; return when its last tick is done.
+        """Pause the loop; return when its last tick is done.
 
-        Raises TimeoutError when the loop doesn't answer; it is held as soon as it does.
+        Raises TimeoutError when the loop doesn't answer; it is paused as soon as it does.
         """
         with self._lock:
             if self.active:
@@ -94,12 +98,12 @@ class PauseControl:
 
     @contextmanager
     def kept(self) -> Iterator[bool]:
-        """Keep a held loop from taking ticks meanwhile, and another from being held; yield whether it is held."""
+        """Keep a paused loop from taking ticks meanwhile, and another from being paused; yield whether it is paused."""
         with self._lock:
             yield self.active
 
     def step(self) -> bool:
-        """Have one tick done; return whether it was: False where the loop is no longer held.
+        """Have one tick done; return whether it was: False where the loop is no longer paused.
 
         Raises TimeoutError when the loop doesn't answer.
         """

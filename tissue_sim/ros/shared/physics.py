@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.handles import handle
@@ -204,7 +204,7 @@ class Physics:
         with self.loop.snapshots(timeout):
             return self.box.snapshot.copy()
 
-    def journal(self) -> tuple[Any, Any]:
+    def journal(self) -> tuple[NDArray[np.record], NDArray[np.record]]:
         """Return what ticks applied since the last call: (k,) of JournalRow, and (k, T) of BodyInputs."""
         written = int(self.box.journal_written[0])
         chosen = unread_rows(self._journal_read, written)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from geometry_msgs.msg import Pose, PoseStamped, TransformStamped, Wrench, WrenchStamped
 from nav_msgs.msg import Odometry
@@ -34,6 +34,7 @@ FORCE_TYPES = {
     "WrenchStamped": Incoming(WrenchStamped, parse_stamped, N_WRENCH),
     "Wrench": Incoming(Wrench, parse_plain, N_WRENCH),
 }
+type WrenchMessage = WrenchStamped | Wrench | Float64MultiArray
 WRENCH_TYPES: dict[str, type] = {
     "WrenchStamped": WrenchStamped,
     "Wrench": Wrench,
@@ -68,7 +69,7 @@ class ToolTopics:
         """Whether the wrench is published along other axes than those of the poses."""
         return self.wrench_frame == "body" or self.has_axes_of_its_own
 
-    def outgoing(self) -> Any:
+    def outgoing(self) -> WrenchMessage:
         """Return an empty message of the published type."""
         if self.wrench_type == "Float64MultiArray":
             return Float64MultiArray(data=[0.0] * self.array_length)

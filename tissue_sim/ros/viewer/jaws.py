@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any
 
 import viser
 from rclpy.node import Node
@@ -29,7 +28,7 @@ class JawSlider:
         self._node, self._view = node, view
         self._jaws: PokedJaws | None = None
         self._touched = -math.inf  # monotonic s
-        self._slider: Any = server.gui.add_slider(
+        self._slider = server.gui.add_slider(
             f"Jaws of {view.name}, degrees", min=0.0, max=WIDEST, step=STEP, initial_value=0.0, visible=False
         )
         # In the server's own loop: in a pool of threads an older value could come last.
@@ -52,11 +51,11 @@ class JawSlider:
             return
         shown = round(min(math.degrees(opening), WIDEST) / STEP) * STEP
         if shown != self._slider.value:
-            self._slider.value = shown
+            self._slider.value = shown  # type: ignore[misc]  # viser declares it read-only
 
-    def rivals(self) -> int:
+    def other_publishers(self) -> int:
         """Return how many others move the jaws that the slider has just moved."""
-        return self._jaws.rivals() if self._jaws is not None and self._jaws.moving else 0
+        return self._jaws.other_publishers() if self._jaws is not None and self._jaws.moving else 0
 
     def close(self) -> None:
         """Stop moving the jaws."""

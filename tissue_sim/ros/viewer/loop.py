@@ -71,7 +71,7 @@ class Viewer:
         if parameters is not None:
             self._name(tuple(parameters.get(ORGANS, ())) or ("",))
         self._take_report()
-        self._services.poll(self._panel.wishes, self._tell)
+        self._services.poll(self._panel.requests, self._report)
         for one in self.organs:
             one.take_inclusions()
             one.take_surface()
@@ -114,7 +114,7 @@ class Viewer:
             self._lines = client.NewestMessage(
                 self._node, MarkerArray, f"/{self._target}/ligaments", client.latched_qos()
             )
-        self._panel.opacity.value = TRANSLUCENT if len(names) == 1 else SOLID
+        self._panel.opacity.value = TRANSLUCENT if len(names) == 1 else SOLID  # type: ignore[misc]  # viser's type: read-only
 
     def _points(self) -> tuple[Floats | None, str]:
         """Return the last positions of all surfaces, (n, 3) m, and their frame; None before they have come."""
@@ -169,7 +169,7 @@ class Viewer:
         else:
             self._panel.say(f"<b>/{self._target} doesn't answer.</b> The picture shows its last state.", {})
 
-    def _tell(self, text: str, good: bool) -> None:
+    def _report(self, text: str, good: bool) -> None:
         for watcher in self._server.get_clients().values():
             watcher.add_notification(
                 "Done" if good else "Not done", text, color="green" if good else "red", auto_close_seconds=6.0

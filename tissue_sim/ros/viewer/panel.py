@@ -6,7 +6,6 @@ import html
 import queue
 from collections.abc import Mapping, Sequence
 from enum import Enum
-from typing import Any
 
 import viser
 
@@ -18,7 +17,7 @@ TRANSLUCENT, SOLID = 0.8, 1.0  # opacity of one organ, which shows its inside; o
 LAST = 1e9  # order in the panel: below everything that comes later
 
 
-class Wish(Enum):
+class Request(Enum):
     """Request of a button to the node."""
 
     RESET = "reset"
@@ -107,25 +106,27 @@ def legend_html() -> str:
 
 
 class Panel:
-    """The panel; requests of its buttons wait in `wishes`."""
+    """The panel; requests of its buttons wait in `requests`."""
 
     def __init__(self, server: viser.ViserServer) -> None:
-        self.wishes: queue.SimpleQueue[Wish] = queue.SimpleQueue()
+        self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
         gui = server.gui
         self._headline = gui.add_html(headline_html(""))
         self._status = gui.add_markdown("", visible=False, order=LAST)
         self._detail = gui.add_html("", visible=False, order=LAST - 1.0)
         self._organs = gui.add_html("", visible=False)
         gui.add_html(legend_html())
-        self.opacity: Any = gui.add_slider(
+        self.opacity = gui.add_slider(
             "Opacity", min=0.2, max=1.0, step=0.05, initial_value=TRANSLUCENT, hint="Of the tissue over its interior"
         )
         self._reset = gui.add_button("Reset", hint="Return to the rest shape")
         self._record = gui.add_button("Record", hint="Start or stop recording a bag")
         self._recording = False
         self._reset.disabled = self._record.disabled = True
-        self._reset.on_click(lambda _: self.wishes.put(Wish.RESET))
-        self._record.on_click(lambda _: self.wishes.put(Wish.STOP_RECORDING if self._recording else Wish.RECORD))
+        self._reset.on_click(lambda _: self.requests.put(Request.RESET))
+        self._record.on_click(
+            lambda _: self.requests.put(Request.STOP_RECORDING if self._recording else Request.RECORD)
+        )
         self._said: tuple[str, Mapping[str, str], str] = ("", {}, "")
 
     def name(self, organs: Sequence[str]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Collection
-from typing import Any
 
 import numpy as np
 import viser
@@ -27,7 +26,7 @@ PROBE_EVERY = 1.0  # s between two requests to the browser that holds a tool
 
 
 def beside(points: Floats, index: int, radius: float) -> tuple[Floats, Floats]:
-    """Return where a tool of a radius, m, is taken: a place (3,) m beyond the points (n, 3) m, and the way in (3,).
+    """Return where a tool of a radius, m, is taken: a place (3,) m beyond the points (n, 3) m, and the direction in.
 
     The first tool is at the left of the picture, the second at the right, further ones below and above.
     """
@@ -63,7 +62,7 @@ class Poke:
         self._gone = threading.Event()  # of the hand that holds it now
         self._next_look = -np.inf
         gui = server.gui
-        self._box: Any = gui.add_checkbox(
+        self._box = gui.add_checkbox(
             f"Poke with {self.name}",
             False,
             disabled=True,
@@ -99,27 +98,27 @@ class Poke:
         while not self._asked.empty():
             wanted, who = self._asked.get()
             if not wanted:
-                self.let_go()
+                self.release()
             elif who is not None and points is not None:
                 self._take(who, points, frame_id)
         if self._holder is not None and (self._holder not in watchers or not self._tool.held):
-            self.let_go()
+            self.release()
         if now >= self._next_look:
             self._next_look = now + LOOK_EVERY
-            rivals, jaws = self._tool.rivals(), self.jaws.rivals()
-            self._warning.visible = rivals + jaws > 0
-            if rivals > 0:
+            of_tool, of_jaws = self._tool.other_publishers(), self.jaws.other_publishers()
+            self._warning.visible = of_tool + of_jaws > 0
+            if of_tool > 0:
                 self._warning.content = (
                     f"**A bridge already moves `{self.name}`.** Stop it before you poke: otherwise the tool jumps"
                     " between its poses and yours."
                 )
-            elif jaws > 0:
+            elif of_jaws > 0:
                 self._warning.content = f"**A bridge already moves the jaws of `{self.name}`**, and closes them again."
 
     def close(self) -> None:
         """Release the tool, and its jaws."""
         self.jaws.close()
-        self.let_go()
+        self.release()
 
     def remove(self) -> None:
         """Release the tool, and remove its parts from the panel."""
@@ -128,14 +127,14 @@ class Poke:
         for handle in (self._box, self._warning):
             handle.remove()
 
-    def let_go(self) -> None:
-        """Hold the tool no longer."""
-        self._let_go()
+    def release(self) -> None:
+        """Release the tool, and clear its checkbox."""
+        self._release()
         if self._box.value:
-            self._box.value = False
+            self._box.value = False  # type: ignore[misc]  # viser declares it read-only
 
     def _take(self, who: int, points: Floats, frame_id: str) -> None:
-        self._let_go()
+        self._release()
         holder = self._server.get_clients().get(who)
         if holder is None:
             return
@@ -158,7 +157,7 @@ class Poke:
         self._gone = threading.Event()
         threading.Thread(target=self._watch, args=(holder, self._gone), name="hand", daemon=True).start()
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         self._tool.release()
         self._holder = None
         self._gone.set()

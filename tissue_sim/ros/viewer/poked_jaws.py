@@ -41,7 +41,7 @@ class PokedJaws:
         """Whether angles are published."""
         return self._thread is not None
 
-    def rivals(self) -> int:
+    def other_publishers(self) -> int:
         """Return how many others publish the angle."""
         return int(self._node.count_publishers(self.topic)) - (1 if self._publisher is not None else 0)
 

@@ -14,7 +14,7 @@ from tissue_sim.ros.shared.tool_link import PoseWriter, ToolLink
 
 RATE = 250.0  # Hz, of the poses
 TOP_SPEED = 0.2  # m/s; a sudden motion of the mouse must not hit the tissue
-RISE_TIME = 0.05  # s in which the tool covers most of a short way
+RISE_TIME = 0.05  # s in which the tool covers most of a short distance
 ACCELERATION = TOP_SPEED / RISE_TIME  # m/s^2
 LONGEST_STEP = 0.02  # s; a delayed thread continues from its position without a leap
 
@@ -67,7 +67,7 @@ class PokedTool:
         """Whether it is between `take` and `release`."""
         return self._thread is not None
 
-    def rivals(self) -> int:
+    def other_publishers(self) -> int:
         """Return how many others publish the tool's poses."""
         return int(self._node.count_publishers(self.topic)) - (1 if self.held else 0)
 

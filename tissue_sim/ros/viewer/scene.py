@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import viser
 from numpy.typing import NDArray
@@ -51,12 +49,12 @@ class LigamentView:
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
-        self._lines: Any = None
+        self._lines: viser.LineSegmentsHandle | None = None
 
     def show(self, ends: Floats) -> None:
         """Draw lines between their ends (l, 2, 3) m; a different number of them is created again."""
         if self._lines is not None and len(self._lines.points) == len(ends):
-            self._lines.points = ends
+            self._lines.points = ends.astype(np.float32)
             return
         self.remove()
         if len(ends):
@@ -76,7 +74,7 @@ class SkeletonView:
 
     def __init__(self, server: viser.ViserServer, name: str = "") -> None:
         self._server, self._below = server, path_of("/skeleton", name)
-        self._handles: list[Any] = []
+        self._handles: tuple[viser.LineSegmentsHandle, viser.BatchedMeshHandle] | None = None
 
     def show(self, atoms: Floats, parent: Longs) -> None:
         """Draw atoms, each joined with its parent; a different skeleton is created again.
@@ -85,34 +83,32 @@ class SkeletonView:
         """
         child = np.flatnonzero(parent >= 0)
         bones = np.stack([atoms[parent[child]], atoms[child]], axis=1)
-        made = (len(self._handles[1].batched_positions), len(self._handles[0].points)) if self._handles else None
-        if made != (len(atoms), len(bones)):
-            self.remove()
-            ball = _icosphere(0.0008)
-            self._handles = [
-                self._server.scene.add_line_segments(
-                    f"{self._below}/bones", bones, SKELETON, thickness=0.0006, thickness_units="world"
-                ),
-                self._server.scene.add_batched_meshes_simple(
-                    f"{self._below}/atoms",
-                    *ball,
-                    batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(atoms), 1)),
-                    batched_positions=atoms,
-                    batched_colors=SKELETON,
-                    lod="off",
-                    cast_shadow=False,
-                    receive_shadow=False,
-                ),
-            ]
-            return
-        self._handles[0].points = bones
-        self._handles[1].batched_positions = atoms
+        if self._handles is not None:
+            lines, balls = self._handles
+            if (len(balls.batched_positions), len(lines.points)) == (len(atoms), len(bones)):
+                lines.points, balls.batched_positions = bones.astype(np.float32), atoms.astype(np.float32)
+                return
+        self.remove()
+        lines = self._server.scene.add_line_segments(
+            f"{self._below}/bones", bones, SKELETON, thickness=0.0006, thickness_units="world"
+        )
+        balls = self._server.scene.add_batched_meshes_simple(
+            f"{self._below}/atoms",
+            *_icosphere(0.0008),
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(atoms), 1)),
+            batched_positions=atoms,
+            batched_colors=SKELETON,
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        self._handles = lines, balls
 
     def remove(self) -> None:
         """Remove it from the picture."""
-        for handle in self._handles:
+        for handle in self._handles or ():
             handle.remove()
-        self._handles = []
+        self._handles = None
 
 
 def _icosphere(radius: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

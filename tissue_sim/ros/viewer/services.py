@@ -13,7 +13,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from tissue_sim.ros.shared.client import node_beside
-from tissue_sim.ros.viewer.panel import Wish
+from tissue_sim.ros.viewer.panel import Request
 
 PATIENCE = 5.0  # s
 
@@ -30,31 +30,31 @@ class Services:
         self._record = self._node.create_client(SetBool, f"/{target}/record")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._pending: list[tuple[Client, Future, Wish, float]] = []
+        self._pending: list[tuple[Client, Future, Request, float]] = []
 
-    def poll(self, wishes: queue.SimpleQueue[Wish], tell: Callable[[str, bool], None]) -> None:
+    def poll(self, requests: queue.SimpleQueue[Request], report: Callable[[str, bool], None]) -> None:
         """Send new requests and report the answers that have come.
 
-        wishes: the requests; tell: takes a text, and whether it was done.
+        requests: the requests; report: takes a text, and whether the request was met.
         """
-        while not wishes.empty():
-            wish = wishes.get()
-            client = self._reset if wish is Wish.RESET else self._record
+        while not requests.empty():
+            request = requests.get()
+            client = self._reset if request is Request.RESET else self._record
             if not client.service_is_ready():
-                tell(f"service {client.srv_name} is not available: {wish.value} was not requested", False)
+                report(f"service {client.srv_name} is not available: {request.value} was not requested", False)
                 continue
-            request = Trigger.Request() if wish is Wish.RESET else SetBool.Request(data=wish is Wish.RECORD)
-            self._pending.append((client, client.call_async(request), wish, time.monotonic()))
+            sent = Trigger.Request() if request is Request.RESET else SetBool.Request(data=request is Request.RECORD)
+            self._pending.append((client, client.call_async(sent), request, time.monotonic()))
         if not self._pending:
             return
         self._executor.spin_once(timeout_sec=0.0)
         waiting = []
-        for client, future, wish, asked in self._pending:
+        for client, future, request, asked in self._pending:
             if future.done():
-                tell(future.result().message, future.result().success)
+                report(future.result().message, future.result().success)
             elif time.monotonic() - asked > PATIENCE:
                 client.remove_pending_request(future)
-                tell(f"no answer to the request: {wish.value}", False)
+                report(f"no answer to the request: {request.value}", False)
             else:
-                waiting.append((client, future, wish, asked))
+                waiting.append((client, future, request, asked))
         self._pending = waiting

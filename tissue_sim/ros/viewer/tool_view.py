@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine, Sequence
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 import viser
@@ -20,6 +20,16 @@ FORCE: Colour = (0, 60, 220)
 LEAST_FORCE = 0.01  # N, least force with an arrow
 Drawn = viser.MeshHandle | viser.IcosphereHandle | viser.CylinderHandle
 Dragged = Callable[[viser.SceneNodeDragEvent], Coroutine]  # is called when a user drags a part of a tool
+
+
+class _Look(TypedDict):
+    """What viser's shapes have in common."""
+
+    color: Colour
+    opacity: float
+    visible: bool
+    cast_shadow: bool
+    receive_shadow: bool
 
 
 def arrow(position: Floats, force: Floats, radius: float) -> NDArray[np.float32]:
@@ -125,13 +135,7 @@ class ToolView:
 
     def _drawn(self, marker: Marker, scale: tuple[float, float, float]) -> tuple[Drawn, float]:
         name = f"/tools/{self.name}/{marker.id}"
-        look: dict[str, Any] = {
-            "color": self._colour,
-            "opacity": 0.6,
-            "visible": False,
-            "cast_shadow": False,
-            "receive_shadow": False,
-        }
+        look = _Look(color=self._colour, opacity=0.6, visible=False, cast_shadow=False, receive_shadow=False)
         if marker.type == Marker.SPHERE:
             return self._scene.add_icosphere(name, radius=0.5 * scale[0], subdivisions=4, **look), 0.5 * scale[0]
         if marker.type == Marker.CYLINDER:

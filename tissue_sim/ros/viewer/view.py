@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     ):
         from tissue_sim.ros.viewer.loop import Viewer
 
-        progress.tell_by(None)  # no progress thread beside the pictures
+        progress.report_by(None)  # no progress thread beside the pictures
         print(f"open {address(args.host, args.port, token)}", flush=True)
         viewer = Viewer(server, node, args.node, args.tools, args.patience)
         # Short turns at the GIL: the poses of a held tool must not wait for a picture.

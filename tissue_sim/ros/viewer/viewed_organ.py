@@ -98,8 +98,8 @@ class ViewedOrgan:
         """Return whether a translucent organ is seen from another side than when it was drawn."""
         if opacity >= 1.0 or self.view is None:
             return False
-        ways = [one - self.view.rest.mean(axis=0) for one in (eye, self._eye)]
-        cosine = ways[0] @ ways[1] / max(float(np.linalg.norm(ways[0]) * np.linalg.norm(ways[1])), 1e-12)
+        lines = [one - self.view.rest.mean(axis=0) for one in (eye, self._eye)]
+        cosine = lines[0] @ lines[1] / max(float(np.linalg.norm(lines[0]) * np.linalg.norm(lines[1])), 1e-12)
         return bool(cosine < TURNED)
 
     def remove(self) -> None:

@@ -57,7 +57,7 @@ def scene(monkeypatch):
     results = SimpleNamespace(bodies=bodies, body_pose=places, status=SimpleNamespace(tick=1))
     monkeypatch.setattr(physics, "results", lambda: copy.deepcopy(results))
     monkeypatch.setattr(physics, "positions", lambda out: (np.copyto(out, organ.rest_positions) or 1, np.zeros(3)))
-    recorder = SimpleNamespace(contacts=lambda *_: None, together=threading.RLock())
+    recorder = SimpleNamespace(contacts=lambda *_: None, lock=threading.RLock())
     search = ContactSearch(finder, ServedOrgan("", physics), [port], recorder)
     worker = ContactWorker([search], None, [port], threading.Event(), warned.append)
     middle = organ.surface_positions.mean(axis=0)

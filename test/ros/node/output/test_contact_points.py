@@ -1,4 +1,4 @@
-"""What the node tells of a tool beside its servo_cf: contact points, its wrench in the organ's frame, its clutch."""
+"""What the node publishes about a tool beside its servo_cf: contact points, its wrench on the organ, its clutch."""
 
 import numpy as np
 import pytest
@@ -101,13 +101,13 @@ def test_a_tool_that_is_disabled_lets_go_and_is_taken_up_again(client, node, pre
     assert client.spin_until(lambda: enable.get_subscription_count() > 0)
     assert client.set_parameter("stale_time", 0.05).successful
 
-    def has_let_go():
+    def is_released():
         enable.publish(Bool(data=False))  # DDS matches both ends, not both at once: the first may be lost
         client.send_pose(pressed, quaternion=TURN.as_quat())
         client.spin(0.01)
         return client.hand_force() == 0.0 and client.diagnostics.get("left.state") == "disabled"
 
-    assert client.spin_until(has_let_go), client.diagnostics
+    assert client.spin_until(is_released), client.diagnostics
     assert "tool 'left' is disabled: its poses are ignored (~/left/enable)" in node.text()
     poses = int(client.diagnostics["left.poses"])
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.ros.clients import LATCHED, Client
 from helpers.ros.processes import UNHURRIED, running_node, shipped
-from tissue_sim.cli import main
+from helpers.ros.replaying import repeated
 from tissue_sim.ros.bags.recording import Recording
 
 LIMIT = 600.0  # s, as the cut is made at a low priority, which waits long for a turn on a busy machine
@@ -77,10 +77,7 @@ def test_a_blade_cuts_as_it_is_moved_and_its_bag_repeats(tmp_path, capsys, heat)
         assert client.spin_until(lambda: not client.cuts)
         client.close()
     for bag in bags:
-        assert main(["replay", bag, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0, (
-            capsys.readouterr().err
-        )
-        assert "repeats" in capsys.readouterr().out
+        repeated(bag, capsys)
     (organ,) = Recording.read(Path(bags[1])).organs
     assert organ.cuts[0].tick == -1, "it was cut before"
     assert (organ.cuts[0].organ.cell_mu.max() > 2.0 * shipped().cell_mu.max()) == bool(heat)

@@ -5,8 +5,8 @@ import pytest
 from std_srvs.srv import SetBool
 
 from helpers.ros.processes import UNHURRIED, press_until_contact, running_node, shipped
+from helpers.ros.replaying import repeated
 from helpers.ros.surgeon import DEPTH, EDGE, Surgeon
-from tissue_sim.cli import main
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.shared.client import mesh_arrays
 
@@ -73,8 +73,7 @@ def test_a_cut_opens_what_is_shown_repeats_in_its_bag_and_a_reset_heals_it(clien
     assert not client.events[-1].status
     client.spin(0.2)
     assert client.record(False).success
-    assert main(["replay", bag, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0, capsys.readouterr().err
-    assert "repeats" in capsys.readouterr().out
+    repeated(bag, capsys)
 
 
 def test_a_bag_that_begins_after_a_cut_repeats(client, capsys):
@@ -85,8 +84,7 @@ def test_a_bag_that_begins_after_a_cut_repeats(client, capsys):
     assert deeper.success, deeper.message
     client.spin(0.3)
     assert client.record(False).success
-    assert main(["replay", bag, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0, capsys.readouterr().err
-    assert "repeats" in capsys.readouterr().out
+    repeated(bag, capsys)
 
 
 def test_a_paused_node_is_cut_at_once(client):

@@ -8,7 +8,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from helpers.ros.clients import Client
 from helpers.ros.processes import UNHURRIED, press_until_contact, running_node
-from tissue_sim.cli import main
+from helpers.ros.replaying import repeated
 from tissue_sim.ros.node.services.pausing import Pausing
 
 MOST_KICK = 1.5  # of the force that settles
@@ -97,8 +97,7 @@ def test_a_pause_leaves_no_force_a_step_takes_its_ticks_and_a_bag_repeats_both(c
     assert tick(client) > before + taken + 1
     assert client.kick(lambda: client.ask(inside)) < MOST_KICK
     assert client.record(False).success
-    assert main(["replay", bag, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0, capsys.readouterr().err
-    assert "repeats" in capsys.readouterr().out
+    repeated(bag, capsys)
 
 
 def test_a_long_step_leaves_the_node_to_others_and_ends_when_it_goes_on(client):
@@ -165,7 +164,7 @@ class Services:
 @pytest.mark.parametrize("in_time", [True, False])
 def test_a_step_that_goes_on_without_new_contacts_says_so_once(in_time):
     node = Services()
-    loop = SimpleNamespace(tick_time=1e-3, hold=SimpleNamespace(active=True, step=lambda: True))
+    loop = SimpleNamespace(tick_time=1e-3, pause=SimpleNamespace(active=True, step=lambda: True))
     contacts = SimpleNamespace(rate=250.0, catch_up=lambda _: in_time)
     clock = SimpleNamespace(jumped=[], active=False)
     pausing = Pausing(node, loop, clock, lambda: 12, contacts)

@@ -150,7 +150,7 @@ def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
 
 
 def eased(made):
-    """Stiffnesses on the way to the one that is wanted, N/m."""
+    """Stiffnesses in the steps to the one that is wanted, N/m."""
     now, found = 0.0, []
     while (wait := made.ease(now)) < math.inf:
         found.append(made.coupling_stiffness)
@@ -167,10 +167,10 @@ def test_a_coupling_changes_in_small_steps_and_rigid_is_the_stiffest(before, aft
     made.update()
     assert made.coupling_stiffness == before
     count = len(posted)
-    way = eased(made)
-    assert [one.coupling_stiffness for _, one in posted[count:]] == way
-    assert way[-1] == after == made.coupling_stiffness
-    stiff = np.array([k or RIGID for k in (before, *way)])
+    steps = eased(made)
+    assert [one.coupling_stiffness for _, one in posted[count:]] == steps
+    assert steps[-1] == after == made.coupling_stiffness
+    stiff = np.array([k or RIGID for k in (before, *steps)])
     factors = stiff[1:] / stiff[:-1]
     assert np.maximum(factors, 1.0 / factors).max() < 1.0471
     assert all(factors > 1.0) or all(factors < 1.0)

@@ -19,9 +19,9 @@ def port(most=5.0, clamp=10.0, delay=0.0, scale=1.0):
     return DevicePort(SimpleNamespace(period=1e-3, delay=delay), scale, most, lambda: settings)
 
 
-def moved(device, way, count, wrench=PUSH):
+def moved(device, displacement, count, wrench=PUSH):
     """What a device feels that moves by so much between poses."""
-    return np.array([device.passive_wrench(step * way, wrench) for step in range(count)])
+    return np.array([device.passive_wrench(step * displacement, wrench) for step in range(count)])
 
 
 def test_force_that_a_device_follows_is_damped():

@@ -14,7 +14,7 @@ from tissue_sim.ros.bags.suite.record import record
 from tissue_sim.ros.bags.suite.scenes import SCENES
 from tissue_sim.ros.bags.suite.small_kidney import make_small_kidney
 from tissue_sim.ros.bags.suite.summary import as_text, figures
-from tissue_sim.ros.demo import chosen_graph
+from tissue_sim.ros.shared.domains import chosen_graph
 from tissue_sim.unexpected_errors import catch_all
 
 SUMMARY = "summary.txt"

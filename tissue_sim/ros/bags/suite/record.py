@@ -81,7 +81,7 @@ class _Sender:
         self._wait_for(self._is_connected)
         self._wait_for(self._reports.take)  # it ticks, so its kernels are compiled
         time.sleep(QUIET)
-        self._tell_time()
+        self._publish_time()
         due = time.monotonic()
         for step in self._scene.steps(organ, self._made):
             due = self._cut(step.cut, due) if step.cut is not None else due
@@ -97,7 +97,7 @@ class _Sender:
         due = max(due + PACE, time.monotonic() + 0.5 * PACE)
         time.sleep(max(0.0, due - 0.5 * PACE - time.monotonic()))
         self._time += STEP
-        self._tell_time()
+        self._publish_time()
         time.sleep(max(0.0, due - time.monotonic()))
         return due
 
@@ -140,7 +140,7 @@ class _Sender:
             time.sleep(0.02)
         return found
 
-    def _tell_time(self) -> None:
+    def _publish_time(self) -> None:
         self._clock.publish(Clock(clock=Time(nanoseconds=self._stamp).to_msg()))
 
     @property

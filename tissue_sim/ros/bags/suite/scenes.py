@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.bridge.contact_locations import FRONT, Surface, looking
+from tissue_sim.ros.bridge.contact_locations import FRONT, Surface, rotation_towards
 from tissue_sim.ros.bridge.motion import minimum_jerk
 from tissue_sim.ros.bridge.trajectory import plan
 
@@ -86,15 +86,15 @@ def _surface(organ: Organ, radius: float) -> Surface:
     return Surface(organ.surface_positions, organ.surface_triangles.astype(np.int64), radius)
 
 
-def _pose(place: Floats, way: Floats) -> Floats:
-    return np.concatenate([place, looking(way)])
+def _pose(place: Floats, direction: Floats) -> Floats:
+    return np.concatenate([place, rotation_towards(direction)])
 
 
-def _along(ways: Mapping[int, tuple[Floats, Floats, Floats]], seconds: float) -> Steps:
-    """Yield steps that move tools from a place to another, looking a way, in some s, with no speed at both ends."""
+def _along(paths: Mapping[int, tuple[Floats, Floats, Floats]], seconds: float) -> Steps:
+    """Yield steps that move tools from a place to another in some s, from rest to rest; each looks in a direction."""
     count = max(1, round(seconds / STEP))
     for fraction in minimum_jerk(np.arange(1, count + 1) / count):
-        yield Step({tool: _pose(a + fraction * (b - a), way) for tool, (a, b, way) in ways.items()})
+        yield Step({tool: _pose(a + fraction * (b - a), direction) for tool, (a, b, direction) in paths.items()})
 
 
 def _nothing(seconds: float) -> Steps:
@@ -126,10 +126,9 @@ def _scripted(action: str, every: int = 1, faster: int = 1) -> Callable[[Organ, 
 
 def _squeeze(organ: Organ, tools: Sequence[Tool]) -> Steps:
     """Press all of the organ from both sides with two balls as large as it is wide."""
-    surface, way = _surface(organ, tools[0].radius), np.array([1.0, 0.0, 0.0])
-    ways = (way, -way)
-    touches = [surface.touch(surface.ball.centre, one) for one in ways]
-    places = [(touch.place, one) for touch, one in zip(touches, ways, strict=True) if touch]
+    surface, direction = _surface(organ, tools[0].radius), np.array([1.0, 0.0, 0.0])
+    touches = [surface.touch(surface.ball.centre, one) for one in (direction, -direction)]
+    places = [(touch.place, touch.direction) for touch in touches if touch]
     away = {tool: (place - FAR * one, place, one) for tool, (place, one) in enumerate(places)}
     pressed = {tool: (place, place + 0.006 * one, one) for tool, (place, one) in enumerate(places)}
     yield from _along(away, 0.3)
@@ -182,26 +181,26 @@ def _fly(organ: Organ, tools: Sequence[Tool]) -> Steps:
     touch = surface.poke_location()
     start, end = touch.at(-0.05), touch.at(0.12)
     for a, b in ((start, end), (end, start)):
-        yield from _along({0: (a, a, touch.way)}, 0.1)
+        yield from _along({0: (a, a, touch.direction)}, 0.1)
         count = round(np.linalg.norm(end - start) / 1.5 / STEP)
         for fraction in np.arange(1, count + 1) / count:
-            yield Step({0: _pose(a + fraction * (b - a), touch.way)})
-        yield from _along({0: (b, b, touch.way)}, 0.5)
+            yield Step({0: _pose(a + fraction * (b - a), touch.direction)})
+        yield from _along({0: (b, b, touch.direction)}, 0.5)
     yield from _nothing(LEFT_ALONE)
 
 
 def _bad_input(organ: Organ, tools: Sequence[Tool]) -> Steps:
     """Send poses that are refused while a tool presses; then none, until its force has faded."""
     touch = _surface(organ, tools[0].radius).poke_location()
-    yield from _along({0: (touch.at(-FAR), touch.place, touch.way)}, 0.4)
-    yield from _along({0: (touch.place, touch.at(0.005), touch.way)}, 0.3)
+    yield from _along({0: (touch.at(-FAR), touch.place, touch.direction)}, 0.4)
+    yield from _along({0: (touch.place, touch.at(0.005), touch.direction)}, 0.3)
     for kind in ("malformed", "nan_pose", "zero_quaternion", "unknown_frame", "no_stamp", "backward_stamp", "far_pose"):
         yield Step(refused=[kind])
-        yield from _along({0: (touch.at(0.005), touch.at(0.005), touch.way)}, 0.04)
+        yield from _along({0: (touch.at(0.005), touch.at(0.005), touch.direction)}, 0.04)
     yield from _nothing(0.3)
-    yield from _along({0: (touch.at(0.005), touch.at(-FAR), touch.way)}, 0.4)
-    yield from _along({0: (touch.at(-FAR), touch.at(0.003), touch.way)}, 0.5)
-    yield from _along({0: (touch.at(0.003), touch.at(-FAR), touch.way)}, 0.4)
+    yield from _along({0: (touch.at(0.005), touch.at(-FAR), touch.direction)}, 0.4)
+    yield from _along({0: (touch.at(-FAR), touch.at(0.003), touch.direction)}, 0.5)
+    yield from _along({0: (touch.at(0.003), touch.at(-FAR), touch.direction)}, 0.4)
     yield from _nothing(LEFT_ALONE)
 
 
@@ -209,25 +208,25 @@ def _sleep(organ: Organ, tools: Sequence[Tool]) -> Steps:
     """Touch the organ, leave it until it sleeps, wake it by a touch, and leave it again."""
     touch = _surface(organ, tools[0].radius).poke_location()
     for depth in (0.004, 0.002):
-        yield from _along({0: (touch.at(-FAR), touch.at(depth), touch.way)}, 0.5)
-        yield from _along({0: (touch.at(depth), touch.at(-FAR), touch.way)}, 0.5)
+        yield from _along({0: (touch.at(-FAR), touch.at(depth), touch.direction)}, 0.5)
+        yield from _along({0: (touch.at(depth), touch.at(-FAR), touch.direction)}, 0.5)
         yield from _nothing(TO_SLEEP)
 
 
 def _cut_and_spread(organ: Organ, tools: Sequence[Tool]) -> Steps:
     """Cut the lateral side, pull the lips apart by friction, and release them."""
-    surface, way = _surface(organ, tools[0].radius), np.array([0.0, 1.0, 0.0])
+    surface, direction = _surface(organ, tools[0].radius), np.array([0.0, 1.0, 0.0])
     quarter = np.sqrt(0.5)
     yield Step(cut=Blade(CUT_EDGE, np.array([-quarter, 0.0, 0.0, quarter])))
     middle, aside = CUT_EDGE.mean(axis=0), np.array([0.0, 0.0, 1.0])
-    found = {tool: surface.touch(middle + side * LIP * aside, way) for tool, side in ((0, -1.0), (1, 1.0))}
+    found = {tool: surface.touch(middle + side * LIP * aside, direction) for tool, side in ((0, -1.0), (1, 1.0))}
     places = {tool: touch.place for tool, touch in found.items() if touch}
-    pressed = {tool: place + PRESSED * way for tool, place in places.items()}
+    pressed = {tool: place + PRESSED * direction for tool, place in places.items()}
     pulled = {tool: place + (2 * tool - 1) * PULLED * aside for tool, place in pressed.items()}
-    away = {tool: place - FAR * way for tool, place in places.items()}
+    away = {tool: place - FAR * direction for tool, place in places.items()}
     legs = (away, away), (away, places), (places, pressed), (pressed, pulled), (pulled, pulled), (pulled, away)
     for seconds, (start, end) in zip((0.04, 0.2, 0.12, 0.32, 0.08, 0.2), legs, strict=True):
-        yield from _along({tool: (start[tool], end[tool], way) for tool in places}, seconds)
+        yield from _along({tool: (start[tool], end[tool], direction) for tool in places}, seconds)
     yield from _nothing(LEFT_ALONE)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from tissue_sim.contact.reach_margins import reach_margins, ways
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.model.contact.tool_motion import HASTY
 from tissue_sim.model.data.contact_set import Engaged
+from tissue_sim.model.data.records import Records
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.shared.served_organ import ServedOrgan
@@ -89,7 +90,7 @@ class ContactSearch:
         finder.counters = self.finder.counters
         self.finder, self._positions = finder, np.zeros((nodes, 3))
         self._last_key = ()
-        with self._recorder.together:
+        with self._recorder.lock:
             self._recorder.searched(int(self._physics.box.contacts.sequence[0]) + 1)
 
     def is_idle(self, now: ToolsNow) -> bool:
@@ -134,12 +135,12 @@ class ContactSearch:
         self._last_empty = found.header.points == 0 and bool(np.all(found.tip_node < 0))
         self.dropped += int(found.header.dropped)
         rows = list(zip(margins.tolist(), engaged.tolist(), now.pushing.astype(bool).tolist(), strict=True))
-        with self._recorder.together:
+        with self._recorder.lock:
             sequence = self._physics.post_contacts(found)
             self._recorder.contacts(sequence, (tick, int(results.status.tick)), found, rows)
         return True
 
-    def _report_inactive(self, engaged: Longs, bodies: Any) -> None:
+    def _report_inactive(self, engaged: Longs, bodies: Records) -> None:
         """Notify ports of bodies that nothing resists: each time that one was outside before, stopped or was reset."""
         outside = (engaged == Engaged.YES) | (engaged == Engaged.CUTS)
         held_off = ~outside & ((engaged == Engaged.HELD_OFF) | bodies.held_off.astype(bool))
@@ -149,7 +150,7 @@ class ContactSearch:
         for port in self._ports_of(is_new):
             port.note_inactive(self._organ)
 
-    def _report_slips(self, bodies: Any) -> None:
+    def _report_slips(self, bodies: Records) -> None:
         """Notify ports of bodies that slipped into the organ since the last search, however soon they are free."""
         before, self._has_slipped = self._has_slipped, bodies.slips > HASTY
         for port, some in self._ports_of(self._has_slipped & ~before).items():
@@ -190,7 +191,7 @@ class OrganContactSearch:
             self.finder.exchange(organ, surface, number)
             self._positions[organ] = np.zeros((surface.organ.n_nodes, 3))
             self._last_key = self._last_key[:1]
-            with self._recorder.together:
+            with self._recorder.lock:
                 self._recorder.surface(organ, number, surface.is_cut)
 
     def refresh(self) -> bool:
@@ -209,7 +210,7 @@ class OrganContactSearch:
         found = self.finder.find(self._positions, [not one.results().status.asleep for one in self._organs.each])
         is_empty = bool(found.found[0] == 0)
         if not (is_empty and self._last_empty):
-            with self._recorder.together:
+            with self._recorder.lock:
                 self._recorder.pairs(self._organs.loop.post_organ_contacts(found), ticks, found)
         self._last_empty = is_empty
         return True

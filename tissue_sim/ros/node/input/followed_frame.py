@@ -37,7 +37,7 @@ class FollowedFrame:
         self._lookup, self._frame_id, self._input = lookup, frame_id, followed_by
         followed_by.follows = frame_id
         self._newest, self._next = 0, 0.0  # stamp, ns; monotonic s
-        # Also while /clock stands still: stamps tell what is new.
+        # Also while /clock stands still: stamps show what is new.
         node.create_timer(period, self._ask, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _ask(self) -> None:

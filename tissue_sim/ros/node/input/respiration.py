@@ -20,7 +20,7 @@ PAUSE = 1.0  # s without a message after which a stream may begin again, with an
 
 
 class RespirationInput:
-    """Input of ~/respiration: a JointState whose first position is a fraction of the breath's way, 0 to 1.
+    """Input of ~/respiration: a JointState whose first position is a fraction of the breath's displacement, 0 to 1.
 
     When messages stop, the breath stays where it was last.
     """
@@ -49,7 +49,7 @@ class RespirationInput:
             return
         self._stamp, self._came = stamp, self._clock.now()
         self.fraction, self.taken = float(message.position[0]), self.taken + 1
-        with self._recorder.together:
+        with self._recorder.lock:
             self._recorder.respiration(self._loop.post_respiration(self.fraction), self.fraction)
         self._loop.wake()
 

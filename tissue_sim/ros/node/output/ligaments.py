@@ -45,8 +45,8 @@ class Ligaments:
         """
         breath, points = self._breath, self._bytes.points[0]
         points[self._ends] = positions[self._nodes]
-        way = breath.fraction * np.array([breath.x, breath.y, breath.z])
-        points[self._fixed] = self._points + self._moves[:, None] * way
+        displacement = breath.fraction * np.array([breath.x, breath.y, breath.z])
+        points[self._fixed] = self._points + self._moves[:, None] * displacement
         self._bytes.stamp(stamp)
         self._bytes.show(0, True)
         return self._bytes.message()

@@ -56,7 +56,7 @@ class TimingReader:
     def read(self) -> Timing:
         """Return the timing since the last call."""
         control, last = self._words.control, self._last
-        held = self._organs.loop.hold.active  # before and after: the loop may begin to be held, or end, in between
+        paused = self._organs.loop.pause.active  # before and after: a pause may begin or end in between
         due, napping = int(control.due), int(control.napping)
         new = self._last = self._look()
         first = max(last.ticks, new.ticks - mb.TIMING_ROWS + 64)
@@ -64,7 +64,7 @@ class TimingReader:
         late, busy = 1e-9 * rows["late"], 1e-9 * rows["duration"]
         behind = float(late.max(initial=0.0))
         # Posted times come in steps; the loop itself notes how far it was from one when the next one comes.
-        if due and not new.posted and not napping and not held:
+        if due and not new.posted and not napping and not paused:
             behind = max(behind, new.wall - 1e-9 * due - self._tick_time())
         # After a change of the clock, a jump back, or within a very short time there is nothing to compare.
         elapsed = new.clock - last.clock if new.posted == last.posted else 0
@@ -83,12 +83,12 @@ class TimingReader:
 
     def _look(self) -> _Counters:
         control = self._words.control
-        hold = self._organs.loop.hold
-        posted = int(control.sim_time and not hold.active)
+        pause = self._organs.loop.pause
+        posted = int(control.sim_time and not pause.active)
         return _Counters(
             wall=time.monotonic(),
             posted=posted,
-            clock=int(control.posted_time) if posted else round(1e9 * hold.now()),
+            clock=int(control.posted_time) if posted else round(1e9 * pause.now()),
             ticks=int(control.loop_ticks),
             simulated=int(control.simulated),
             overruns=int(control.overruns),

@@ -9,16 +9,14 @@ import subprocess
 import sys
 import threading
 
-from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.model.cutting.sheet import Sheet
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node.services.cut_program import MADE, REFUSED
-from tissue_sim.ros.node.services.simulation_parts import Prepared, parts_of, simulation_of
+from tissue_sim.ros.node.services.simulation_parts import Prepared, SomeCut, parts_of, simulation_of
 
 # Of the numerical libraries, one of each: it must not take both cores.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-SomeCut = tuple[Floats, Floats, float] | tuple[Sheet]
+
 PATIENCE = 2.0  # s for the process to end by itself
 
 
@@ -63,7 +61,7 @@ class CutProcess:
             assert process.stdin is not None
             assert process.stdout is not None
             try:
-                pickle.dump((parts_of(before), *cut), process.stdin, pickle.HIGHEST_PROTOCOL)
+                pickle.dump((parts_of(before), cut), process.stdin, pickle.HIGHEST_PROTOCOL)
                 process.stdin.flush()
                 kind, found = pickle.load(process.stdout)
             except (BrokenPipeError, EOFError, pickle.UnpicklingError):

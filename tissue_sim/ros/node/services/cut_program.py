@@ -10,10 +10,10 @@ import pickle
 import sys
 import traceback
 from contextlib import suppress
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from tissue_sim.errors import UserError
-from tissue_sim.ros.node.services.simulation_parts import Parts, Prepared, parts_of, simulation_of
+from tissue_sim.ros.node.services.simulation_parts import Parts, Prepared, SomeCut, parts_of, simulation_of
 
 NICE = 10  # ticks, poses and their answers go first
 MADE, REFUSED, FAILED = "made", "refused", "failed"
@@ -22,8 +22,8 @@ MADE, REFUSED, FAILED = "made", "refused", "failed"
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests until they end.
 
-    requests: pickles of the parts of a simulation and the cut's polyline, direction and depth, or its sheet; answers:
-    takes pickles of MADE with the cut simulation's parts, surface and file, or REFUSED or FAILED with a text.
+    requests: pickles of the parts of a simulation and the cut (a SomeCut); answers: takes pickles of MADE with the cut
+    simulation's parts, surface and file, or REFUSED or FAILED with a text.
     """
     while True:
         try:
@@ -34,11 +34,11 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
         answers.flush()
 
 
-def _answer(parts: Parts, *cut: Any) -> tuple[str, object]:
+def _answer(parts: Parts, cut: SomeCut) -> tuple[str, object]:
     """Return what came of a cut of a simulation."""
     try:
         before = simulation_of(parts)
-        made = Prepared.of(before.prepared_cut(*cut) if len(cut) > 1 else before.prepared_sheet(*cut))
+        made = Prepared.of(before.prepared_sheet(*cut) if len(cut) == 1 else before.prepared_cut(*cut))
         return MADE, (parts_of(made.simulation), made.surface, made.file)
     except UserError as error:
         return REFUSED, str(error)

@@ -21,8 +21,8 @@ from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.contact.contact_worker import ContactWorker
-from tissue_sim.ros.node.services.cut_process import CutProcess, SomeCut
-from tissue_sim.ros.node.services.simulation_parts import Prepared
+from tissue_sim.ros.node.services.cut_process import CutProcess
+from tissue_sim.ros.node.services.simulation_parts import Prepared, SomeCut
 from tissue_sim.ros.node.settings.live_settings import LiveSettings
 from tissue_sim.ros.node.shared.deferred_service import DeferredService, Work
 from tissue_sim.ros.node.shared.guarded_node import GuardedNode
@@ -94,7 +94,7 @@ class OrganCutting:
             self._exchange_uncut()
 
     def _heal_later(self) -> None:
-        with self._node.mishaps.noted():
+        with self._node.unexpected_errors.noted():
             self._exchange_uncut(patience=float("inf"))
             self._parts.loop.reset_again()
 
@@ -217,7 +217,7 @@ class OrganCutting:
 
     def _open(self, sheets: Sequence[Sheet], heals: int) -> None:
         try:
-            with self._node.mishaps.noted():
+            with self._node.unexpected_errors.noted():
                 for sheet in sheets:
                     if heals != self._heals:
                         break  # the organ was reset, and these cuts with it

@@ -70,7 +70,7 @@ class Pausing:
     @property
     def paused(self) -> bool:
         """Whether the node is paused, or stopped."""
-        return self._loop.hold.active
+        return self._loop.pause.active
 
     @property
     def possible(self) -> bool:
@@ -85,7 +85,7 @@ class Pausing:
         self.stopped = False
         if not self.paused:
             self._log.info(PAUSED)
-            self._loop.hold.begin()
+            self._loop.pause.begin()
 
     def stop(self) -> None:
         """Pause, with the organ back at rest as of the next tick. Raises UserError when ticks follow /clock."""
@@ -98,7 +98,7 @@ class Pausing:
         self._cancelled.set()
         self.stopped = False
         if self.paused:
-            self._loop.hold.end()
+            self._loop.pause.end()
             self._log.info("no longer paused")
 
     def begin_step(self) -> None:
@@ -133,7 +133,7 @@ class Pausing:
                     if not self._contacts.catch_up(LONGEST_SEARCH) and not warned:
                         self._log.warning(LATE_CONTACTS)
                         warned = True
-                if self._cancelled.is_set() or not self._loop.hold.step():
+                if self._cancelled.is_set() or not self._loop.pause.step():
                     return taken
                 due += self._loop.tick_time
                 self._cancelled.wait(max(0.0, due - time.monotonic()))

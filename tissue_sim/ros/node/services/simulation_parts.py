@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
+from tissue_sim.array_types import Floats
 from tissue_sim.contact.touched_surface import TouchedSurface
+from tissue_sim.model.cutting.sheet import Sheet
 from tissue_sim.model.data.blocks import aligned
 from tissue_sim.model.data.records import words_of
 from tissue_sim.model.data.settings import Settings
@@ -14,7 +16,8 @@ from tissue_sim.model.data.state import make_state
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.scratch import make_scratch
 
-Parts = dict[str, Any]  # of a simulation, by the names of its attributes
+Parts = dict[str, object]  # of a simulation, by the names of its attributes
+SomeCut = tuple[Floats, Floats, float] | tuple[Sheet]  # arguments of Simulation.prepared_cut, or of prepared_sheet
 
 
 class Prepared(NamedTuple):
@@ -47,7 +50,7 @@ def simulation_of(parts: Parts) -> Simulation:
     made = Simulation.__new__(Simulation)
     vars(made).update(parts)
     made.settings = Settings.new()
-    words_of(made.settings)[:] = parts["settings"]
+    words_of(made.settings)[:] = np.asarray(parts["settings"])
     made.model = _in_lines(made.model)
     model, n_bodies = made.model, len(made.shapes.kind)
     samples, relaxes = len(made.shapes.blades.body), len(model.relaxation) > 0
@@ -59,8 +62,7 @@ def simulation_of(parts: Parts) -> Simulation:
     return made
 
 
-def _in_lines(values: Any) -> Any:
+def _in_lines[Values: tuple](values: Values) -> Values:
     """Return a NamedTuple whose arrays, and those of NamedTuples in it, begin at lines of the cache."""
-    if isinstance(values, tuple):
-        return type(values)(*map(_in_lines, values))
-    return aligned(values) if type(values) is np.ndarray else values
+    parts = (_in_lines(one) if isinstance(one, tuple) else one for one in values)
+    return type(values)(*(aligned(one) if type(one) is np.ndarray else one for one in parts))

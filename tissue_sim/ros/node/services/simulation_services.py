@@ -110,18 +110,18 @@ class SimulationServices:
         target, of, codes = request.state.state, SimulationState, SetSimulationState.Response
         if target == self._state():
             return _answered(response, codes.ALREADY_IN_TARGET_STATE, "it is in that state already")
-        ways = {
+        changes = {
             of.STATE_STOPPED: self._pausing.stop,
             of.STATE_PLAYING: self._pausing.resume,
             of.STATE_PAUSED: self._pausing.pause,
         }
-        if target not in ways:
+        if target not in changes:
             line = f"state {target} can't be set: stopped, playing and paused can, and SIGINT ends the node"
             return _answered(response, Result.RESULT_FEATURE_UNSUPPORTED, line)
         if not self._pausing.possible:
             return _answered(response, Result.RESULT_FEATURE_UNSUPPORTED, BY_CLOCK)
         try:
-            ways[target]()
+            changes[target]()
         except TimeoutError as error:
             return _answered(response, codes.STATE_TRANSITION_ERROR, str(error))
         return _answered(response, Result.RESULT_OK)

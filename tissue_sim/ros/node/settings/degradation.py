@@ -15,8 +15,8 @@ MARKER_RATE = 10.0  # Hz, from level MARKERS on
 STRAINED_LOAD, WELL_LOAD = 0.8, 0.35  # of the wall time, in ticks; well: even twice the rate would not strain
 STRAINED_LATE, WELL_LATE = 0.2, 0.05  # fraction of ticks late by more than a period
 PATIENCE = 1.0  # s of strain before the next step
-SETBACK = 1.0  # s of wellness that a check takes away that is neither
-HOLD, LONGEST_HOLD = 10.0, 160.0  # s of wellness before a step back; doubled each time that this was too soon
+SETBACK = 1.0  # s of being well that a check takes away that is neither
+HOLD, LONGEST_HOLD = 10.0, 160.0  # s of being well before a step back; doubled each time that this was too soon
 
 
 class Look(NamedTuple):
@@ -73,11 +73,11 @@ class DegradationLadder:
     def look(self, now: float, look: Look, helps: Callable[[int], bool]) -> bool:
         """Judge a check.
 
-        now: its time, s; look: what it found; helps: tells whether a level gives anything up. Returns whether the level
-        changed.
+        now: its time, s; look: what it found; helps: returns whether a level gives anything up. Returns whether the
+        level changed.
         """
         self._strained_since = _since(self._strained_since, now, look.strained)
-        self._well_for = self._wellness(look, max(0.0, now - self._looked_at))
+        self._well_for = self._well_seconds(look, max(0.0, now - self._looked_at))
         self._looked_at = now
         self.stuck = self.stuck and look.strained
         if self._strained_since >= 0.0 and now - self._strained_since >= PATIENCE:
@@ -97,8 +97,8 @@ class DegradationLadder:
         self._strained_since, self._well_for = -1.0, 0.0
         return True
 
-    def _wellness(self, look: Look, elapsed: float) -> float:
-        """Return the seconds of wellness, after a check so many s later."""
+    def _well_seconds(self, look: Look, elapsed: float) -> float:
+        """Return the seconds of being well, after a check so many s later."""
         if look.strained:
             return 0.0
         return self._well_for + elapsed if look.well else max(0.0, self._well_for - SETBACK)

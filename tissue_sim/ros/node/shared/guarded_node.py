@@ -12,7 +12,11 @@ from functools import wraps
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import (
+    PublisherEventCallbacks,
+    QoSRequestedIncompatibleQoSInfo,
+    SubscriptionEventCallbacks,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -25,7 +29,7 @@ from tissue_sim.ros.shared.report import UnexpectedErrors
 
 
 class GuardedNode(Node):
-    """A node with `mishaps`, which notes what its callbacks raise and reports topics whose QoS doesn't match.
+    """A node with `unexpected_errors`, which notes what its callbacks raise and reports topics whose QoS doesn't match.
 
     Attributes
     ----------
@@ -36,7 +40,7 @@ class GuardedNode(Node):
     """
 
     def __init__(self, name: str) -> None:
-        self.mishaps = UnexpectedErrors("callback", lambda line: self.get_logger().error(line))
+        self.unexpected_errors = UnexpectedErrors("callback", lambda line: self.get_logger().error(line))
         self.remedies: dict[str, str] = {}
         self.decided: Callable[[Parameter], SetParametersResult | None] = lambda _: None
         super().__init__(name)
@@ -61,7 +65,7 @@ class GuardedNode(Node):
             try:
                 callback(*args, **named)
             except Exception as error:  # of any kind: the node goes on
-                self.mishaps.note(error)
+                self.unexpected_errors.note(error)
 
         return call
 
@@ -69,17 +73,19 @@ class GuardedNode(Node):
         self, msg_type: type, topic: str, callback: Callable[..., object], qos_profile: QoSProfile | int, **named: Any
     ) -> Subscription:
         """Subscribe like rclpy, guarded; warn about publishers that offer less than it requests."""
-        tell = self.guarded(lambda event: self._report_qos(topic, qos_profile, event, publishes=False))
-        named.setdefault("event_callbacks", SubscriptionEventCallbacks(incompatible_qos=tell))
+        warn = self.guarded(lambda event: self._report_qos(topic, qos_profile, event, publishes=False))
+        named.setdefault("event_callbacks", SubscriptionEventCallbacks(incompatible_qos=warn))
         return super().create_subscription(msg_type, topic, self.guarded(callback), qos_profile, **named)
 
     def create_publisher(self, msg_type: type, topic: str, qos_profile: QoSProfile | int, **named: Any) -> Publisher:
         """Publish like rclpy; warn about subscribers that request more than it offers."""
-        tell = self.guarded(lambda event: self._report_qos(topic, qos_profile, event, publishes=True))
-        named.setdefault("event_callbacks", PublisherEventCallbacks(incompatible_qos=tell))
+        warn = self.guarded(lambda event: self._report_qos(topic, qos_profile, event, publishes=True))
+        named.setdefault("event_callbacks", PublisherEventCallbacks(incompatible_qos=warn))
         return super().create_publisher(msg_type, topic, qos_profile, **named)
 
-    def _report_qos(self, topic: str, given: QoSProfile | int, event: Any, publishes: bool) -> None:
+    def _report_qos(
+        self, topic: str, given: QoSProfile | int, event: QoSRequestedIncompatibleQoSInfo, publishes: bool
+    ) -> None:
         """Warn about nodes whose QoS doesn't match, and say what helps."""
         own = QoSProfile(depth=given) if isinstance(given, int) else given
         name = self.resolve_topic_name(topic)
@@ -107,36 +113,36 @@ class GuardedNode(Node):
         """Create a timer like rclpy, guarded."""
         return super().create_timer(timer_period_sec, self.guarded(callback), *args, **named)
 
-    def create_service(
-        self, srv_type: type, srv_name: str, callback: Callable[..., Any], *args: Any, **named: Any
+    def create_service[Request, Response](
+        self, srv_type: type, srv_name: str, callback: Callable[[Request, Response], Response], *args: Any, **named: Any
     ) -> Service:
         """Create a service like rclpy, guarded: the caller learns that it failed."""
 
         @wraps(callback)
-        def call(request: Any, response: Any) -> Any:
+        def call(request: Request, response: Response) -> Response:
             try:
                 return callback(request, response)
             except Exception as error:  # of any kind: the node goes on
-                return failed(type(response)(), request, self.mishaps.note(error))
+                return failed(type(response)(), request, self.unexpected_errors.note(error))
 
         return super().create_service(srv_type, srv_name, call, *args, **named)
 
 
-def failed(response: Any, request: Any, line: str) -> Any:
+def failed[Response](response: Response, request: object, line: str) -> Response:
     """Return a service's response with the failure, as far as its type allows.
 
     response: the response (updated); line: what failed.
     """
-    if hasattr(response, "success"):
-        response.success, response.message = False, line
-    elif hasattr(response, "results") and hasattr(request, "parameters"):  # one for each parameter
+    made: Any = response  # its fields are those of its service
+    if hasattr(made, "success"):
+        made.success, made.message = False, line
+    elif hasattr(made, "results") and hasattr(request, "parameters"):  # one for each parameter
         reason = f"{line}; parameters may have been set nevertheless"
-        response.results = [SetParametersResult(successful=False, reason=reason) for _ in request.parameters]
-    elif isinstance(getattr(response, "result", None), SetParametersResult):
-        response.result = SetParametersResult(successful=False, reason=line)
-    elif hasattr(getattr(response, "result", None), "error_message"):  # of simulation_interfaces
-        result = response.result
-        result.result, result.error_message = result.RESULT_OPERATION_FAILED, line
-    elif hasattr(response, "failure_reason"):
-        response.successful, response.failure_reason = False, line
+        made.results = [SetParametersResult(successful=False, reason=reason) for _ in request.parameters]
+    elif isinstance(getattr(made, "result", None), SetParametersResult):
+        made.result = SetParametersResult(successful=False, reason=line)
+    elif hasattr(getattr(made, "result", None), "error_message"):  # of simulation_interfaces
+        made.result.result, made.result.error_message = made.result.RESULT_OPERATION_FAILED, line
+    elif hasattr(made, "failure_reason"):
+        made.successful, made.failure_reason = False, line
     return response

@@ -38,19 +38,19 @@ class SimClock:
         self._follow(bool(node.get_parameter("use_sim_time").value))
 
     def now(self) -> float:
-        """Return the time of /clock, or of the monotonic clock, which stands while the loop is held, s."""
-        return 1e-9 * self._clock.now().nanoseconds if self.active else self._loop.hold.now()
+        """Return the time of /clock, or of the monotonic clock, which stands while the loop is paused, s."""
+        return 1e-9 * self._clock.now().nanoseconds if self.active else self._loop.pause.now()
 
     def arrival_stamp(self) -> int:
-        """Return the stamp of a message without one that comes now, without the time for which the loop was held.
+        """Return the stamp of a message without one that comes now, without the time for which the loop was paused.
 
-        A tool takes as long for its way as the stamps of its poses are apart. A pause is not part of that: if a tool is
-        placed and ten ticks are taken, again and again, it moves in these ten.
+        A tool takes as long for its path as the stamps of its poses are apart. A pause is not part of that: if a tool
+        is placed and ten ticks are taken, again and again, it moves in these ten.
 
         By ROS's clock, ns.
         """
         now = int(self._clock.now().nanoseconds)
-        return now if self.active else now - round(1e9 * (time.monotonic() - self._loop.hold.now()))
+        return now if self.active else now - round(1e9 * (time.monotonic() - self._loop.pause.now()))
 
     def age_of(self, stamp: int) -> float:
         """Return the time since a stamp, ns, by ROS's clock; negative for one of a clock that is ahead."""
@@ -105,5 +105,5 @@ class SimClock:
         self._loop.follow_posted_time(active)
 
     def _restart(self) -> None:
-        for tell in self.jumped:
-            tell()
+        for notify in self.jumped:
+            notify()

@@ -47,15 +47,15 @@ class Observer:
         a pose until the force that answers it acts, s; most: largest damping that is added, N s/m. Returns (3,)
         N.
         """
-        way = np.zeros(3) if self._place is None else place - self._place
-        self._energy -= float(self._acted(lag / period) @ way)
+        moved = np.zeros(3) if self._place is None else place - self._place
+        self._energy -= float(self._acted(lag / period) @ moved)
         self._place = place.copy()
-        square = float(way @ way)
+        square = float(moved @ moved)
         if not force.any():  # nothing is touched: earlier energy doesn't count for the next touch
             self._energy = 0.0
         elif self._energy < 0.0 and square > 0.0:
             damping = min(-self._energy * period / square, most)
-            return force - damping / period * way
+            return force - damping / period * moved
         return force
 
     def sent(self, force: Floats) -> None:

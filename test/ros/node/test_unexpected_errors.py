@@ -20,8 +20,8 @@ def node(tmp_path_factory):
     assert "Traceback" not in process.text()
 
 
-def sabotage(client, way):
-    return client.call(Trigger, f"/tissue_sim/{way}", Trigger.Request())
+def sabotage(client, kind):
+    return client.call(Trigger, f"/tissue_sim/{kind}", Trigger.Request())
 
 
 def moved(client, position):

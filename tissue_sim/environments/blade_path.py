@@ -13,15 +13,15 @@ from tissue_sim.array_types import Floats, Mask
 from tissue_sim.environments.tasks import DECLARED, STEP, TOUCH
 
 BLADE_SPEED, LONGEST_BLADE = 0.05, 0.02  # m/s at an action of 1; m
-APART, SPACING = 5e-4, 0.005  # m between noted points of a way, and between corners of the cut
-SHORTEST = 0.004  # m, a way that is not a cut
-SAMPLES, REACH = 21, 0.003  # points of the line, and m from the way within which one is cut
+APART, SPACING = 5e-4, 0.005  # m between noted points of a path, and between corners of the cut
+SHORTEST = 0.004  # m, below which a path is not a cut
+SAMPLES, REACH = 21, 0.003  # points of the line, and m from the path within which one is cut
 LINE, DEPTH = 0.005, 0.5  # m beside the line, and part of the depth, at which a cut is worth nothing
 GOOD_LINE, GOOD_DEPTH, MOST_FORCE = 0.002, 0.15, 1.0  # of a success: m, part of the depth, N of the guard at most
 
 
 class Line(NamedTuple):
-    """The line of a cut at rest, in m: its middle on the surface, the way to an end, the normal, and the depth."""
+    """The line of a cut at rest, in m: its middle on the surface, from there to an end, the normal, and the depth."""
 
     middle: Floats  # (3,)
     half: Floats  # (3,)
@@ -32,13 +32,13 @@ class Line(NamedTuple):
         """Return points (SAMPLES, 3) m of it."""
         return np.asarray(self.middle + np.linspace(-1.0, 1.0, SAMPLES)[:, None] * self.half)
 
-    def across(self, ways: Floats) -> Floats:
-        """Return ways (k, 3) as they are seen along the normal."""
-        return np.asarray(ways - np.outer(ways @ self.outward, self.outward))
+    def across(self, vectors: Floats) -> Floats:
+        """Return vectors (k, 3) as they are seen along the normal."""
+        return np.asarray(vectors - np.outer(vectors @ self.outward, self.outward))
 
 
 class PlannedCut(NamedTuple):
-    """A cut along a way."""
+    """A cut along a path."""
 
     polyline: Floats  # (m, 3) m
     depth: float  # m
@@ -67,7 +67,7 @@ def moved_blade(blade: Floats, actions: Floats) -> Floats:
     return np.clip(blade + STEP * BLADE_SPEED * actions[:, 3], 0.0, LONGEST_BLADE)
 
 
-class BladeWay:
+class BladePath:
     """Path of a blade through the tissue, in the organ at rest, and the points of the line that it has cut.
 
     Parameters
@@ -115,15 +115,15 @@ class BladeWay:
         return float(np.linalg.norm(left - tip, axis=1).min()) if len(left) else 0.0
 
     def planned(self) -> PlannedCut | None:
-        """Return the cut along the way, as deep as the blade protruded on average; None where it is too short."""
-        way = np.array(self.points).reshape(-1, 4)
-        steps = np.linalg.norm(np.diff(way[:, :3], axis=0), axis=1)
+        """Return the cut along the path, as deep as the blade protruded on average; None where it is too short."""
+        path = np.array(self.points).reshape(-1, 4)
+        steps = np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1)
         if steps.sum() < SHORTEST:
             return None
         run = np.concatenate([[0.0], np.cumsum(steps)])
         corners = np.linspace(0.0, run[-1], max(2, round(run[-1] / SPACING) + 1))
-        polyline = np.stack([np.interp(corners, run, way[:, axis]) for axis in range(3)], axis=1)
-        return PlannedCut(polyline, float(np.median(way[:, 3])))
+        polyline = np.stack([np.interp(corners, run, path[:, axis]) for axis in range(3)], axis=1)
+        return PlannedCut(polyline, float(np.median(path[:, 3])))
 
     def judge(self, cut: PlannedCut, depth: float) -> MadeCut:
         """Return the errors of a cut.
