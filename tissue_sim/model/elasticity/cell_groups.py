@@ -26,7 +26,8 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (3, 3), (4, 4), (0, 1), (0, 2), (0, 3), (0, 4),
 # Rows of the first cell: 1 / (6 V), lambda / 12, mu / 6 and the penalty by six; the others' follow.
 OWN, OWN_ROWS = len(PAIRS), 4
 CONSTANTS = OWN + CELLS * OWN_ROWS
-ROOM = 3 * ARMS + CELLS + 1  # rows of the buffer: arms, volumes over those at rest, exponents of groups that stiffen
+# Rows of the buffer: arms and volumes over those at rest; of groups that stiffen the exponent, its factor and 3 ARMS.
+ROOM = 6 * ARMS + CELLS + 2
 CHUNK = 16  # blocks within which groups that share nodes are separated, without leaving the cache
 
 
@@ -270,10 +271,8 @@ def _push_stiffening(tissue: Tissue) -> int:
     listed, shortening = 0, 1
     for block in range(len(groups.nodes)):
         gather_group(rows, groups.nodes[block], work)
-        stiff, steep = resist_stiffening(work, groups.constants[block], groups.stiffening[block])
-        if stiff > 0:
+        if resist_stiffening(work, groups.constants[block], groups.stiffening[block]) > 0:
             listed = _list_compressed(work, groups.constants[block], block, tissue.compressed_cells, listed)
-        if steep > 0:
             shortening = max(shortening, needed_shortening(work, groups.stiffening[block]))
         scatter_group(rows, groups.nodes[block], work)
     tissue.shortening[0] = shortening

@@ -31,8 +31,8 @@ from tissue_sim.model.data.model import CellGroups, Model
 from tissue_sim.model.elasticity.cell_law import STIFF, minor, pressure_of
 from tissue_sim.model.elasticity.vectors import fused
 
-# Constants of a group: b / M, 1/J, b times each of its three cells' fraction of M, and the exponents from which on
-# substeps must be half and a quarter as long.
+# Constants of a group: b / M, 1/J, a third of b times each of its three cells' fraction of M, and the exponents from
+# which on substeps must be half and a quarter as long.
 ROWS = 6
 MOST = 3.0  # largest exponent b z
 # Growth of a group's squared frequency is 1 + GROWTH (4 y exp(y) + exp(y) - 1); the bracket is that of its stiffness in
@@ -41,6 +41,8 @@ GROWTH = 0.03
 ALLOWED = (1.15, 3.6)  # times the largest squared frequency at rest, in steps as at rest, and half as long
 # Rows of a group's constants as cell_groups stores them: of each cell 1 / (6 V), and mu / 6.
 _INVERSE, _SHEAR = (12, 16, 20), (14, 18, 22)
+# Rows of the buffer besides the arms: volume ratios, the exponent, forces of the quadratic form, and the factor.
+_VOLUMES, _EXPONENT, _FORM, _GROWN = 15 * BLOCK, 18 * BLOCK, 19 * BLOCK, 34 * BLOCK
 
 
 def stiffening_rows(constants: Floats, stiffening: float) -> Floats:
@@ -65,8 +67,8 @@ def stiffening_rows(constants: Floats, stiffening: float) -> Floats:
     whole = weight.sum(axis=1, keepdims=True)
     inverse = np.divide(stiffening, whole, out=np.zeros_like(whole), where=whole > 0.0)
     limits = np.broadcast_to(exponents_for(np.array(ALLOWED))[:, None], (len(rows), 2, BLOCK))
-    found: Floats = aligned(np.concatenate([inverse, inverse * weight, limits], axis=1).reshape(len(constants), -1))
-    return found
+    found = np.concatenate([inverse, inverse * weight / 3.0, limits], axis=1)
+    return aligned(found.reshape(len(constants), -1))
 
 
 def growth_of(exponent: Floats) -> Floats:
@@ -114,52 +116,39 @@ def set_step_limits(groups: CellGroups, quickness: Floats) -> None:
 
 
 @kernel
-def undistorted(volume: float) -> float:
-    """Return 3 J^(2/3) to the second order: F:F of a cell that has changed its volume without distortion.
+def undistorted(short: float) -> float:
+    """Return 9 J^(2/3) to the second order: three times F:F of a cell that has changed its volume without distortion.
+
+    Its derivative by J is 2 short.
 
     Parameters
     ----------
-    volume : float
-        Volume over that at rest, J.
+    short : float
+        4 - J, where J is the volume over that at rest.
     """
-    return fused(volume, fused(volume, -1.0 / 3.0, 8.0 / 3.0), 2.0 / 3.0)
-
-
-@kernel
-def undistorted_slope(volume: float) -> float:
-    """Return the derivative of `undistorted`.
-
-    Parameters
-    ----------
-    volume : float
-        Volume over that at rest, J.
-    """
-    return fused(volume, -2.0 / 3.0, 8.0 / 3.0)
+    return fused(-short, short, 18.0)
 
 
 @kernel
 def exponential(exponent: float) -> float:
-    """Return exp(exponent), for 0 to MOST to seven digits: the 16th power of a polynomial, which vectors can compute.
+    """Return exp(exponent) for 0 to MOST, to nine digits, and 1 below: the 16th power of a polynomial.
+
+    Its degree is odd, so that it grows over all numbers, and its coefficients make the largest relative error smallest.
 
     Parameters
     ----------
     exponent : float
-        The exponent.
+        The exponent, at most MOST.
     """
     x = 0.0625 * exponent
-    tail = fused(x, fused(x, 1.0 / 720.0, 1.0 / 120.0), 1.0 / 24.0)
-    part = fused(x, fused(x, fused(x, tail, 1.0 / 6.0), 0.5), 1.0)
-    part = fused(x, part, 1.0)
+    square = x * x
+    tail = fused(square, fused(x, 0.009068950526853, 0.041532193387529), fused(x, 0.166676808631838, 0.49999973884028))
+    part = fused(square, tail, 1.0 + x)
+    part = part if part > 1.0 else 1.0
     part *= part
     part *= part
     part *= part
     return part * part
-
-
-@kernel
-def _dot(ax: float, bx: float, ay: float, by: float, az: float, bz: float, more: float) -> float:
-    """Return a.b + more."""
-    return fused(ax, bx, fused(ay, by, fused(az, bz, more)))
 
 
 @kernel
@@ -169,16 +158,17 @@ def _sum(f: float, x: float, g: float, y: float, h: float, z: float, k: float, w
 
 
 @kernel
-def resist_stiffening(work: Floats, constant: Floats, law: Floats) -> tuple[int, int]:
+def resist_stiffening(work: Floats, constant: Floats, law: Floats) -> int:
     """Turn the arms of a block of groups into the forces of their last five nodes on the first.
 
-    As `cell_groups._resist`, with the factor exp(b z) on the forces of the quadratic form. The numbers of stiff cells,
-    and of groups that need substeps half as long are returned.
+    As `cell_groups._resist`, with the factor exp(b z) on the forces of the quadratic form. One loop finds the factor, a
+    second one the forces: a single loop has more values at a time than a processor has registers, and has to wait for
+    the exponential.
 
     Parameters
     ----------
     work : Floats
-        Arms, then forces; the cells' volume ratios and the groups' exponents stay in the last rows.
+        Arms, then forces; the cells' volume ratios and the groups' exponents stay in later rows.
     constant : Floats, shape (CONSTANTS BLOCK,)
         Constants of the block.
     law : Floats, shape (ROWS BLOCK,)
@@ -186,96 +176,111 @@ def resist_stiffening(work: Floats, constant: Floats, law: Floats) -> tuple[int,
 
     Returns
     -------
-    tuple[int, int]
-        Numbers of cells and groups.
+    int
+        Number of groups with a stiff cell, or that need substeps half as long.
     """
-    stiff = steep = 0
+    noted = _find_growth(work, constant, law)
+    _resist_grown(work, constant)
+    return noted
+
+
+@kernel
+def _find_growth(work: Floats, constant: Floats, law: Floats) -> int:
+    """Write the cells' volume ratios, the forces of the quadratic form, mu V F:F over two, exponents and factors.
+
+    The groups with a stiff cell or a large exponent are counted.
+    """
+    noted = 0
     for c in range(BLOCK):
         ex, ey, ez = work[c], work[BLOCK + c], work[2 * BLOCK + c]
         ax, ay, az = work[3 * BLOCK + c], work[4 * BLOCK + c], work[5 * BLOCK + c]
         bx, by, bz = work[6 * BLOCK + c], work[7 * BLOCK + c], work[8 * BLOCK + c]
         cx, cy, cz = work[9 * BLOCK + c], work[10 * BLOCK + c], work[11 * BLOCK + c]
         dx, dy, dz = work[12 * BLOCK + c], work[13 * BLOCK + c], work[14 * BLOCK + c]
-        abx, aby, abz = minor(ay, bz, az, by), minor(az, bx, ax, bz), minor(ax, by, ay, bx)
-        bcx, bcy, bcz = minor(by, cz, bz, cy), minor(bz, cx, bx, cz), minor(bx, cy, by, cx)
-        cdx, cdy, cdz = minor(cy, dz, cz, dy), minor(cz, dx, cx, dz), minor(cx, dy, cy, dx)
-        eax, eay, eaz = minor(ey, az, ez, ay), minor(ez, ax, ex, az), minor(ex, ay, ey, ax)
-        ebx, eby, ebz = minor(ey, bz, ez, by), minor(ez, bx, ex, bz), minor(ex, by, ey, bx)
-        ecx, ecy, ecz = minor(ey, cz, ez, cy), minor(ez, cx, ex, cz), minor(ex, cy, ey, cx)
-        edx, edy, edz = minor(ey, dz, ez, dy), minor(ez, dx, ex, dz), minor(ex, dy, ey, dx)
-        ab = fused(ex, abx, fused(ey, aby, ez * abz)) * constant[12 * BLOCK + c]
-        bc = fused(ex, bcx, fused(ey, bcy, ez * bcz)) * constant[16 * BLOCK + c]
-        cd = fused(ex, cdx, fused(ey, cdy, ez * cdz)) * constant[20 * BLOCK + c]
-        stiff += (ab < STIFF) | (bc < STIFF) | (cd < STIFF)
-        work[15 * BLOCK + c], work[16 * BLOCK + c], work[17 * BLOCK + c] = ab, bc, cd
         ee, aa, bb = constant[c], constant[BLOCK + c], constant[2 * BLOCK + c]
         cc, dd = constant[3 * BLOCK + c], constant[4 * BLOCK + c]
         ea, eb = constant[5 * BLOCK + c], constant[6 * BLOCK + c]
         ec, ed = constant[7 * BLOCK + c], constant[8 * BLOCK + c]
         s, t, u = constant[9 * BLOCK + c], constant[10 * BLOCK + c], constant[11 * BLOCK + c]
-        # Forces of the quadratic form, mu V F:F over two, and with them its value.
-        fex, fey, fez = (
-            fused(ed, dx, _sum(ee, ex, ea, ax, eb, bx, ec, cx)),
-            fused(ed, dy, _sum(ee, ey, ea, ay, eb, by, ec, cy)),
-            fused(ed, dz, _sum(ee, ez, ea, az, eb, bz, ec, cz)),
-        )
-        fax, fay, faz = (
-            fused(ea, ex, fused(aa, ax, s * bx)),
-            fused(ea, ey, fused(aa, ay, s * by)),
-            fused(ea, ez, fused(aa, az, s * bz)),
-        )
-        fbx, fby, fbz = (
-            _sum(eb, ex, s, ax, bb, bx, t, cx),
-            _sum(eb, ey, s, ay, bb, by, t, cy),
-            _sum(eb, ez, s, az, bb, bz, t, cz),
-        )
-        fcx, fcy, fcz = (
-            _sum(ec, ex, t, bx, cc, cx, u, dx),
-            _sum(ec, ey, t, by, cc, cy, u, dy),
-            _sum(ec, ez, t, bz, cc, cz, u, dz),
-        )
-        fdx, fdy, fdz = (
-            fused(ed, ex, fused(u, cx, dd * dx)),
-            fused(ed, ey, fused(u, cy, dd * dy)),
-            fused(ed, ez, fused(u, cz, dd * dz)),
-        )
-        form = _dot(ex, fex, ey, fey, ez, fez, _dot(ax, fax, ay, fay, az, faz, _dot(bx, fbx, by, fby, bz, fbz, 0.0)))
-        form = _dot(cx, fcx, cy, fcy, cz, fcz, _dot(dx, fdx, dy, fdy, dz, fdz, form))
-        same = fused(law[BLOCK + c], undistorted(ab), law[2 * BLOCK + c] * undistorted(bc))
-        y = fused(law[c], form, -fused(law[3 * BLOCK + c], undistorted(cd), same))
-        y = y if y > 0.0 else 0.0
+        fex = fused(ed, dx, _sum(ee, ex, ea, ax, eb, bx, ec, cx))
+        fey = fused(ed, dy, _sum(ee, ey, ea, ay, eb, by, ec, cy))
+        fez = fused(ed, dz, _sum(ee, ez, ea, az, eb, bz, ec, cz))
+        fax, fay = fused(ea, ex, fused(aa, ax, s * bx)), fused(ea, ey, fused(aa, ay, s * by))
+        faz = fused(ea, ez, fused(aa, az, s * bz))
+        fbx, fby = _sum(eb, ex, s, ax, bb, bx, t, cx), _sum(eb, ey, s, ay, bb, by, t, cy)
+        fbz = _sum(eb, ez, s, az, bb, bz, t, cz)
+        fcx, fcy = _sum(ec, ex, t, bx, cc, cx, u, dx), _sum(ec, ey, t, by, cc, cy, u, dy)
+        fcz = _sum(ec, ez, t, bz, cc, cz, u, dz)
+        fdx, fdy = fused(ed, ex, fused(u, cx, dd * dx)), fused(ed, ey, fused(u, cy, dd * dy))
+        fdz = fused(ed, ez, fused(u, cz, dd * dz))
+        # Three sums side by side, so that none waits for the one before.
+        form = fused(ex, fex, _sum(ax, fax, bx, fbx, cx, fcx, dx, fdx))
+        form += fused(ey, fey, _sum(ay, fay, by, fby, cy, fcy, dy, fdy))
+        form += fused(ez, fez, _sum(az, faz, bz, fbz, cz, fcz, dz, fdz))
+        ab = fused(bx, minor(ey, az, ez, ay), fused(by, minor(ez, ax, ex, az), bz * minor(ex, ay, ey, ax)))
+        bc = fused(cx, minor(ey, bz, ez, by), fused(cy, minor(ez, bx, ex, bz), cz * minor(ex, by, ey, bx)))
+        cd = fused(dx, minor(ey, cz, ez, cy), fused(dy, minor(ez, cx, ex, cz), dz * minor(ex, cy, ey, cx)))
+        ab, bc, cd = ab * constant[12 * BLOCK + c], bc * constant[16 * BLOCK + c], cd * constant[20 * BLOCK + c]
+        same = fused(law[2 * BLOCK + c], undistorted(4.0 - bc), law[3 * BLOCK + c] * undistorted(4.0 - cd))
+        y = fused(law[c], form, -fused(law[BLOCK + c], undistorted(4.0 - ab), same))
         y = y if y < MOST else MOST
-        steep += y > law[4 * BLOCK + c]
-        work[18 * BLOCK + c] = y
-        grown = exponential(y)
-        half = 0.5 - 0.5 * grown
+        noted += (ab < STIFF) | (bc < STIFF) | (cd < STIFF) | (y > law[4 * BLOCK + c])
+        work[_VOLUMES + c], work[_VOLUMES + BLOCK + c], work[_VOLUMES + 2 * BLOCK + c] = ab, bc, cd
+        work[_EXPONENT + c], work[_GROWN + c] = y, exponential(y)
+        work[_FORM + c], work[_FORM + BLOCK + c], work[_FORM + 2 * BLOCK + c] = fex, fey, fez
+        work[_FORM + 3 * BLOCK + c], work[_FORM + 4 * BLOCK + c], work[_FORM + 5 * BLOCK + c] = fax, fay, faz
+        work[_FORM + 6 * BLOCK + c], work[_FORM + 7 * BLOCK + c], work[_FORM + 8 * BLOCK + c] = fbx, fby, fbz
+        work[_FORM + 9 * BLOCK + c], work[_FORM + 10 * BLOCK + c], work[_FORM + 11 * BLOCK + c] = fcx, fcy, fcz
+        work[_FORM + 12 * BLOCK + c], work[_FORM + 13 * BLOCK + c], work[_FORM + 14 * BLOCK + c] = fdx, fdy, fdz
+    return noted
+
+
+@kernel
+def _resist_grown(work: Floats, constant: Floats) -> None:
+    """Turn the arms of a block into forces, with what `_find_growth` has written."""
+    for c in range(BLOCK):
+        ex, ey, ez = work[c], work[BLOCK + c], work[2 * BLOCK + c]
+        ax, ay, az = work[3 * BLOCK + c], work[4 * BLOCK + c], work[5 * BLOCK + c]
+        bx, by, bz = work[6 * BLOCK + c], work[7 * BLOCK + c], work[8 * BLOCK + c]
+        cx, cy, cz = work[9 * BLOCK + c], work[10 * BLOCK + c], work[11 * BLOCK + c]
+        dx, dy, dz = work[12 * BLOCK + c], work[13 * BLOCK + c], work[14 * BLOCK + c]
+        ab, bc, cd = work[_VOLUMES + c], work[_VOLUMES + BLOCK + c], work[_VOLUMES + 2 * BLOCK + c]
+        grown = work[_GROWN + c]
+        third = fused(-1.0 / 3.0, grown, 1.0 / 3.0)
         p = pressure_of(ab, constant[13 * BLOCK + c], constant[14 * BLOCK + c], constant[15 * BLOCK + c])
         q = pressure_of(bc, constant[17 * BLOCK + c], constant[18 * BLOCK + c], constant[19 * BLOCK + c])
         r = pressure_of(cd, constant[21 * BLOCK + c], constant[22 * BLOCK + c], constant[23 * BLOCK + c])
-        p = fused(half * constant[14 * BLOCK + c], undistorted_slope(ab), p)
-        q = fused(half * constant[18 * BLOCK + c], undistorted_slope(bc), q)
-        r = fused(half * constant[22 * BLOCK + c], undistorted_slope(cd), r)
-        work[c] = _dot(p, abx, q, bcx, r, cdx, grown * fex)
-        work[BLOCK + c] = _dot(p, aby, q, bcy, r, cdy, grown * fey)
-        work[2 * BLOCK + c] = _dot(p, abz, q, bcz, r, cdz, grown * fez)
-        work[3 * BLOCK + c] = fused(grown, fax, -(p * ebx))
-        work[4 * BLOCK + c] = fused(grown, fay, -(p * eby))
-        work[5 * BLOCK + c] = fused(grown, faz, -(p * ebz))
-        work[6 * BLOCK + c] = fused(grown, fbx, fused(p, eax, -(q * ecx)))
-        work[7 * BLOCK + c] = fused(grown, fby, fused(p, eay, -(q * ecy)))
-        work[8 * BLOCK + c] = fused(grown, fbz, fused(p, eaz, -(q * ecz)))
-        work[9 * BLOCK + c] = fused(grown, fcx, fused(q, ebx, -(r * edx)))
-        work[10 * BLOCK + c] = fused(grown, fcy, fused(q, eby, -(r * edy)))
-        work[11 * BLOCK + c] = fused(grown, fcz, fused(q, ebz, -(r * edz)))
-        work[12 * BLOCK + c] = fused(grown, fdx, r * ecx)
-        work[13 * BLOCK + c] = fused(grown, fdy, r * ecy)
-        work[14 * BLOCK + c] = fused(grown, fdz, r * ecz)
-    return stiff, steep
+        p = fused(third * constant[14 * BLOCK + c], 4.0 - ab, p)
+        q = fused(third * constant[18 * BLOCK + c], 4.0 - bc, q)
+        r = fused(third * constant[22 * BLOCK + c], 4.0 - cd, r)
+        # Forces of the pressures are cross products: of e with these, from a to d, and of these with the arms, on e.
+        kx, ky, kz = p * bx, p * by, p * bz
+        lx, ly, lz = minor(p, ax, q, cx), minor(p, ay, q, cy), minor(p, az, q, cz)
+        mx, my, mz = minor(q, bx, r, dx), minor(q, by, r, dy), minor(q, bz, r, dz)
+        nx, ny, nz = r * cx, r * cy, r * cz
+        around = fused(ly, bz, -fused(lz, by, minor(nz, dy, ny, dz)))
+        work[c] = fused(grown, work[_FORM + c], around)
+        around = fused(lz, bx, -fused(lx, bz, minor(nx, dz, nz, dx)))
+        work[BLOCK + c] = fused(grown, work[_FORM + BLOCK + c], around)
+        around = fused(lx, by, -fused(ly, bx, minor(ny, dx, nx, dy)))
+        work[2 * BLOCK + c] = fused(grown, work[_FORM + 2 * BLOCK + c], around)
+        work[3 * BLOCK + c] = fused(grown, work[_FORM + 3 * BLOCK + c], minor(ez, ky, ey, kz))
+        work[4 * BLOCK + c] = fused(grown, work[_FORM + 4 * BLOCK + c], minor(ex, kz, ez, kx))
+        work[5 * BLOCK + c] = fused(grown, work[_FORM + 5 * BLOCK + c], minor(ey, kx, ex, ky))
+        work[6 * BLOCK + c] = fused(grown, work[_FORM + 6 * BLOCK + c], minor(ey, lz, ez, ly))
+        work[7 * BLOCK + c] = fused(grown, work[_FORM + 7 * BLOCK + c], minor(ez, lx, ex, lz))
+        work[8 * BLOCK + c] = fused(grown, work[_FORM + 8 * BLOCK + c], minor(ex, ly, ey, lx))
+        work[9 * BLOCK + c] = fused(grown, work[_FORM + 9 * BLOCK + c], minor(ey, mz, ez, my))
+        work[10 * BLOCK + c] = fused(grown, work[_FORM + 10 * BLOCK + c], minor(ez, mx, ex, mz))
+        work[11 * BLOCK + c] = fused(grown, work[_FORM + 11 * BLOCK + c], minor(ex, my, ey, mx))
+        work[12 * BLOCK + c] = fused(grown, work[_FORM + 12 * BLOCK + c], minor(ey, nz, ez, ny))
+        work[13 * BLOCK + c] = fused(grown, work[_FORM + 13 * BLOCK + c], minor(ez, nx, ex, nz))
+        work[14 * BLOCK + c] = fused(grown, work[_FORM + 14 * BLOCK + c], minor(ex, ny, ey, nx))
 
 
 @kernel
 def needed_shortening(work: Floats, law: Floats) -> int:
-    """Return the factor on the substeps that a block needs which has a group that needs shorter ones: 2 or 4.
+    """Return the factor on the substeps that a block needs: 1, 2 or 4.
 
     Parameters
     ----------
@@ -284,10 +289,13 @@ def needed_shortening(work: Floats, law: Floats) -> int:
     law : Floats, shape (ROWS BLOCK,)
         Constants of `stiffening_rows`.
     """
+    factor = 1
     for c in range(BLOCK):
-        if work[18 * BLOCK + c] > law[5 * BLOCK + c]:
+        if work[_EXPONENT + c] > law[5 * BLOCK + c]:
             return 4
-    return 2
+        if work[_EXPONENT + c] > law[4 * BLOCK + c]:
+            factor = 2
+    return factor
 
 
 @kernel
