@@ -66,7 +66,7 @@ def test_a_running_loop_takes_a_cut_up_between_two_ticks_once_it_is_preloaded(lo
     tick = physics.exchange(made)
     words = loop._exchange.words
     assert words.loaded == words.asked == 1
-    loop.hold.begin()
+    loop.pause.begin()
     by_hand = make()
     by_hand.step(tick - 1)
     cut = by_hand.cut(*CUT)

@@ -1,8 +1,8 @@
 """Exchange of an organ's arrays between two ticks of a running loop, for others of another size: after a cut.
 
-Python makes the new ones beside the loop, with a plan of the words that continue. The loop reads the arrays after one tick, copies these words
-before the next, and goes on with the new arrays: it takes no lock, allocates nothing, and the tick that does it takes
-some microseconds more.
+Python makes the new ones beside the loop, with a plan of the words that continue. The loop reads the arrays after one
+tick, copies these words before the next, and goes on with the new arrays: it takes no lock, allocates nothing, and the
+tick that does it takes some microseconds more.
 """
 
 from __future__ import annotations
