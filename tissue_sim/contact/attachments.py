@@ -14,7 +14,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.data.links import POINT, Links, make_links
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath
-from tissue_sim.model.stepping.ligament_links import weight_link_ends
+from tissue_sim.model.stepping.ligament_links import compute_link_bounds
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
 
@@ -120,7 +120,7 @@ def links_of(attachments: Sequence[Attachment], simulations: Sequence[Simulation
         links.damping[rows] = one.damping * area / area.sum()
         links.slack[rows] = np.linalg.norm(ends[1] - ends[0], axis=1) if one.slack is None else one.slack
     if len(links.slack):
-        weight_link_ends(links, [simulation.model.inverse_mass for simulation in simulations])
+        compute_link_bounds(links, [simulation.model.inverse_mass for simulation in simulations])
     return links
 
 

@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.contact.compiled_steps import NO_COPY, Course, advance_copies, room_for, tables_of, take_poses
+from tissue_sim.contact.compiled_steps import (
+    NO_COPY,
+    CopyProgress,
+    advance_copies,
+    search_memory,
+    tables_of,
+    take_poses,
+)
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.handles import handle, row
@@ -31,7 +38,7 @@ class CompiledCopies:
         self._scenes, self._tools = scenes, scenes[0].tools
         self._worlds = row([one.simulation.world for one in scenes])
         bodies = len(self._tools.grown)
-        self._course = Course(
+        self._course = CopyProgress(
             ticks_a_set=scenes[0].ticks_a_set,
             left=np.zeros(count, dtype=np.int64),
             ticks=np.array([one.ticks for one in scenes], dtype=np.int64),
@@ -47,7 +54,7 @@ class CompiledCopies:
         self._tables = tables_of(finder)
         self._rooms: queue.SimpleQueue[Any] = queue.SimpleQueue()
         for _ in range(threads):
-            self._rooms.put(room_for(finder))
+            self._rooms.put(search_memory(finder))
         self._finding = threading.Lock()  # the finder has its buffers once
 
     def move(self, copies: Longs, poses: Floats, angles: Floats) -> None:

@@ -14,7 +14,7 @@ from tissue_sim.model.cutting.blade_path import BladePath
 from tissue_sim.model.cutting.sheet import Coagulation, Sheet
 from tissue_sim.model.simulation import Simulation
 
-LEAST_STRETCH = 0.05  # determinant of a deformation that still tells directions
+MIN_DETERMINANT = 0.05  # determinant of a deformation that still tells directions
 
 
 class BladeCuts:
@@ -75,7 +75,7 @@ class BladeCuts:
             part = cells.part[cell][:, :, None]
             corner = (1.0 - part) * state.position[cells.nodes[cell]] + part * state.position[cells.others[cell]]
             stretch = np.einsum("kax,kac->xc", corner, cells.slope[cell]) / len(held)
-            if not np.linalg.det(stretch) > LEAST_STRETCH or not state.blades.embedded[held].all():
+            if not np.linalg.det(stretch) > MIN_DETERMINANT or not state.blades.embedded[held].all():
                 continue  # nearly flat; or the loop has taken one out meanwhile, whose place is gone
             back = np.linalg.inv(stretch)
             blades, turn = simulation.shapes.blades, tuple(state.body_pose[body, 3:].tolist())

@@ -98,7 +98,7 @@ def boxes_apart(low: Floats, high: Floats, other_low: Floats, other_high: Floats
     return apart
 
 
-class Near(NamedTuple):
+class NearTriangles(NamedTuple):
     """Room for triangles that lie near something."""
 
     node: Longs  # (t, 3) their nodes
@@ -107,7 +107,7 @@ class Near(NamedTuple):
 
 @kernel
 def triangles_in_box(
-    position: Floats, rest: Floats, triangles: Longs, low: Floats, high: Floats, near: Near
+    position: Floats, rest: Floats, triangles: Longs, low: Floats, high: Floats, near: NearTriangles
 ) -> tuple[int, float]:
     """Write the triangles (t, 3) whose box meets the box low, high (3,) to near.
 
@@ -158,7 +158,7 @@ def nearest_node(position: Floats, n_surface: int, x: float, y: float, z: float)
     return chosen, best
 
 
-class Placed(NamedTuple):
+class PlacedBody(NamedTuple):
     """A body where it is: at origin (3,), rotation (9,), in the box low, high (3,), m."""
 
     shapes: Shapes
@@ -170,7 +170,7 @@ class Placed(NamedTuple):
 
 
 @kernel
-def holds_node(position: Floats, n_surface: int, placed: Placed) -> bool:
+def holds_node(position: Floats, n_surface: int, placed: PlacedBody) -> bool:
     """Return True when a surface node lies inside a body."""
     shapes, body, origin, r, low, high = placed
     for node in range(n_surface):

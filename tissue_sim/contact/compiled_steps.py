@@ -9,17 +9,24 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs
-from tissue_sim.contact.broad_phase import Near, body_box, boxes_apart, boxes_meet, surface_box, triangles_in_box
-from tissue_sim.contact.contact_points import Fineness, Found, Lattices, Search, points_near, set_compliance
+from tissue_sim.contact.broad_phase import (
+    NearTriangles,
+    body_box,
+    boxes_apart,
+    boxes_meet,
+    surface_box,
+    triangles_in_box,
+)
+from tissue_sim.contact.contact_points import Fineness, FoundPoints, Lattices, Search, points_near, set_compliance
 from tissue_sim.contact.crossings import crossings_above
-from tissue_sim.contact.finder import TISSUE_WAY, ContactFinder
-from tissue_sim.contact.reach_margins import MOST_MARGIN
+from tissue_sim.contact.finder import TISSUE_MOTION, ContactFinder
+from tissue_sim.contact.reach_margins import MAX_MARGIN
 from tissue_sim.contact.tools import MARGIN
 from tissue_sim.handles import handle
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.poses import distance_along_path
 from tissue_sim.model.contact.shapes import rotation_matrix
-from tissue_sim.model.data.contact_set import MOST_POINTS, POINT_NODES, ContactSet, Engaged, contact_set
+from tissue_sim.model.data.contact_set import MAX_CONTACT_POINTS, POINT_NODES, ContactSet, Engaged, contact_set
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
@@ -37,8 +44,8 @@ class Tables(NamedTuple):
     rest: Floats  # (n, 3) m
     lattices: Lattices
     parts: Longs  # (B, t), with
-    give: Floats  # (B, t, 2) and
-    corner_give: Floats  # (B, n, 2) see Fineness
+    yielding: Floats  # (B, t, 2) and
+    corner_yielding: Floats  # (B, n, 2) see Fineness
     corners: Floats  # (k, 3) m, see ToolSet, of all bodies one after the other
     corner_start: Longs  # (B + 1,)
     padding: Floats  # (B,) m
@@ -49,10 +56,10 @@ class Tables(NamedTuple):
     between: Floats  # (B,)
 
 
-class Room(NamedTuple):
+class SearchMemory(NamedTuple):
     """Working memory of a contact search; each thread has its own."""
 
-    near: Near
+    near: NearTriangles
     low: Floats  # (3,) m, box of the surface
     high: Floats
     box_low: Floats  # (3,) m, box of a body
@@ -60,11 +67,11 @@ class Room(NamedTuple):
     matrix: Floats  # (9,)
     normal: Floats  # (n, 3)
     seen: Longs  # (n,)
-    points: Found
+    points: FoundPoints
     found: ContactSet  # the contact set
 
 
-class Course(NamedTuple):
+class CopyProgress(NamedTuple):
     """How far each of n copies has come, and what is left to do."""
 
     ticks_a_set: int
@@ -94,8 +101,8 @@ def tables_of(finder: ContactFinder) -> Tables:
             rest=finder.rest,
             lattices=finder.lattices,
             parts=np.array([one.parts for one in finenesses], dtype=np.int64).reshape(bodies, triangles),
-            give=np.array([one.give for one in finenesses]).reshape(bodies, triangles, 2),
-            corner_give=np.array([one.corner_give for one in finenesses]).reshape(bodies, n, 2),
+            yielding=np.array([one.yielding for one in finenesses]).reshape(bodies, triangles, 2),
+            corner_yielding=np.array([one.corner_yielding for one in finenesses]).reshape(bodies, n, 2),
             corners=np.concatenate([np.zeros((0, 3)), *tools.corners]),
             corner_start=_starts(tools.corners),
             padding=np.array(tools.padding, dtype=np.float64),
@@ -112,7 +119,7 @@ def _starts(parts: Sequence[Floats]) -> Longs:
     return np.cumsum([0, *map(len, parts)]).astype(np.int64)
 
 
-def room_for(finder: ContactFinder) -> Room:
+def search_memory(finder: ContactFinder) -> SearchMemory:
     """Return a handle of working memory for one thread.
 
     Parameters
@@ -126,12 +133,12 @@ def room_for(finder: ContactFinder) -> Room:
         return np.zeros(shape, dtype=np.int64)
 
     # Where more points are found than a contact set has room for, Python selects from them.
-    body, triangle, corners = longs(MOST_POINTS), longs(MOST_POINTS), longs(MOST_POINTS, 3)
-    weight, normal, give = (np.zeros((MOST_POINTS, columns)) for columns in (3, 3, 2))
-    points = Found(body, triangle, corners, weight, normal, give)
+    body, triangle, corners = longs(MAX_CONTACT_POINTS), longs(MAX_CONTACT_POINTS), longs(MAX_CONTACT_POINTS, 3)
+    weight, normal, yielding = (np.zeros((MAX_CONTACT_POINTS, columns)) for columns in (3, 3, 2))
+    points = FoundPoints(body, triangle, corners, weight, normal, yielding)
     return handle(
-        Room(
-            near=Near(longs(triangles, 3), longs(triangles)),
+        SearchMemory(
+            near=NearTriangles(longs(triangles, 3), longs(triangles)),
             low=np.zeros(3),
             high=np.zeros(3),
             box_low=np.zeros(3),
@@ -146,7 +153,7 @@ def room_for(finder: ContactFinder) -> Room:
 
 
 @kernel
-def take_poses(worlds: Sequence[World], copies: Longs, poses: Floats, course: Course) -> None:
+def take_poses(worlds: Sequence[World], copies: Longs, poses: Floats, course: CopyProgress) -> None:
     """Give the bodies of some copies new poses.
 
     Parameters
@@ -170,7 +177,9 @@ def take_poses(worlds: Sequence[World], copies: Longs, poses: Floats, course: Co
 
 
 @kernel
-def advance_copies(worlds: Sequence[World], course: Course, tables: Tables, room: Room, copies: Longs) -> int:
+def advance_copies(
+    worlds: Sequence[World], course: CopyProgress, tables: Tables, room: SearchMemory, copies: Longs
+) -> int:
     """Advance copies one after the other by the ticks that are left of each.
 
     Parameters
@@ -208,7 +217,7 @@ def advance_copies(worlds: Sequence[World], course: Course, tables: Tables, room
 
 
 @kernel
-def _search(world: World, course: Course, copy: int, tables: Tables, room: Room) -> bool:
+def _search(world: World, course: CopyProgress, copy: int, tables: Tables, room: SearchMemory) -> bool:
     """Write the contact set of a copy to room.found; return False where a body needs what only the finder can do.
 
     That is the way out for a body that has slipped in, the nearest points of triangles too coarse for a body, the
@@ -223,7 +232,7 @@ def _search(world: World, course: Course, copy: int, tables: Tables, room: Room)
             return False
         margin = _margin(state, shapes, course, copy, body)
         reach, before = MARGIN + margin, count
-        found.reach[body] = reach - TISSUE_WAY
+        found.reach[body] = reach - TISSUE_MOTION
         is_fresh = status.age >= 0 and not status.released
         if is_fresh:
             rotation_matrix(pose[3:], room.matrix)
@@ -238,11 +247,11 @@ def _search(world: World, course: Course, copy: int, tables: Tables, room: Room)
                 )
             if some == 0:
                 apart = boxes_apart(room.box_low, room.box_high, room.low, room.high)
-                found.reach[body] = max(found.reach[body], reach + apart - TISSUE_WAY)
+                found.reach[body] = max(found.reach[body], reach + apart - TISSUE_MOTION)
             elif tables.is_fine[body] == 1:
                 return False
             else:
-                fineness = Fineness(tables.parts[body], tables.give[body], tables.corner_give[body])
+                fineness = Fineness(tables.parts[body], tables.yielding[body], tables.corner_yielding[body])
                 search = Search(
                     state.position, shapes, body, tables.lattices, fineness, pose[:3], room.matrix, reach, room.normal
                 )
@@ -255,7 +264,7 @@ def _search(world: World, course: Course, copy: int, tables: Tables, room: Room)
             found.place[body, c] = pose[c]
         for c in range(POINT_NODES):
             found.tip_node[body, c], found.tip_weight[body, c] = -1, 0.0
-    if count > MOST_POINTS:
+    if count > MAX_CONTACT_POINTS:
         return False
     for body in range(len(state.bodies)):
         for c in range(7):
@@ -266,17 +275,17 @@ def _search(world: World, course: Course, copy: int, tables: Tables, room: Room)
 
 
 @kernel
-def _margin(state: State, shapes: Shapes, course: Course, copy: int, body: int) -> float:
+def _margin(state: State, shapes: Shapes, course: CopyProgress, copy: int, body: int) -> float:
     """Return what `reach_margins` does for a body, m."""
     goal = state.body_goal[body]
     covered = distance_along_path(state.body_pose[body], goal, shapes.extent[body])
     if course.ticks_a_set > 1 and course.has_goal[copy] == 1:
         covered += 2.0 * distance_along_path(course.goal[copy, body], goal, shapes.extent[body])
-    return 1e-3 * math.ceil(1e3 * min(max(covered - 0.5 * MARGIN, 0.0), MOST_MARGIN))
+    return 1e-3 * math.ceil(1e3 * min(max(covered - 0.5 * MARGIN, 0.0), MAX_MARGIN))
 
 
 @kernel
-def _fill(found: ContactSet, points: Found, count: int, tables: Tables) -> None:
+def _fill(found: ContactSet, points: FoundPoints, count: int, tables: Tables) -> None:
     """Write the first points that were found to a contact set."""
     found.header.points, found.header.dropped = count, 0
     for point in range(count):
@@ -286,11 +295,11 @@ def _fill(found: ContactSet, points: Found, count: int, tables: Tables) -> None:
             found.weight[point, c] = points.weight[point, c]
             found.normal[point, c] = points.normal[point, c]
         found.node[point, 3], found.weight[point, 3] = points.node[point, 0], 0.0  # of a surface without cuts
-    set_compliance(found, points.node, points.weight, points.give, tables.compliance, tables.between)
+    set_compliance(found, points.node, points.weight, points.yielding, tables.compliance, tables.between)
 
 
 @kernel
-def _is_swallowed(position: Floats, pose: Floats, body: int, tables: Tables, room: Room) -> bool:
+def _is_swallowed(position: Floats, pose: Floats, body: int, tables: Tables, room: SearchMemory) -> bool:
     """Return whether one of a body's centre points lies inside the surface; the body's matrix is in room."""
     m = room.matrix
     for index in range(tables.middle_start[body], tables.middle_start[body + 1]):

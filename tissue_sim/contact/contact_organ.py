@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.blade_cuts import BladeCuts
-from tissue_sim.contact.finder import ContactFinder, Sought
+from tissue_sim.contact.finder import ContactFinder, ContactQuery
 from tissue_sim.contact.reach_margins import reach_margins
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.model.data.contact_set import ContactSet, Engaged
@@ -96,6 +96,6 @@ class ContactOrgan:
         margins = reach_margins(places, goal, last, fraction, self.finder.tools.shapes.extent)
         self.set_goal = goal
         releases = state.bodies.releases.copy()
-        found = self.finder.find(self.simulation.positions, Sought(places, margins, fresh, pushing, releases))
+        found = self.finder.find(self.simulation.positions, ContactQuery(places, margins, fresh, pushing, releases))
         self.simulation.take_contacts(found, sequence)
         self.contacts = found

@@ -24,8 +24,10 @@ class Fineness(NamedTuple):
     """Spacing of a body's contact points."""
 
     parts: Longs  # (t,) in how many parts the edges of each triangle are divided
-    give: Floats  # (t, 2) how many times as far as its nodes' compliance has it its points give way; how far at most, m
-    corner_give: Floats  # (n, 2) the same of the corners
+    yielding: (
+        Floats  # (t, 2) how many times as far as its nodes' compliance has it its points give way; how far at most, m
+    )
+    corner_yielding: Floats  # (n, 2) the same of the corners
 
 
 class Search(NamedTuple):
@@ -42,7 +44,7 @@ class Search(NamedTuple):
     normal: Floats  # (n, 3) buffer
 
 
-class Found(NamedTuple):
+class FoundPoints(NamedTuple):
     """Buffers for contact points."""
 
     body: Longs  # (c,)
@@ -50,11 +52,11 @@ class Found(NamedTuple):
     node: Longs  # (c, 3)
     weight: Floats  # (c, 3) barycentric
     normal: Floats  # (c, 3) outward unit normals of the tissue
-    give: Floats  # (c, 2) see Fineness
+    yielding: Floats  # (c, 2) see Fineness
 
 
 @kernel
-def points_near(near: Longs, number: Longs, search: Search, seen: Longs, found: Found, count: int) -> int:
+def points_near(near: Longs, number: Longs, search: Search, seen: Longs, found: FoundPoints, count: int) -> int:
     """Find the points of triangles that lie within reach of a body: corners, and those of their lattices.
 
     Parameters
@@ -89,14 +91,14 @@ def points_near(near: Longs, number: Longs, search: Search, seen: Longs, found: 
             node = nodes[c]
             if seen[node] == 0:
                 seen[node] = 1
-                give = fineness.corner_give[node]
-                count = _add_point((node, node, node, -1), (1.0, 0.0, 0.0), give, search, found, count)
-        parts, give = fineness.parts[number[t]], fineness.give[number[t]]
+                yielding = fineness.corner_yielding[node]
+                count = _add_point((node, node, node, -1), (1.0, 0.0, 0.0), yielding, search, found, count)
+        parts, yielding = fineness.parts[number[t]], fineness.yielding[number[t]]
         for point in range(lattices.start[parts], lattices.start[parts + 1]):
             edge, weight = lattices.edge[point], lattices.weight[point]
             # A point on an edge belongs to two triangles; it is taken from the one that runs along it.
             if edge < 0 or nodes[(edge + 1) % 3] < nodes[(edge + 2) % 3]:
-                count = _add_point(nodes, (weight[0], weight[1], weight[2]), give, search, found, count)
+                count = _add_point(nodes, (weight[0], weight[1], weight[2]), yielding, search, found, count)
     for t in range(len(near)):
         for c in range(3):
             seen[near[t, c]] = 0
@@ -107,9 +109,9 @@ def points_near(near: Longs, number: Longs, search: Search, seen: Longs, found: 
 def _add_point(
     nodes: tuple[int, int, int, int],
     weight: tuple[float, float, float],
-    give: Floats,
+    yielding: Floats,
     search: Search,
-    found: Found,
+    found: FoundPoints,
     count: int,
 ) -> int:
     """Add a point where it is near the body; return how many there are then. The triangle follows its nodes."""
@@ -124,7 +126,7 @@ def _add_point(
     if signed_distance(search.shapes, search.body, lx, ly, lz)[0] > search.reach:
         return count
     if count < len(found.node):
-        found.body[count], found.give[count, 0], found.give[count, 1] = search.body, give[0], give[1]
+        found.body[count], found.yielding[count, 0], found.yielding[count, 1] = search.body, yielding[0], yielding[1]
         found.triangle[count] = nodes[3]
         for c in range(3):
             found.node[count, c] = nodes[c]
@@ -141,7 +143,7 @@ def _unit(x: float, y: float, z: float, target: Floats) -> None:
 
 @kernel
 def set_compliance(
-    found: ContactSet, corners: Longs, weight: Floats, give: Floats, compliance: Floats, between: Floats
+    found: ContactSet, corners: Longs, weight: Floats, yielding: Floats, compliance: Floats, between: Floats
 ) -> None:
     """Compute the compliance of a contact set's points from that of their triangles' corners.
 
@@ -153,7 +155,7 @@ def set_compliance(
         Points that are the triangles' corners.
     weight : Floats, shape (c, 3)
         Barycentric weights of these.
-    give : Floats, shape (c, 2)
+    yielding : Floats, shape (c, 2)
         See Fineness, of each point.
     compliance : Floats, shape (B, p, 2), m/N
         Compliance of the tissue around each corner, along a body's normal and across it.
@@ -164,13 +166,13 @@ def set_compliance(
         body, square = found.body[point], 0.0
         for c in range(found.weight.shape[1]):
             square += found.weight[point, c] * found.weight[point, c]
-        more = (1.0 + between[body] * (1.0 - square)) * give[point, 0]
+        more = (1.0 + between[body] * (1.0 - square)) * yielding[point, 0]
         for axis in range(2):
             total = 0.0
             for c in range(3):
                 total += more * weight[point, c] * compliance[body, corners[point, c], axis]
             found.compliance[point, axis] = total
-        found.most_give[point] = give[point, 1]
+        found.most_give[point] = yielding[point, 1]
 
 
 @kernel

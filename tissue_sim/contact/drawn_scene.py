@@ -13,7 +13,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.rendering.primitives import ball, capsule
 
 
-class SeenSurface(NamedTuple):
+class DrawnSurface(NamedTuple):
     """Surface of an organ."""
 
     name: str
@@ -22,7 +22,7 @@ class SeenSurface(NamedTuple):
     triangles: Ints  # (t, 3); the same array until the organ is cut or healed
 
 
-def surfaces_of(simulations: Sequence[Simulation], names: Sequence[str]) -> list[SeenSurface]:
+def surfaces_of(simulations: Sequence[Simulation], names: Sequence[str]) -> list[DrawnSurface]:
     """Return the surfaces of organs, carried by the breath.
 
     Parameters
@@ -40,7 +40,7 @@ def surfaces_of(simulations: Sequence[Simulation], names: Sequence[str]) -> list
         else:
             rest, triangles = cut.surface.at(one.organ.rest_positions), cut.surface.triangles
             points = cut.surface.at(one.positions)
-        found.append(SeenSurface(name, points + carried, rest, triangles))
+        found.append(DrawnSurface(name, points + carried, rest, triangles))
     return found
 
 

@@ -13,10 +13,10 @@ from tissue_sim.model.data.blades import Blades, make_blades
 
 ALONG = 8  # places along an edge
 BEHIND = 2  # rows of places on the flanks behind it
-LEAST_EDGE = 1e-3  # m
-MOST_SPEED = 0.1  # m/s of cautery
-MOST_STIFFENING = 20.0  # of the walls of its cut
-MOST_SPREAD = 0.01  # m of its heat
+MIN_EDGE = 1e-3  # m
+MAX_SPEED = 0.1  # m/s of cautery
+MAX_STIFFENING = 20.0  # of the walls of its cut
+MAX_SPREAD = 0.01  # m of its heat
 
 
 class Edge(NamedTuple):
@@ -45,17 +45,17 @@ def check_edge(name: str, edge: Edge) -> None:
     UserError
         Where one is out of range; the message names it.
     """
-    if not edge.length >= LEAST_EDGE:
-        raise UserError(f"tool '{name}': length {edge.length:g} m of its edge is below {LEAST_EDGE:g}")
+    if not edge.length >= MIN_EDGE:
+        raise UserError(f"tool '{name}': length {edge.length:g} m of its edge is below {MIN_EDGE:g}")
     if not 0.0 < edge.height <= 0.5:
         raise UserError(f"tool '{name}': height {edge.height:g} m is outside 0..0.5")
-    if not 0.0 <= edge.speed <= MOST_SPEED:
-        raise UserError(f"tool '{name}': cautery_speed {edge.speed:g} m/s is outside 0..{MOST_SPEED:g}")
+    if not 0.0 <= edge.speed <= MAX_SPEED:
+        raise UserError(f"tool '{name}': cautery_speed {edge.speed:g} m/s is outside 0..{MAX_SPEED:g}")
     stiffening, spread = edge.coagulation
-    if not 1.0 <= stiffening <= MOST_STIFFENING:
-        raise UserError(f"tool '{name}': cautery_stiffening {stiffening:g} is outside 1..{MOST_STIFFENING:g}")
-    if not 0.0 <= spread <= MOST_SPREAD:
-        raise UserError(f"tool '{name}': cautery_spread {spread:g} m is outside 0..{MOST_SPREAD:g}")
+    if not 1.0 <= stiffening <= MAX_STIFFENING:
+        raise UserError(f"tool '{name}': cautery_stiffening {stiffening:g} is outside 1..{MAX_STIFFENING:g}")
+    if not 0.0 <= spread <= MAX_SPREAD:
+        raise UserError(f"tool '{name}': cautery_spread {spread:g} m is outside 0..{MAX_SPREAD:g}")
     if stiffening > 1.0 and edge.speed == 0.0:
         raise UserError(
             f"tool '{name}': cautery_stiffening {stiffening:g} is that of a hot tool, and without a cautery_speed it"

@@ -10,7 +10,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.triangles import closest_points
 from tissue_sim.model.data.shapes import Grid
 
-FINEST, MOST_POINTS = 2e-4, 200_000  # m between points; points of a grid: 54 x 54 x 14 mm at 0.6 mm
+MIN_SPACING, MAX_POINTS = 2e-4, 200_000  # m between points; points of a grid: 54 x 54 x 14 mm at 0.6 mm
 _CANDIDATES = 12  # pieces among which the nearest is searched
 _CHUNK = 50_000
 _SAME = 1e-9  # m: distances that differ by less are equal
@@ -27,7 +27,7 @@ def distance_grid(mesh: trimesh.Trimesh, margin: float) -> Grid:
         Distance by which the box is grown.
     """
     low, high = mesh.bounds[0] - margin, mesh.bounds[1] + margin
-    spacing = max(FINEST, float(np.prod(high - low) / MOST_POINTS) ** (1.0 / 3.0))
+    spacing = max(MIN_SPACING, float(np.prod(high - low) / MAX_POINTS) ** (1.0 / 3.0))
     counts = np.ceil((high - low) / spacing).astype(int) + 1
     axes = [low[c] + spacing * np.arange(counts[c]) for c in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -25,7 +25,7 @@ from tissue_sim.organ.topology import node_area
 
 STRETCHED = 1.15  # largest stretch of the distance of points under a tool
 LAYER = 0.5  # mean edges, by which tissue between nodes yields at most: with less a deep pinch is too stiff
-MOST_POISSON = 0.5
+MAX_POISSON_RATIO = 0.5
 
 
 class ComplianceLimits(NamedTuple):
@@ -56,31 +56,31 @@ OF_BALLS = ComplianceLimits(spacing=0.45, most=0.8, covered=0.7, between=0.5)
 OF_OTHERS = ComplianceLimits(spacing=0.75, most=0.5, covered=1.0, between=0.0)
 
 
-def most_give(give: ComplianceLimits, organ: Organ, smallest: float, spacing: Floats) -> Floats:
+def max_yielding(limits: ComplianceLimits, organ: Organ, smallest: float, spacing: Floats) -> Floats:
     """Return how far tissue may give way (t,), m; what sank in farther would slip between points spacing (t,) m apart.
 
     smallest: radius of the finest feature of the tool, m. Waves that nodes don't carry are of a layer under the
     surface, LAYER of an edge deep; it isn't compressed by more than that.
     """
-    slips = smallest - give.covered * STRETCHED * spacing
-    return np.clip(slips, 0.0, min(give.most * smallest, LAYER * mean_edge(organ)))
+    slips = smallest - limits.covered * STRETCHED * spacing
+    return np.clip(slips, 0.0, min(limits.most * smallest, LAYER * mean_edge(organ)))
 
 
-def extra_compliance_between_nodes(give: ComplianceLimits, organ: Organ, smallest: float) -> float:
+def extra_compliance_between_nodes(limits: ComplianceLimits, organ: Organ, smallest: float) -> float:
     """Return by what fraction tissue yields more between nodes, times 1 less the sum of a point's squared weights.
 
     Within a triangle the yielding between nodes is most of all yielding and is independent of the nodes.
 
     Parameters
     ----------
-    give : Give
+    limits : ComplianceLimits
         How tissue yields to the tool.
     organ : Organ
         The organ.
     smallest : float, m
         Smallest radius about the tool.
     """
-    return give.between * min(1.0, smallest / mean_edge(organ))
+    return limits.between * min(1.0, smallest / mean_edge(organ))
 
 
 def local_compliance(organ: Organ, smallest: float) -> Floats:
@@ -102,7 +102,7 @@ def local_compliance(organ: Organ, smallest: float) -> Floats:
         Compliance.
     """
     modulus, nu = organ.youngs_modulus, organ.poisson_ratio
-    if not modulus > 0.0 or not abs(nu) <= MOST_POISSON:
+    if not modulus > 0.0 or not abs(nu) <= MAX_POISSON_RATIO:
         return np.zeros((organ.n_surface, 2))
     area = np.maximum(node_area(organ.surface_positions, organ.surface_triangles), np.finfo(np.float64).tiny)
     edge = np.sqrt(2.0 / math.sqrt(3.0) * area)  # of equilateral triangles with as much area a node

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs, Mask
-from tissue_sim.contact.broad_phase import Near, approach, surface_box, triangles_in_box
+from tissue_sim.contact.broad_phase import NearTriangles, approach, surface_box, triangles_in_box
 from tissue_sim.contact.self_contact_finder import SelfFinder
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.contact.triangles import nearest_among
-from tissue_sim.model.stepping.contact_pairs import MOST_CUT_POINTS, MOST_PAIRS, OrganContactSet, organ_contact_set
+from tissue_sim.model.stepping.contact_pairs import MAX_CUT_POINTS, MAX_PAIRS, OrganContactSet, organ_contact_set
 from tissue_sim.organ.organ import Organ
 
 MARGIN = 0.003  # m from a surface within which a node is examined
@@ -150,7 +150,7 @@ class OrganContactFinder:
         made[:, :1] = found.organ[:count, :1] == organ
         made[:, 1:] = found.organ[:count, 1:] == organ
         made &= node >= surface.n_surface
-        numbers = np.unique(node[made])[: MOST_CUT_POINTS - start]
+        numbers = np.unique(node[made])[: MAX_CUT_POINTS - start]
         rows = slice(start, start + len(numbers))
         found.point_organ[rows], found.point_version[rows] = organ, self._versions[organ]
         found.point_number[rows] = numbers
@@ -192,9 +192,9 @@ class OrganContactFinder:
             every[near] = room
             self._apart[first, second] = _Apart(every, nodes.copy(), surface.copy())
         kept = np.flatnonzero(room < 0.0)
-        if len(kept) > MOST_PAIRS:  # the nearest ones
-            self.counters.dropped += len(kept) - MOST_PAIRS
-            kept = np.sort(kept[np.argsort(distance[kept], kind="stable")[:MOST_PAIRS]])
+        if len(kept) > MAX_PAIRS:  # the nearest ones
+            self.counters.dropped += len(kept) - MAX_PAIRS
+            kept = np.sort(kept[np.argsort(distance[kept], kind="stable")[:MAX_PAIRS]])
         self._put(first, second, np.column_stack([near[kept], triangles[kept]]), weights[kept])
 
     def _nearest(self, second: int, nodes: Floats, surface: Floats) -> tuple[Longs, Floats, Floats]:
@@ -205,7 +205,7 @@ class OrganContactFinder:
         triangles, count = self._near[second], 0
         if len(nodes):
             low, high = nodes.min(axis=0) - DEEPEST, nodes.max(axis=0) + DEEPEST
-            room = Near(triangles, self._numbers[second])
+            room = NearTriangles(triangles, self._numbers[second])
             count, _ = triangles_in_box(surface, surface, self._now[second].triangles, low, high, room)
         if count == 0:
             return np.zeros((len(nodes), 3), dtype=np.int64), np.zeros((len(nodes), 3)), np.full(len(nodes), DEEPEST)
@@ -219,7 +219,7 @@ class OrganContactFinder:
         """Add pairs of two organs, nodes (p, 4), weights (p, 3), as far as there is room."""
         found = self._found
         start = int(found.found[0])
-        count = min(len(nodes), MOST_PAIRS - start)
+        count = min(len(nodes), MAX_PAIRS - start)
         self.counters.dropped += len(nodes) - count
         rows = slice(start, start + count)
         found.organ[rows], found.node[rows], found.weight[rows] = (first, second), nodes[:count], weights[:count]

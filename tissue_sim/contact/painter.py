@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tissue_sim.array_types import Floats, Ints, Pixels
-from tissue_sim.contact.drawn_scene import SeenSurface, body_shapes
+from tissue_sim.contact.drawn_scene import DrawnSurface, body_shapes
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.rendering.appearance import tissue_colour
@@ -46,7 +46,7 @@ class Painter:
         for name, shape in zip(self._tools, body_shapes(tools), strict=True):
             self._drawn.add(name, *shape, METAL)
 
-    def draw(self, surfaces: Sequence[SeenSurface], poses: Sequence[Floats | None]) -> None:
+    def draw(self, surfaces: Sequence[DrawnSurface], poses: Sequence[Floats | None]) -> None:
         """Draw what is there now.
 
         Parameters
@@ -77,6 +77,6 @@ class Painter:
         self._drawn.close()
 
 
-def whole_view(surfaces: Sequence[SeenSurface], lens: Pinhole) -> Floats:
+def whole_view(surfaces: Sequence[DrawnSurface], lens: Pinhole) -> Floats:
     """Return the pose (7,) of a camera in front of organs at rest, which has all of them in its picture."""
     return framing(np.concatenate([one.rest for one in surfaces]), lens)

@@ -8,7 +8,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import MARGIN
 from tissue_sim.model.contact.poses import distance_along_path
 
-MOST_MARGIN = 0.01  # m: a tool that is farther from its goal moves there in steps, with a contact set for each
+MAX_MARGIN = 0.01  # m: a tool that is farther from its goal moves there in steps, with a contact set for each
 
 
 def reach_margins(places: Floats, goals: Floats, last: Floats, fraction: float, extents: Floats) -> Floats:
@@ -35,11 +35,11 @@ def reach_margins(places: Floats, goals: Floats, last: Floats, fraction: float, 
     Floats, shape (T,), m
         Margins.
     """
-    covered = ways(places, goals, extents) + fraction * ways(last, goals, extents)
-    return 1e-3 * np.ceil(1e3 * np.clip(covered - 0.5 * MARGIN, 0.0, MOST_MARGIN))
+    covered = pose_distances(places, goals, extents) + fraction * pose_distances(last, goals, extents)
+    return 1e-3 * np.ceil(1e3 * np.clip(covered - 0.5 * MARGIN, 0.0, MAX_MARGIN))
 
 
-def ways(poses: Floats, others: Floats, extents: Floats) -> Floats:
+def pose_distances(poses: Floats, others: Floats, extents: Floats) -> Floats:
     """Return bounds on how far points of bodies lie apart in two poses each.
 
     Parameters

@@ -16,7 +16,7 @@ from tissue_sim.contact.coupling_setup import join
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.gripper import about
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
-from tissue_sim.contact.pictured import Pictured
+from tissue_sim.contact.scene_views import SceneViews
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.cut import CutReport
@@ -28,7 +28,7 @@ from tissue_sim.organ.organ import Organ
 TICKS_A_CUT = 10  # after which it is seen whether blades have cut
 
 
-class Scene(Pictured):
+class Scene(SceneViews):
     """Organs whose contact sets are found anew before each tick, or every few ticks as beside the node's loop.
 
     A tool moves in space and touches all organs; each yields to it independently, and the haptic output is the sum.

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
-from tissue_sim.contact.drawn_scene import SeenSurface, body_shapes
+from tissue_sim.contact.drawn_scene import DrawnSurface, body_shapes
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.ports import free_port
 from tissue_sim.rendering.organ_view import FIELD_OF_VIEW, OrganView, camera_for, light
@@ -18,7 +18,7 @@ from tissue_sim.rendering.page_server import LOOPBACK, NOTEBOOKS, started, stopp
 FRAME_TIME = 1.0 / 30.0  # s between two pictures
 METAL = (150, 155, 165)
 HEIGHT = 480  # pixels in a notebook
-Seen = tuple[list[SeenSurface], list[Floats | None]]  # surfaces, and poses of the tools' bodies
+DrawnParts = tuple[list[DrawnSurface], list[Floats | None]]  # surfaces, and poses of the tools' bodies
 
 
 class ScenePage:
@@ -39,7 +39,7 @@ class ScenePage:
         Where the port is taken.
     """
 
-    def __init__(self, look: Callable[[], Seen], tools: ToolSet, port: int = 0) -> None:
+    def __init__(self, look: Callable[[], DrawnParts], tools: ToolSet, port: int = 0) -> None:
         self.port = port or free_port()
         self._look = look
         self._server = started(LOOPBACK, self.port, None, NOTEBOOKS)
@@ -54,7 +54,7 @@ class ScenePage:
             for body, shape in enumerate(body_shapes(tools))
         ]
         self._server.initial_camera.fov, self._server.initial_camera.near = FIELD_OF_VIEW, 0.02
-        self._newest: Seen | None = look()
+        self._newest: DrawnParts | None = look()
         points = np.concatenate([one.rest for one in self._newest[0]])
         self._server.initial_camera.position, self._server.initial_camera.look_at = camera_for(points)
         self._ended = threading.Event()
@@ -101,7 +101,7 @@ class ScenePage:
                     view.turn()
             time.sleep(FRAME_TIME)
 
-    def _show(self, surfaces: list[SeenSurface], poses: list[Floats | None]) -> None:
+    def _show(self, surfaces: list[DrawnSurface], poses: list[Floats | None]) -> None:
         for one in surfaces:
             name = one.name if len(surfaces) > 1 else ""
             triangles, view = self._views.get(one.name, (None, None))

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     import trimesh
 
 SHAPE_NAMES = ("sphere", "capsule", "gripper", "mesh", "urdf", "blade", "scissors")
-MOST_PLANES = 256
-MOST_FACES = 2000  # of a part of an instrument; more are decimated
-MOST_MOVED = 2e-4  # m by which that may move its surface
+MAX_PLANES = 256
+MAX_FACES = 2000  # of a part of an instrument; more are decimated
+MAX_DECIMATION_ERROR = 2e-4  # m by which that may move its surface
 MARGIN = 0.003  # m around a tool: distance that it may cover before the next contact set
 SLACK = 0.003  # m that the surface may have moved from rest where FCL is used
 
@@ -291,7 +291,7 @@ def _part_body(tool: Tool, part: Part) -> _Body:
 
 
 def simplified(mesh: trimesh.Trimesh, name: str) -> trimesh.Trimesh:
-    """Return a mesh that is decimated towards MOST_FACES faces, where it has more.
+    """Return a mesh that is decimated towards MAX_FACES faces, where it has more.
 
     Parameters
     ----------
@@ -303,26 +303,26 @@ def simplified(mesh: trimesh.Trimesh, name: str) -> trimesh.Trimesh:
     Returns
     -------
     trimesh.Trimesh
-        The mesh itself, or one whose surface is at most MOST_MOVED from that of the first.
+        The mesh itself, or one whose surface is at most MAX_DECIMATION_ERROR from that of the first.
 
     Raises
     ------
     UserError
         Where that can't be done.
     """
-    if len(mesh.faces) <= MOST_FACES:
+    if len(mesh.faces) <= MAX_FACES:
         return mesh
     try:
-        made = mesh.simplify_quadric_decimation(face_count=MOST_FACES, aggression=1)
+        made = mesh.simplify_quadric_decimation(face_count=MAX_FACES, aggression=1)
     except ImportError:
         raise UserError(
-            f"{name} has {len(mesh.faces)} faces, and decimating them to {MOST_FACES} needs fast-simplification:"
+            f"{name} has {len(mesh.faces)} faces, and decimating them to {MAX_FACES} needs fast-simplification:"
             " pip install fast-simplification"
         ) from None
     from tissue_sim.contact.grid import distances_to
 
     moved = float(distances_to(made, mesh.vertices).max())
-    if moved > MOST_MOVED or (mesh.is_watertight and not made.is_watertight):
+    if moved > MAX_DECIMATION_ERROR or (mesh.is_watertight and not made.is_watertight):
         raise UserError(
             f"{name} has {len(mesh.faces)} faces; {len(made.faces)} would move its surface by {1e3 * moved:.2g} mm:"
             " simplify it by hand"
@@ -360,7 +360,7 @@ def _body_of(tool: Tool, file: str, mesh: trimesh.Trimesh, may_be_round: bool = 
     if hull.extents.min() < 1e-5:
         raise UserError(f"tool '{tool.name}': mesh '{file}' is flat; give it a thickness")
     corners, smallest = np.array(hull.vertices), 0.5 * float(hull.extents.min())
-    if mesh.is_convex and not (may_be_round and len(hull.faces) > MOST_PLANES):
+    if mesh.is_convex and not (may_be_round and len(hull.faces) > MAX_PLANES):
         return _Body(CONVEX, (0.0, 0.0), corners, smallest, planes=_planes(tool, file, hull), mesh=hull)
     if not mesh.is_watertight:
         raise UserError(
@@ -383,9 +383,9 @@ def _planes(tool: Tool, file: str, hull: trimesh.Trimesh) -> Floats:
     normals = np.asarray(hull.face_normals)
     offsets = np.einsum("ij,ij->i", normals, hull.triangles[:, 0])
     planes = np.unique(np.round(np.column_stack([normals, offsets]), 9), axis=0)
-    if len(planes) > MOST_PLANES:
+    if len(planes) > MAX_PLANES:
         raise UserError(
-            f"tool '{tool.name}': the convex hull of '{file}' has {len(planes)} faces; simplify it to {MOST_PLANES}"
+            f"tool '{tool.name}': the convex hull of '{file}' has {len(planes)} faces; simplify it to {MAX_PLANES}"
         )
     return planes
 

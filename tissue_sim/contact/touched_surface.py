@@ -18,7 +18,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
 
 NEIGHBOURS = 3  # nodes of the uncut surface, the nearest ones, from which a new point has its compliance
-LEAST_FACTOR, MOST_FACTOR = 0.25, 25.0  # of a new point's compliance, for the area around it
+MIN_FACTOR, MAX_FACTOR = 0.25, 25.0  # of a new point's compliance, for the area around it
 
 
 class TouchedSurface:
@@ -180,7 +180,7 @@ class TouchedSurface:
         triangle[new] = usual[self.triangles[new]].mean(axis=1) / np.maximum(2.0 * area, least)
         touched = np.unique(self.triangles[new])
         point[touched] = usual[touched] / np.maximum(own[touched], least)
-        return triangle.clip(LEAST_FACTOR, MOST_FACTOR), point.clip(LEAST_FACTOR, MOST_FACTOR)
+        return triangle.clip(MIN_FACTOR, MAX_FACTOR), point.clip(MIN_FACTOR, MAX_FACTOR)
 
     def _from_nodes(self, values: Floats) -> Floats:
         """Return values (n_surface, m) of the uncut surface's nodes at the new points, by their distances."""

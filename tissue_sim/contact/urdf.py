@@ -19,7 +19,7 @@ from tissue_sim.errors import UserError, shown
 from tissue_sim.organ.shipped import shipped_file
 
 MOVING = ("revolute", "continuous", "prismatic")
-MOST_PARTS = 8  # bodies of an instrument, each of which takes part in every tick
+MAX_PARTS = 8  # bodies of an instrument, each of which takes part in every tick
 NOWHERE: Vector = (0.0, 0.0, 0.0)
 UNTURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
@@ -209,9 +209,9 @@ def read_instrument(path: str, links: tuple[str, ...], tip: str, jaw: str) -> In
     chosen = [part for link in (links or tuple(parts)) for part in parts[link]]
     if empty := [link for link in links if not parts[link]]:
         raise UserError(f"URDF '{path}': link '{empty[0]}' has no collision element; name another one in links")
-    if not 1 <= len(chosen) <= MOST_PARTS:
+    if not 1 <= len(chosen) <= MAX_PARTS:
         raise UserError(
-            f"URDF '{path}': the links have {len(chosen)} collision elements; name links with 1 to {MOST_PARTS}"
+            f"URDF '{path}': the links have {len(chosen)} collision elements; name links with 1 to {MAX_PARTS}"
         )
     moved = {joint.child for joint in joints}
     base = next(link for link in parts if link not in moved)

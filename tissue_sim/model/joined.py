@@ -19,7 +19,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath, moves_with_frame
 from tissue_sim.model.stepping.coarse_steps import coarse_masses, no_coarse
 from tissue_sim.model.stepping.contact_pairs import (
-    MOST_ORGANS,
+    MAX_ORGANS,
     OrganContacts,
     OrganContactSet,
     make_organ_contacts,
@@ -27,7 +27,7 @@ from tissue_sim.model.stepping.contact_pairs import (
     take_pairs,
 )
 from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled, uncouple
-from tissue_sim.model.stepping.ligament_links import least_substeps, weight_link_ends
+from tissue_sim.model.stepping.ligament_links import compute_link_bounds, least_substeps
 from tissue_sim.model.stepping.wake_threshold import WAKE_DISPLACEMENT, wake_threshold_of
 
 
@@ -65,8 +65,8 @@ class Joined:
         self.links = make_links(0) if links is None else links
         self.pairs = make_organ_contacts() if pairs is None else pairs
         breath = Breath.new() if breath is None else breath
-        if len(self.simulations) > MOST_ORGANS:
-            raise UserError(f"{len(self.simulations)} organs are joined; expected: at most {MOST_ORGANS}")
+        if len(self.simulations) > MAX_ORGANS:
+            raise UserError(f"{len(self.simulations)} organs are joined; expected: at most {MAX_ORGANS}")
         if len({(one.rate, one.variant, one.local_region, one.integrator) for one in simulations}) > 1:
             raise UserError("the organs of a scene must have the same rate, model, local region and integrator")
         moves = list(moves) or [0.0] * len(self.simulations)
@@ -107,7 +107,7 @@ class Joined:
         links, square = self.links._replace(lightness=self.links.lightness.copy(), added=self.links.added.copy()), 0.0
         if len(links.slack):
             each = [*self.simulations[:organ], made, *self.simulations[organ + 1 :]]
-            weight_link_ends(links, [one.model.inverse_mass for one in each])
+            compute_link_bounds(links, [one.model.inverse_mass for one in each])
         if self.coarse.square[organ] > 0.0:
             factor, frequency = coarse_masses(made.model, made.settings, float(links.added[0]))
             made.scratch.coarse[:] = factor

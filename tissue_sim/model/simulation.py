@@ -14,7 +14,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.handles import handle
 from tissue_sim.model.cutting.carry import NO_PLAN, CarryPlan, carry, carry_plan
-from tissue_sim.model.cutting.cut import CutOrgan, CutReport, cut_again, not_cut
+from tissue_sim.model.cutting.cut import CutOrgan, CutReport, cut_again, without_cuts
 from tissue_sim.model.cutting.cut_cells import Sides, cut_cells_of, sides_of
 from tissue_sim.model.cutting.cut_surface import CutSurface
 from tissue_sim.model.cutting.lips import lips_of
@@ -33,9 +33,9 @@ from tissue_sim.model.elasticity.energy import Energy, energy_of
 from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.elasticity.gravity import acceleration_of
 from tissue_sim.model.regions.region_tables import possible_region, with_region_tables
-from tissue_sim.model.stepping.critical_step import REGION_STEP, SAFETY, model_step, step_with, substeps_for
+from tissue_sim.model.stepping.critical_step import REGION_STEP, SAFETY, longest_step_with, model_step, substeps_for
 from tissue_sim.model.stepping.equilibrium import residuals, settle
-from tissue_sim.model.stepping.relaxation import stiffest
+from tissue_sim.model.stepping.relaxation import unrelaxed_factor
 from tissue_sim.model.stepping.scratch import make_scratch
 from tissue_sim.model.stepping.state_check import check_state
 from tissue_sim.model.stepping.tick import tick
@@ -46,8 +46,8 @@ from tissue_sim.model.stepping.world import (
     prescribe_world,
     push_world,
     reset_world,
-    show_world,
     touch_world,
+    update_hidden_nodes,
 )
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
@@ -68,7 +68,7 @@ class Simulation:
         off; frozen (the paper's: two layers around a small load move alone; of springs only); modal (a layer or two
         move by their springs or cells, the rest as a linear body; below 200 Hz the whole organ moves); or auto (modal
         while the load is small and hardly bends its surroundings, else the whole model; off where that takes little
-        time, which is up to region_tables.MOST_WHOLE cells).
+        time, which is up to region_tables.MAX_WHOLE_CELLS cells).
     shapes : Shapes, optional
         The rigid tools that may touch it.
     integrator : str, optional
@@ -137,7 +137,7 @@ class Simulation:
         relaxes = len(self.model.relaxation) > 0
         sizes = n_modes, len(self.model.cells), len(shapes.blades.body)
         self.state: State = make_state(organ.n_nodes, n_bodies, *sizes, relaxes)
-        self.frequency = largest_frequency(self.model) * math.sqrt(stiffest(self.model))
+        self.frequency = largest_frequency(self.model) * math.sqrt(unrelaxed_factor(self.model))
         self.set_substeps()
         self.scratch = make_scratch(self.model, n_bodies, len(shapes.blades.body))
         if len(shapes.blades.body) and not organ.n_virtual:  # those of a cut organ come by open_cuts
@@ -162,7 +162,7 @@ class Simulation:
         """
         status = self.state.status
         if status.region == Region.MODAL and status.shown != status.tick and not self.asleep:
-            show_world(self.world)
+            update_hidden_nodes(self.world)
         return self.state.position
 
     @property
@@ -276,7 +276,7 @@ class Simulation:
             raise UserError(f"model {self.variant} can't be cut; use model cells, which a calibrated organ has")
         if self.local_region != "off" or self.model.shape_gravity.any():
             raise UserError("a cut needs local_region off, and shape_gravity [0, 0, 0] where there is gravity")
-        before = self.cut_organ or not_cut(self.organ)
+        before = self.cut_organ or without_cuts(self.organ)
         after = cut_again(before, sheet)
         made = Simulation(
             after.organ,
@@ -288,11 +288,11 @@ class Simulation:
         )
         made.open_cuts(after.surface, sides_of(after))
         made.take_settings(self.settings)
-        made.frequency = max(made.frequency, fastest_mode(after.organ) * math.sqrt(stiffest(made.model)))
+        made.frequency = max(made.frequency, fastest_mode(after.organ) * math.sqrt(unrelaxed_factor(made.model)))
         made.set_substeps()
         made.plan_from(self, after.origin(before))
         # That of an organ that was cut before is Lanczos' already.
-        own = before.frequency * math.sqrt(stiffest(self.model))
+        own = before.frequency * math.sqrt(unrelaxed_factor(self.model))
         frequency = self.frequency if self.cut_organ else max(self.frequency, own)
         report = after.reports[-1]._replace(
             critical_step_before=self._critical_step(frequency),
@@ -550,7 +550,7 @@ class Simulation:
     @property
     def longest_step(self) -> float:
         """Longest substep allowed, s: the critical step, or what these tools allow however soft the organ is."""
-        return min(self.critical_step, step_with(self.shapes, self.variant == "cells") / SAFETY)
+        return min(self.critical_step, longest_step_with(self.shapes, self.variant == "cells") / SAFETY)
 
     def take_settings(self, settings: Settings) -> None:
         """Apply settings that were computed before, by a run that is repeated.

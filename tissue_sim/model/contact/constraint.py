@@ -34,9 +34,9 @@ from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.data.world import World
 
-MOST_PASSES = 20  # over the contact points in a substep, and
+MAX_PASSES = 20  # over the contact points in a substep, and
 PASSES_A_TICK = 40  # in a tick: short substeps start from the last one's result, but at least
-LEAST_PASSES = 6
+MIN_PASSES = 6
 TOLERANCE = 1e-3  # of the sum of the normal impulses: change in a pass at which it has converged
 
 
@@ -63,7 +63,7 @@ def carry_force(state: State, substeps: int, now: int) -> None:
 
 
 @inner
-def aim_impulse(state: State, shapes: Shapes, entry: int, scratch: Scratch) -> tuple[float, float, float]:
+def redirected_impulse(state: State, shapes: Shapes, entry: int, scratch: Scratch) -> tuple[float, float, float]:
     """Return the last substep's impulse on a contact point, N s, as it points now."""
     body = state.contacts.body[entry]
     _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
@@ -90,10 +90,10 @@ def add_contact_impulses(state: State, shapes: Shapes, scratch: Scratch, scale: 
     target : Floats, shape (n, 3)
         Sums at the nodes, updated.
     """
-    for index in range(scratch.watching[0]):
+    for index in range(scratch.n_candidates[0]):
         entry = scratch.candidates[index]
         if state.contact_pressed[0, entry] > 0.0 and state.bodies[state.contacts.body[entry]].engaged:
-            push = aim_impulse(state, shapes, entry, scratch)
+            push = redirected_impulse(state, shapes, entry, scratch)
             held = state.contact_held[1, entry]  # row 0 stays that of a whole substep for readers beside the loop
             held[0], held[1], held[2] = push
             for corner in range(3):
@@ -137,7 +137,7 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
     """
     model, state, shapes, scratch = world.model, world.state, world.shapes, world.scratch
     compressed = find_compressed_cells(model, state, scratch, step)
-    scratch.compressing[0] = compressed
+    scratch.n_compressed[0] = compressed
     lips = find_lips(model.lips, state, scratch.mobility, step)
     found = gather_contacts(world, step, spread)
     cutting = find_blades(world, step)
@@ -147,8 +147,8 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
     for index in range(found):
         contact = scratch.active[index]
         if contact.pressed > 0.0:
-            give_impulse(world, contact, whole_impulse(contact), 0.0 if spread else step)
-    most = min(MOST_PASSES, max(LEAST_PASSES, PASSES_A_TICK // max(1, state.status.substeps)))
+            apply_impulse(world, contact, whole_impulse(contact), 0.0 if spread else step)
+    most = min(MAX_PASSES, max(MIN_PASSES, PASSES_A_TICK // max(1, state.status.substeps)))
     for turn in range(COMPRESSED_PASSES if compressed > 0 or has_compressed_cells(model) else most):
         held = enforce_volume_limit(state, scratch, compressed, step)
         if lips > 0:
@@ -254,12 +254,12 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
     position[a, 0], position[a, 1], position[a, 2] = ax + ma * px, ay + ma * py, az + ma * pz
     if contact.nodes > 3:
         move_node(state, contact, 3, (px, py, pz), step)
-    give_impulse(world, contact, (px, py, pz), 0.0)
+    apply_impulse(world, contact, (px, py, pz), 0.0)
     return math.sqrt(px * px + py * py + pz * pz)
 
 
 @kernel
-def give_impulse(world: World, contact: ActiveContact, impulse: tuple[float, float, float], step: float) -> None:
+def apply_impulse(world: World, contact: ActiveContact, impulse: tuple[float, float, float], step: float) -> None:
     """Apply an impulse, N s, to a contact point, and its opposite to the tool; with a step of 0 to the tool alone."""
     state, scratch = world.state, world.scratch
     for c in range(3 if step > 0.0 else 0):

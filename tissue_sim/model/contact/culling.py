@@ -9,7 +9,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.contact.gap import point_in_body
 from tissue_sim.model.contact.poses import set_frame
 from tissue_sim.model.contact.shapes import signed_distance
-from tissue_sim.model.contact.tool_motion import FASTEST
+from tissue_sim.model.contact.tool_motion import MAX_CATCH_UP_SPEED
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.shapes import Shapes
@@ -37,7 +37,7 @@ def cull_contacts(state: State, shapes: Shapes, settings: Settings, scratch: Scr
         Working memory; updated.
     """
     body, moved, turned, count = -1, 0.0, 0.0, 0
-    most = FASTEST * settings.tick_time if settings.coupling_stiffness == 0.0 else math.inf
+    most = MAX_CATCH_UP_SPEED * settings.tick_time if settings.coupling_stiffness == 0.0 else math.inf
     for entry in range(state.contacts.header.points):
         if body != state.contacts.body[entry]:
             body = state.contacts.body[entry]
@@ -58,7 +58,7 @@ def cull_contacts(state: State, shapes: Shapes, settings: Settings, scratch: Scr
         else:
             state.contact_pressed[0, entry] = 0.0
             state.contact_held[0, entry] = 0.0
-    scratch.watching[0] = count
+    scratch.n_candidates[0] = count
 
 
 @kernel

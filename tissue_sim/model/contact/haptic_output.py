@@ -103,7 +103,7 @@ def acts_on(world: World, tool: int) -> bool:
 
 
 @kernel
-def is_felt(state: State) -> bool:
+def has_output(state: State) -> bool:
     """Return whether a force on any tool has not come down to zero."""
     for body in range(len(state.wrench)):
         for c in range(3):

@@ -25,7 +25,7 @@ from tissue_sim.model.data.state import State
 NEAR = 5e-5  # m: distance within which sides may come to touch while others are resolved
 RECOVERY_SPEED = 0.2  # m/s, largest speed at which what lay inside comes out
 FACING = 0.5  # cosine between both walls' normals, from which on they face each other
-MOST_SPEED = 2.0  # m/s by which a substep may change that at which sides approach
+MAX_SPEED_CHANGE = 2.0  # m/s by which a substep may change that at which sides approach
 SETTLED = 0.02  # fraction of the impulses that a pass may still change
 
 
@@ -145,7 +145,7 @@ def _take(lips: Lips, place: int, state: State, mobility: Floats, step: float, f
     if gap > NEAR or square - gap * gap > lips.slide[place] ** 2 or gap < -lips.slide[place]:
         return False
     contact.least = min(0.0, gap + step * (RECOVERY_SPEED - opening))
-    contact.stiffness, contact.pressed, contact.most = 1.0 / (step * give), 0.0, MOST_SPEED / give
+    contact.stiffness, contact.pressed, contact.most = 1.0 / (step * give), 0.0, MAX_SPEED_CHANGE / give
     return True
 
 

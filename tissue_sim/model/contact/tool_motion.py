@@ -21,13 +21,13 @@ ROUNDING = 1e-6  # fraction of a tick that counts as zero
 # end in its front half, and are pushed on, not past it.
 STEP = 0.25
 WALL_ROUNDS = 4  # rounds in a step that move a tool out of fixed tissue: a corner has three walls
-SLOWING = 0.3  # of the force that tissue bears: in the last of it, a tool that slipped is slowed and held
-INWARD = 0.25  # cosine between its way and the force against it, from which it presses deeper
-RECENT = 0.99  # by which the largest recent force, the mean one, and the largest recent speed decay in a tick
-CAREFUL, SLOW = 0.4, 0.1  # m/s, of a tool that presses again after a slip, and after more
+SLOWING_RANGE = 0.3  # of the force that tissue bears: in the last of it, a tool that slipped is slowed and held
+INWARD_COSINE = 0.25  # cosine between its way and the force against it, from which it presses deeper
+RECENT_DECAY = 0.99  # by which the largest recent force, the mean one, and the largest recent speed decay in a tick
+FIRST_RETRY_SPEED, LATER_RETRY_SPEED = 0.4, 0.1  # m/s, of a tool that presses again after a slip, and after more
 AFTER_SLIP = 2  # factor on the substeps while a tool presses that has slipped; more would not keep it out of a pinch
-HASTY = 2  # slips that may come from haste, after each of which a tool presses again more slowly
-FASTEST = 1.0  # m/s, of a body that catches up there: well below the speed of sound in tissue
+MAX_FAST_SLIPS = 2  # slips that may come from haste, after each of which a tool presses again more slowly
+MAX_CATCH_UP_SPEED = 1.0  # m/s, of a body that catches up there: well below the speed of sound in tissue
 
 
 @kernel
@@ -65,7 +65,7 @@ def advance_held(state: State, settings: Settings, scratch: Scratch) -> None:
     for body in range(len(state.held_pose)):
         status = state.bodies[body]
         copy(state.held_pose[body], scratch.held[body])
-        status.recent_speed = max(status.speed, RECENT * status.recent_speed)
+        status.recent_speed = max(status.speed, RECENT_DECAY * status.recent_speed)
         if status.age >= 0:
             status.age += 1
             is_late = status.age * settings.tick_time > settings.stale_time + settings.ramp_time
@@ -164,7 +164,7 @@ def advance_bodies(state: State, shapes: Shapes, scratch: Scratch, step: float) 
     for body in range(len(state.body_pose)):
         if scratch.fraction[body] > 0.0:
             step_pose(state.body_pose[body], scratch.goal[body], scratch.fraction[body])
-    for _ in range(WALL_ROUNDS if scratch.walls[0] > 0 else 0):
+    for _ in range(WALL_ROUNDS if scratch.n_walls[0] > 0 else 0):
         if not leave_wall(state, shapes, scratch):
             break
 
@@ -177,8 +177,8 @@ def largest_speed(state: State, scratch: Scratch, body: int) -> float:
         return math.inf
     slips = state.bodies[body].slips
     if slips == 0 or not leads_inward(state, body, scratch.goal[body]):
-        return FASTEST
-    return CAREFUL if slips < HASTY else SLOW
+        return MAX_CATCH_UP_SPEED
+    return FIRST_RETRY_SPEED if slips < MAX_FAST_SLIPS else LATER_RETRY_SPEED
 
 
 @kernel
@@ -212,13 +212,13 @@ def free_distance(state: State, shapes: Shapes, scratch: Scratch, body: int, mos
     if then > contacts.reach[body] and then > now:
         fraction = min(fraction, max(0.0, contacts.reach[body] - now) / (then - now))
     # A coupling presses with no more by itself, see `couple_bodies`.
-    if is_held_back(status) and scratch.give[body] == 0.0 and leads_inward(state, body, goal):
-        fraction *= min(1.0, max(0.0, (1.0 - status.recent_force / status.bearable) / SLOWING))
+    if is_force_limited(status) and scratch.give[body] == 0.0 and leads_inward(state, body, goal):
+        fraction *= min(1.0, max(0.0, (1.0 - status.recent_force / status.bearable) / SLOWING_RANGE))
     return fraction
 
 
 @kernel
-def slip_caution(state: State) -> int:
+def slip_substep_factor(state: State) -> int:
     """Return the factor on the substeps until tools that have slipped are free again.
 
     Parameters
@@ -233,9 +233,9 @@ def slip_caution(state: State) -> int:
 
 
 @kernel
-def is_held_back(status: BodyStatus) -> bool:
+def is_force_limited(status: BodyStatus) -> bool:
     """Return whether a body presses with no more than `bearable`, since it has slipped."""
-    return status.slips > HASTY and not status.cutting
+    return status.slips > MAX_FAST_SLIPS and not status.cutting
 
 
 @kernel
@@ -246,7 +246,7 @@ def leads_inward(state: State, body: int, goal: Floats) -> bool:
         along += outward[c] * (goal[c] - pose[c])
         size += outward[c] ** 2
         way += (goal[c] - pose[c]) ** 2
-    return along < -INWARD * math.sqrt(size * way)
+    return along < -INWARD_COSINE * math.sqrt(size * way)
 
 
 @kernel
@@ -265,10 +265,12 @@ def note_forces(state: State, settings: Settings, scratch: Scratch) -> None:
     for body in range(len(state.bodies)):
         status, impulse = state.bodies[body], scratch.impulse[body]
         size = math.sqrt(impulse[0] * impulse[0] + impulse[1] * impulse[1] + impulse[2] * impulse[2])
-        status.recent_force = max(size / settings.tick_time, RECENT * status.recent_force)
+        status.recent_force = max(size / settings.tick_time, RECENT_DECAY * status.recent_force)
         # The last forces before a slip may lead aside; a tool that has slipped keeps the side from which it came.
         for c in range(3 if status.slips == 0 else 0):
-            status.outward[c] = RECENT * status.outward[c] - (1.0 - RECENT) * impulse[c] / settings.tick_time
+            status.outward[c] = (
+                RECENT_DECAY * status.outward[c] - (1.0 - RECENT_DECAY) * impulse[c] / settings.tick_time
+            )
         if size == 0.0 and status.slips > 0 and distance(state.body_pose[body], state.held_pose[body]) == 0.0:
             forget_slips(status)
 
@@ -310,7 +312,7 @@ def couple_bodies(
             scratch.give[body] = 1.0 / (damping + stiffness * step)
             pull, status = stiffness * distance(pose, held), state.bodies[body]
             # Slowed as a rigid body is, it would be pushed out and come back for ever.
-            eased = status.bearable / pull if is_held_back(status) and pull > status.bearable else 1.0
+            eased = status.bearable / pull if is_force_limited(status) and pull > status.bearable else 1.0
             for c in range(3):
                 goal[c] = pose[c] + scratch.give[body] * stiffness * step * eased * (held[c] - pose[c])
     advance_bodies(state, shapes, scratch, step)
@@ -319,7 +321,7 @@ def couple_bodies(
 
 
 @kernel
-def keep_bodies(state: State, scratch: Scratch) -> None:
+def store_body_poses(state: State, scratch: Scratch) -> None:
     """Copy to the poses where contact has pushed the tools.
 
     Parameters

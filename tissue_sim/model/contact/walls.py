@@ -43,7 +43,7 @@ def find_walls(model: Model, state: State, scratch: Scratch) -> None:
         if moves < MOVES and status.engaged and not status.cutting:
             scratch.wall[count], scratch.wall_depth[count] = entry, 0.0 if moves == 0.0 else math.inf
             count += 1
-    scratch.walls[0], scratch.walls_measured[0] = count, 0
+    scratch.n_walls[0], scratch.walls_measured[0] = count, 0
 
 
 @kernel
@@ -56,7 +56,7 @@ def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
         measure_walls(state, shapes, scratch)
     deepest, chosen, body, moved = 0.0, -1, -1, 0.0
     x = y = z = 0.0
-    for index in range(scratch.walls[0]):
+    for index in range(scratch.n_walls[0]):
         entry = scratch.wall[index]
         if body != state.contacts.body[entry]:
             body = state.contacts.body[entry]
@@ -87,7 +87,7 @@ def measure_walls(state: State, shapes: Shapes, scratch: Scratch) -> None:
     Points of which a part moves are looked at always.
     """
     body = -1
-    for index in range(scratch.walls[0]):
+    for index in range(scratch.n_walls[0]):
         entry = scratch.wall[index]
         if body != state.contacts.body[entry]:
             body = state.contacts.body[entry]

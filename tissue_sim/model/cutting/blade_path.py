@@ -10,19 +10,21 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats
 from tissue_sim.directions import across
 from tissue_sim.errors import UserError
-from tissue_sim.model.cutting.sheet import LEAST_DEPTH, Coagulation, Sheet, heights
+from tissue_sim.model.cutting.sheet import MIN_DEPTH, Coagulation, Sheet, heights
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.line_hits import line_hits
 from tissue_sim.organ.surfaces.sizing import mean_edge
 from tissue_sim.organ.tool_resolution import CUT_EDGES
 
-BIN = 0.5  # mean edges of the surface, into which the length of a cut is divided
-STEEP = 0.3  # cosine between a blade's plane and the surface's normal, below which the cut goes where the edge does
+BIN_WIDTH = 0.5  # mean edges of the surface, into which the length of a cut is divided
+MIN_NORMAL_COSINE = (
+    0.3  # cosine between a blade's plane and the surface's normal, below which the cut goes where the edge does
+)
 NEAR = 0.1  # mean edges, within which places count as on the surface
-MEETS = 0.2  # mean edges between the two blades of scissors, below which nothing holds what is between them
-ALIKE = 0.9  # cosine between the planes of a blade and of a cut that it goes on with
-GROWN = 0.35  # mean edges by which a cut has grown when it is opened again
+SCISSORS_GAP = 0.2  # mean edges between the two blades of scissors, below which nothing holds what is between them
+MIN_PLANE_COSINE = 0.9  # cosine between the planes of a blade and of a cut that it goes on with
+GROWTH = 0.35  # mean edges by which a cut has grown when it is opened again
 
 
 class _Extent(NamedTuple):
@@ -77,7 +79,7 @@ class BladePath:
             self._axes = self._frame(places, forward, along)
         length, depth, aside = self._axes @ places.T
         self._ends = min(self._ends[0], float(length.min())), max(self._ends[1], float(length.max()))
-        order, size = np.argsort(length), BIN * self._edge
+        order, size = np.argsort(length), BIN_WIDTH * self._edge
         bins = np.floor(length / size).astype(int)
         for number in range(bins[order[0]], bins[order[-1]] + 1):
             within = bins == number
@@ -110,12 +112,12 @@ class BladePath:
         if self._axes is None:
             return
         length, depth, _ = self._axes @ places.T
-        order, size = np.argsort(length), BIN * self._edge
+        order, size = np.argsort(length), BIN_WIDTH * self._edge
         for number, deep in self._deepest.items():
             middle = (number + 0.5) * size
             if length.min() <= middle <= length.max():
                 other = float(np.interp(middle, length[order], depth[order]))
-                if other - deep < MEETS * self._edge:
+                if other - deep < SCISSORS_GAP * self._edge:
                     self._met.add(number)
 
     def _frame(self, places: Floats, forward: Floats, along: Floats) -> Floats:
@@ -130,7 +132,7 @@ class BladePath:
         normal /= np.linalg.norm(normal)
         into = inward - (inward @ normal) * normal
         size = float(np.linalg.norm(into))
-        into = into / size if size > STEEP else forward / np.linalg.norm(forward)
+        into = into / size if size > MIN_NORMAL_COSINE else forward / np.linalg.norm(forward)
         return np.stack([np.cross(into, normal), into, normal])
 
     def continues(self, places: Floats, forward: Floats, along: Floats) -> bool:
@@ -148,7 +150,7 @@ class BladePath:
         if self._axes is None:
             return False
         normal = np.cross(along, forward)
-        if abs(normal @ self._axes[2]) < ALIKE * np.linalg.norm(normal):
+        if abs(normal @ self._axes[2]) < MIN_PLANE_COSINE * np.linalg.norm(normal):
             return False
         length, depth, aside = self._axes @ places.mean(axis=0)
         _, at, deepest, off = self._swept()
@@ -162,17 +164,17 @@ class BladePath:
         numbers = sorted(self._deepest)
         deep = np.array([self._deepest[number] for number in numbers])
         off = np.array([self._aside[number] for number in numbers])
-        return numbers, (np.array(numbers) + 0.5) * BIN * self._edge, deep, off
+        return numbers, (np.array(numbers) + 0.5) * BIN_WIDTH * self._edge, deep, off
 
     @property
     def has_grown(self) -> bool:
         """Whether the cut has grown by so much since its last sheet that another one should be opened."""
-        return self._growth(self._made) >= GROWN * self._edge
+        return self._growth(self._made) >= GROWTH * self._edge
 
     @property
     def is_open(self) -> bool:
         """Whether all of it but a hair has been opened."""
-        return self._growth(self._opened) < 0.25 * GROWN * self._edge
+        return self._growth(self._opened) < 0.25 * GROWTH * self._edge
 
     def _growth(self, since: _Extent) -> float:
         """Return by how much the cut is deeper or longer than it was, m."""
@@ -199,7 +201,7 @@ class BladePath:
         """
         if self._axes is None:
             raise UserError("the blade has not been in the organ")
-        size = BIN * self._edge
+        size = BIN_WIDTH * self._edge
         numbers, along, deep, off = self._swept()
         along = np.clip(along, *self._ends)
         more = np.where([self._is_through(number) for number in numbers], self._size, 0.0)
@@ -218,7 +220,7 @@ class BladePath:
         corners = bottom - depth[:, None] * into
         depth = depth + more
         rise, reached = heights(self._organ, corners, into, depth)
-        if reached < LEAST_DEPTH * self._edge:
+        if reached < MIN_DEPTH * self._edge:
             raise UserError(
                 f"the cut is {1e3 * max(reached, 0.0):.2g} mm deep, too shallow to open a surface with edges of"
                 f" {1e3 * self._edge:.2g} mm"
@@ -230,7 +232,7 @@ class BladePath:
 
     def _is_through(self, number: int) -> bool:
         """Return whether scissors have cut through at a bin: what is left beside that is less than an edge long."""
-        beside = round(1.0 / BIN)
+        beside = round(1.0 / BIN_WIDTH)
         return any(number + step in self._met for step in range(-beside, beside + 1))
 
     def _below(self, places: Floats, into: Floats) -> Floats:

@@ -16,11 +16,11 @@ from tissue_sim.organ.edges import CELL_EDGES
 # stress there. Chosen on three cuts of a kidney, and confirmed on two others (docs/cutting.md).
 ADVANCE = 0.6
 # Shares of a cell's section below which the front has not reached it, and above 1 minus which it is cut whole.
-LEAST_CUT = 0.02
+MIN_CUT = 0.02
 # Mean edges of the crossed cells that every node is off the sheet, at least: no fragment is a point.
-LEAST_HEIGHT = 0.02
+MIN_HEIGHT = 0.02
 # Edges of a cell that its section may be off the sheet, where that turns; farther, the cell lies between two parts.
-MOST_BENT = 0.5
+MAX_BENDING = 0.5
 MARGIN = 0.1  # of the front's advance, within which it counts as ending at another cut
 GRID = 12  # samples along each side of a section
 
@@ -157,7 +157,7 @@ def crossing_among(
     corner = rest[cells[near]]
     edges = np.stack([np.linalg.norm(corner[:, a] - corner[:, b], axis=1) for a, b in CELL_EDGES], axis=1).mean(axis=1)
     typical = float(edges.mean()) if len(edges) else 0.0
-    least = LEAST_HEIGHT * typical
+    least = MIN_HEIGHT * typical
     height = np.where(np.abs(across) < least, np.copysign(least, across), across)
     height[held] = across[held]
     at = height[cells]
@@ -165,7 +165,7 @@ def crossing_among(
     size = edges[np.searchsorted(near, crossed)]  # no other cell is crossed
     corners, weight = _section_samples(rest[cells[crossed]], at[crossed])
     middle = sheet.place(corners.mean(axis=1))
-    real = np.abs(middle.across) < MOST_BENT * size
+    real = np.abs(middle.across) < MAX_BENDING * size
     if earlier is not None:
         real |= np.isin(crossed, earlier.cells)
     crossed, corners, weight, size = crossed[real], corners[real], weight[real], size[real]
@@ -187,7 +187,7 @@ def crossing_among(
 
 def rounded(cut_fraction: Floats) -> Floats:
     """Return fractions (k,) of sections that are cut, of which small ones are 0 and large ones 1."""
-    found: Floats = np.where(cut_fraction < LEAST_CUT, 0.0, np.where(cut_fraction > 1.0 - LEAST_CUT, 1.0, cut_fraction))
+    found: Floats = np.where(cut_fraction < MIN_CUT, 0.0, np.where(cut_fraction > 1.0 - MIN_CUT, 1.0, cut_fraction))
     return found
 
 

@@ -14,7 +14,7 @@ from tissue_sim.model.cutting.coagulation import stiffening_of
 from tissue_sim.model.cutting.crossing import Crossing, Earlier, crossing_among
 from tissue_sim.model.cutting.cut_surface import CutSurface, cut_surface, uncut_surface
 from tissue_sim.model.cutting.masses import distributed_masses, fastest_mode
-from tissue_sim.model.cutting.parts import Parts, put_together, together
+from tissue_sim.model.cutting.parts import Parts, divided_by_cuts, merged_parts
 from tissue_sim.model.cutting.sheet import Sheet, finer_organ
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.tool_resolution import CUT_EDGES
@@ -103,7 +103,7 @@ class CutOrgan(NamedTuple):
         return found
 
 
-def not_cut(organ: Organ) -> CutOrgan:
+def without_cuts(organ: Organ) -> CutOrgan:
     """Return an organ before its first cut.
 
     Parameters
@@ -161,13 +161,13 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     crossing = found[-1][0]
     if not len(crossing.cells):
         raise UserError(f"the cut divides no cell of organ '{organ.name}'; cut deeper, or elsewhere")
-    cuts = together(organ, found, organ.fixed)
-    parts = put_together(organ, len(sheets), cuts)
+    cuts = divided_by_cuts(organ, found, organ.fixed)
+    parts = merged_parts(organ, len(sheets), cuts)
     stiffening = stiffening_of(organ, parts, sheets, [one for one, _ in found])
     after = _organ_of(organ, parts, before.frequency, stiffening)
     surface = cut_surface(organ, cuts)
     # Pieces are counted as if fixed nodes had virtual ones too.
-    free_parts = put_together(organ, len(sheets), together(organ, found, organ.fixed[:0]))
+    free_parts = merged_parts(organ, len(sheets), divided_by_cuts(organ, found, organ.fixed[:0]))
     pieces, free = _count(organ, free_parts)
     stiffer = 0 if stiffening is None else int(np.count_nonzero(stiffening != 1.0))
     report = _report(organ, sheet, crossing)._replace(pieces=pieces, free_pieces=free, stiffer_cells=stiffer)

@@ -11,13 +11,13 @@ from tissue_sim.array_types import Floats, Ints, Longs, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.crossing import Crossing, section_of
 from tissue_sim.model.cutting.holes import hole_triangles, open_edges
-from tissue_sim.model.cutting.meeting_surface import Made, meeting_surface
+from tissue_sim.model.cutting.meeting_surface import SurfacePart, meeting_surface
 from tissue_sim.model.cutting.parts import CutCells
 from tissue_sim.model.cutting.virtual_nodes import Copies
 from tissue_sim.organ.edges import CELL_FACES
 from tissue_sim.organ.organ import Organ, signed_volume
 
-MOST_LOST = 1e-4  # of the volume, by holes that are filled where cuts meet
+MAX_LOST_VOLUME = 1e-4  # of the volume, by holes that are filled where cuts meet
 
 
 class CutSurface(NamedTuple):
@@ -106,7 +106,7 @@ def cut_surface(organ: Organ, cuts: Sequence[CutCells]) -> CutSurface:
     found = without_idle_points(whole, organ.n_surface)
     if any(not cut.copies for cut in cuts):
         volume = signed_volume(found.at(organ.rest_positions[_sources(organ, cuts)]), found.triangles)
-        if len(open_edges(triangles[kept])) or abs(volume / organ.volume - 1.0) > MOST_LOST:
+        if len(open_edges(triangles[kept])) or abs(volume / organ.volume - 1.0) > MAX_LOST_VOLUME:
             raise UserError(
                 "the cuts meet where cells of the organ are too flat to be divided; move it by a millimetre"
             )
@@ -140,7 +140,7 @@ def _sources(organ: Organ, cuts: Sequence[CutCells]) -> Longs:
     return np.concatenate([np.arange(organ.n_nodes), *(cut.pieces.virtual_of for cut in cuts)])
 
 
-def _one_cut(organ: Organ, cut: CutCells, owner: Longs, first: int) -> Made:
+def _one_cut(organ: Organ, cut: CutCells, owner: Longs, first: int) -> SurfacePart:
     """Return the surface at a cut that meets no other one."""
     (crossing,), copies = cut.crossings, cut.copies
     assert copies is not None
@@ -152,10 +152,10 @@ def _one_cut(organ: Organ, cut: CutCells, owner: Longs, first: int) -> Made:
     number = cut.numbers[0] + 1
     wall = np.concatenate([np.zeros(len(outer), dtype=np.int64), np.full(len(walls), number)])
     triangles = np.concatenate([outer, walls])
-    return Made(points.nodes, points.weights, triangles, wall, partner, side, points.edge, gone)
+    return SurfacePart(points.nodes, points.weights, triangles, wall, partner, side, points.edge, gone)
 
 
-def _meeting_cuts(organ: Organ, cut: CutCells, owner: Longs, first: int) -> Made:
+def _meeting_cuts(organ: Organ, cut: CutCells, owner: Longs, first: int) -> SurfacePart:
     """Return the surface at cuts that meet."""
     made = meeting_surface(organ, cut.crossings, cut.pieces, owner, first)
     number = np.concatenate([[0], np.array(cut.numbers) + 1])

@@ -12,17 +12,17 @@ from tissue_sim.model.elasticity.diagonal import diagonal
 from tissue_sim.organ.organ import Organ
 
 MODES = 8  # the fastest ones, which are slowed together
-MOST_ROUNDS = 30
+MAX_ROUNDS = 30
 ENOUGH = 1.006  # times the uncut organ's largest eigenvalue: a critical step shorter by 0.3 %
-MOST_MOVE = 0.3  # of a mass's logarithm in a round, and at most twice what the eigenvalue is still too large by
-LEAST_PART = 0.05  # of a node's mass that each of its copies has: a tool throws what is lighter
+MAX_MASS_CHANGE = 0.3  # of a mass's logarithm in a round, and at most twice what the eigenvalue is still too large by
+MIN_MASS_FRACTION = 0.05  # of a node's mass that each of its copies has: a tool throws what is lighter
 SHARPNESS = 30.0  # how much less a mode counts than the fastest one
 
 
 def distributed_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
     """Return the masses of a cut organ's nodes. The copies of a node together have its mass; others keep theirs.
 
-    At first it is distributed as the stiffness is, but each has LEAST_PART: every copy of a cell is then as slow
+    At first it is distributed as the stiffness is, but each has MIN_MASS_FRACTION: every copy of a cell is then as slow
     by itself as the cell was, or slower. The fastest modes of what is cut may still be faster than before, where a
     light copy has lost neighbours that slowed it. There mass moves between copies towards those that take part in
     these modes, by the slope of the eigenvalue.
@@ -50,7 +50,7 @@ def distributed_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
     stiffness = np.bincount(cut.cell_nodes.ravel(), steep.ravel(), len(source))
 
     def shared(weight: Floats) -> Floats:
-        part = np.maximum(weight / np.bincount(source, weight, own)[source], LEAST_PART)
+        part = np.maximum(weight / np.bincount(source, weight, own)[source], MIN_MASS_FRACTION)
         part /= np.bincount(source, part, own)[source]
         mass: Floats = organ.mass[source]
         mass[several] *= part[several]
@@ -67,7 +67,7 @@ def distributed_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
     matrix = _stiffness(cut, among)
     most = ENOUGH * frequency**2
     best, least = mass, np.inf
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         square, part = _fastest(matrix, mass[among], MODES)
         if square[-1] < least:
             best, least = mass, square[-1]
@@ -77,7 +77,7 @@ def distributed_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
         sought = np.zeros(len(source))
         sought[among] = part @ np.exp(SHARPNESS * (square / square[-1] - 1.0))
         sought /= max(float(sought[several].max()), 1e-300)
-        mass = shared(mass * np.exp(sought * min(MOST_MOVE, 2.0 * (square[-1] / most - 1.0))))
+        mass = shared(mass * np.exp(sought * min(MAX_MASS_CHANGE, 2.0 * (square[-1] / most - 1.0))))
     return best
 
 

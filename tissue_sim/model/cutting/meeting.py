@@ -14,8 +14,8 @@ from tissue_sim.model.cutting.crossing import Crossing, Samples, rounded
 from tissue_sim.model.cutting.virtual_nodes import copies_of
 from tissue_sim.organ.organ import Organ
 
-LEAST_PIECE = 1e-9  # of a cell, below which a piece is rounding
-SCARCE = 1e-6  # of a section: less of it in a copy's part, and its fraction is that of the whole section
+MIN_PIECE = 1e-9  # of a cell, below which a piece is rounding
+MIN_SECTION = 1e-6  # of a section: less of it in a copy's part, and its fraction is that of the whole section
 # Tetrahedra that fill what is left of one below a plane, by how many of its corners are; each corner is a pair of
 # corners of the whole one, the same twice for a corner itself, and a crossed edge otherwise.
 _LEFT = {
@@ -45,7 +45,7 @@ class Pieces(NamedTuple):
     virtual_of: Longs  # (v,) nodes of the organ that virtual nodes, which follow its own, are copies of
 
 
-def meeting(cells: Ints, crossings: Sequence[Crossing]) -> list[list[int]]:
+def groups_of_meeting_cuts(cells: Ints, crossings: Sequence[Crossing]) -> list[list[int]]:
     """Return groups of cuts that meet, each ascending: the divided cells of those in a group have nodes in common.
 
     Parameters
@@ -169,7 +169,7 @@ def _cut_fractions(sample: Samples, severed: Floats, row: Longs, sides: Longs, h
         weight = sample.weight[row[part]]
         size = (weight * within).sum(axis=1)
         cut = (weight * (within & sample.covered[row[part]])).sum(axis=1)
-        known = size > SCARCE * weight.sum(axis=1)
+        known = size > MIN_SECTION * weight.sum(axis=1)
         found[part] = np.where(known, cut / np.maximum(size, 1e-300), found[part])
     return rounded(found)
 
@@ -187,7 +187,7 @@ def _volumes(height: Floats, sides: Longs) -> Floats:
         at[~asked] = 1.0
         corner, owner = _clipped(corner, owner, at)
     found = np.bincount(owner, np.abs(np.linalg.det(corner)), len(height))
-    real: Floats = np.where(found < LEAST_PIECE, 0.0, found)
+    real: Floats = np.where(found < MIN_PIECE, 0.0, found)
     return real
 
 

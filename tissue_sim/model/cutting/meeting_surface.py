@@ -18,7 +18,7 @@ from tissue_sim.organ.organ import Organ
 _PAIRS = ((0, 1), (1, 2), (0, 2))
 
 
-class Made(NamedTuple):
+class SurfacePart(NamedTuple):
     """Points and triangles at cuts that meet, as of CutSurface. q points, r triangles."""
 
     nodes: Longs  # (q, 4)
@@ -31,7 +31,9 @@ class Made(NamedTuple):
     gone: Longs  # which triangles of the organ's surface these take the place of
 
 
-def meeting_surface(organ: Organ, crossings: Sequence[Crossing], pieces: Pieces, owner: Longs, first: int) -> Made:
+def meeting_surface(
+    organ: Organ, crossings: Sequence[Crossing], pieces: Pieces, owner: Longs, first: int
+) -> SurfacePart:
     """Return the surface of an organ at cuts that meet.
 
     Parameters
@@ -70,7 +72,7 @@ def meeting_surface(organ: Organ, crossings: Sequence[Crossing], pieces: Pieces,
     kept = _apart(triangles)
     partner, side = builder.partners()
     names = {name: rank for rank, name in enumerate(dict.fromkeys(builder.named))}
-    return Made(
+    return SurfacePart(
         nodes=np.array([nodes for nodes, _ in builder.points], dtype=np.int64).reshape(-1, 4),
         weights=np.array([weights for _, weights in builder.points]).reshape(-1, 4),
         triangles=np.array(triangles, dtype=np.int64).reshape(-1, 3)[kept],

@@ -9,7 +9,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.model.cutting.crossing import Crossing, Samples
-from tissue_sim.model.cutting.meeting import Pieces, meeting, pieces_of
+from tissue_sim.model.cutting.meeting import Pieces, groups_of_meeting_cuts, pieces_of
 from tissue_sim.model.cutting.virtual_nodes import Copies, copies_of
 from tissue_sim.organ.organ import Organ
 
@@ -34,7 +34,7 @@ class Parts(NamedTuple):
     virtual_of: Longs  # (v,)
 
 
-def together(organ: Organ, found: Sequence[tuple[Crossing, Samples]], fixed: Ints) -> list[CutCells]:
+def divided_by_cuts(organ: Organ, found: Sequence[tuple[Crossing, Samples]], fixed: Ints) -> list[CutCells]:
     """Return what cuts divide: each by itself, or those that meet together.
 
     Parameters
@@ -52,7 +52,7 @@ def together(organ: Organ, found: Sequence[tuple[Crossing, Samples]], fixed: Int
         In the order of the first cut of each; virtual nodes are numbered on from one to the next.
     """
     first, made = organ.n_nodes, []
-    for group in meeting(organ.cell_nodes, [crossing for crossing, _ in found]):
+    for group in groups_of_meeting_cuts(organ.cell_nodes, [crossing for crossing, _ in found]):
         crossings = tuple(found[number][0] for number in group)
         copies = None
         if len(group) == 1:
@@ -91,7 +91,7 @@ def _of_one(organ: Organ, crossing: Crossing, copies: Copies) -> Pieces:
     )
 
 
-def put_together(organ: Organ, count: int, cuts: Sequence[CutCells]) -> Parts:
+def merged_parts(organ: Organ, count: int, cuts: Sequence[CutCells]) -> Parts:
     """Return all cells: those of the organ, of which divided ones become their first piece, and those that are added.
 
     Parameters

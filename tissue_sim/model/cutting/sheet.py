@@ -18,13 +18,13 @@ from tissue_sim.organ.surfaces.sizing import local_edges, mean_edge
 from tissue_sim.organ.tool_resolution import CUT_EDGES
 from tissue_sim.organ.winding import inside
 
-MOST_CORNERS = 1000  # of a polyline
-MOST_DEPTH = 10.0  # m
+MAX_CORNERS = 1000  # of a polyline
+MAX_DEPTH = 10.0  # m
 # Fraction of a mean edge of the surface below which a cut is refused: the front is moved by about as much.
-LEAST_DEPTH = 0.5
+MIN_DEPTH = 0.5
 NEAR = 1.5  # mean edges from a sheet within which the surface's edges are those at the cut
 FINER_WITHIN = 1.5  # mean edges around a cut within which a finer surface is proposed
-MOST_REPORTED = 8  # points of a polyline in a message
+MAX_REPORTED = 8  # points of a polyline in a message
 SAMPLES = 4  # points of the polyline on a mean edge, at which the surface is looked for
 CLOSEST = 2.0  # mean edges, nearer than which a polyline must not come to another part of itself
 
@@ -176,15 +176,13 @@ def sheet_of(organ: Organ, polyline: ArrayLike, direction: ArrayLike, depth: flo
         itself, one that begins deep inside, and a cut that misses the organ or hardly scratches it.
     """
     corners = floats_of(polyline)
-    if corners.ndim != 2 or corners.shape[1:] != (3,) or not 2 <= len(corners) <= MOST_CORNERS:
-        raise UserError(
-            f"the cut's polyline has shape {corners.shape}, expected (m, 3) with m from 2 to {MOST_CORNERS}"
-        )
+    if corners.ndim != 2 or corners.shape[1:] != (3,) or not 2 <= len(corners) <= MAX_CORNERS:
+        raise UserError(f"the cut's polyline has shape {corners.shape}, expected (m, 3) with m from 2 to {MAX_CORNERS}")
     if not np.all(np.isfinite(corners)):
         raise UserError("the cut's polyline contains values that are not finite")
     way, far = finite(direction, 3, "the cut's direction"), float(finite([depth], 1, "the cut's depth")[0])
-    if not 0.0 < far <= MOST_DEPTH:
-        raise UserError(f"the cut's depth is {far:g} m, outside 0..{MOST_DEPTH:g}")
+    if not 0.0 < far <= MAX_DEPTH:
+        raise UserError(f"the cut's depth is {far:g} m, outside 0..{MAX_DEPTH:g}")
     size = float(np.linalg.norm(way))
     if not 1e-9 < size < 1e9:
         raise UserError("the cut's direction has no length")
@@ -205,10 +203,10 @@ def sheet_of(organ: Organ, polyline: ArrayLike, direction: ArrayLike, depth: flo
         )
     found = Sheet(corners, way, far, rise + edge, frame, reached, np.full(len(corners), far))
     here = found.edge_at(organ)
-    if reached < LEAST_DEPTH * here:
+    if reached < MIN_DEPTH * here:
         raise UserError(
             f"a cut {1e3 * reached:.2g} mm deep is too shallow for a surface with edges of {1e3 * here:.2g} mm;"
-            f" cut at least {1e3 * LEAST_DEPTH * here:.2g} mm deep, or {finer_organ(organ, found)}"
+            f" cut at least {1e3 * MIN_DEPTH * here:.2g} mm deep, or {finer_organ(organ, found)}"
         )
     return found
 
@@ -230,7 +228,7 @@ def finer_organ(organ: Organ, sheet: Sheet) -> str:
     near = (np.abs(place.across) < NEAR * edge) & sheet.covers(place, 0.5 * edge)
     sunk = float(np.median(place.below[near])) if near.any() else 0.0
     corners = sheet.polyline[
-        np.linspace(0, len(sheet.polyline) - 1, min(len(sheet.polyline), MOST_REPORTED)).astype(int)
+        np.linspace(0, len(sheet.polyline) - 1, min(len(sheet.polyline), MAX_REPORTED)).astype(int)
     ]
     line = corners + sunk * sheet.direction
     count = points_with(Refinement(places=(Along(line, radius, wanted),)), positions, triangles, organ.fixed)

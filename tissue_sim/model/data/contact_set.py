@@ -13,7 +13,7 @@ from tissue_sim.jit import inner, kernel
 from tissue_sim.model.data.layout import carve, size_of
 from tissue_sim.model.data.records import Record
 
-MOST_POINTS = 2048
+MAX_CONTACT_POINTS = 2048
 POINT_NODES = 4  # that a point lies between, at most
 
 
@@ -84,7 +84,7 @@ def _fields(n_bodies: int) -> dict[str, Any]:
     }
 
 
-def contact_set_words(n_bodies: int, points: int = MOST_POINTS) -> int:
+def contact_set_words(n_bodies: int, points: int = MAX_CONTACT_POINTS) -> int:
     """Return the number of words of a contact set.
 
     Parameters
@@ -97,7 +97,7 @@ def contact_set_words(n_bodies: int, points: int = MOST_POINTS) -> int:
     return size_of(_fields(n_bodies)) + _POINT_WORDS * points
 
 
-def contact_set(n_bodies: int, points: int = MOST_POINTS, words: Longs | None = None) -> ContactSet:
+def contact_set(n_bodies: int, points: int = MAX_CONTACT_POINTS, words: Longs | None = None) -> ContactSet:
     """Return an empty contact set.
 
     Parameters

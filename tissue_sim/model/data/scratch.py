@@ -17,7 +17,7 @@ class Plan(Record):
     forced: bool  # anything pulls or leads nodes
     whole: bool  # the whole organ moves
     regional: bool  # a region of cells moves
-    looking: bool  # its last substep is checked for oscillation
+    is_checked: bool  # its last substep is checked for oscillation
     coarse: bool  # its steps are coarse, with the larger masses that they need
 
 
@@ -53,22 +53,22 @@ class Scratch(NamedTuple):
     blade_at: Floats  # (3,)
     blade_weight: Floats  # (8,) buffer for barycentric weights
     compressed: Records  # (S,) CompressedCell: cells resolved in this substep
-    compressing: Longs  # (1,) how many
+    n_compressed: Longs  # (1,) how many
     candidates: Longs  # (C,) contact points that may touch in this tick
     candidate_gap: Floats  # (C,) m, least distance from the tools
     candidate_speed: Floats  # (C,) m/s, at which it may shrink by the tool's motion
-    watching: Longs  # (1,) how many
+    n_candidates: Longs  # (1,) how many
     wall: Longs  # (C,) contact points that are mostly held
     wall_depth: Floats  # (C,) m, see walls.measure_walls, with
     wall_pose: Floats  # (T, 7) poses of the bodies
-    walls: Longs  # (1,) how many
+    n_walls: Longs  # (1,) how many
     walls_measured: Longs  # (1,) 1 where their depths are those of this tick
-    # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
-    fresh: Ints
-    was: Longs
+    # Lists of the region. new_node, previous_hop (n,): nodes that are new in it, and the hops they had.
+    new_node: Ints
+    previous_hop: Longs
     region_node: Ints  # (n,)
     moved_node: Ints  # (n,) those with mass
-    moved: Longs  # (1,) how many
+    n_moved: Longs  # (1,) how many
     boundary_node: Ints  # (n,)
     edges: Blocks
     links: Blocks

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.model.data.blades import BladeSample
 from tissue_sim.model.data.contact_set import (
-    MOST_POINTS,
+    MAX_CONTACT_POINTS,
     PER_POINT,
     ContactSet,
     contact_set,
@@ -239,8 +239,8 @@ def make_state(
         "body_goal": (real, (n_bodies, 7)),
         "body_force": (real, (n_bodies, 3)),
         "unfaded_wrench": (real, (n_bodies, 6)),
-        "contact_pressed": (real, (2, MOST_POINTS)),
-        "contact_held": (real, (2, MOST_POINTS, 3)),
+        "contact_pressed": (real, (2, MAX_CONTACT_POINTS)),
+        "contact_held": (real, (2, MAX_CONTACT_POINTS, 3)),
         "loaded_node": (whole, (n,)),
         "is_loaded": (whole, (n,)),
         "prescribed_node": (whole, (n,)),
@@ -323,8 +323,8 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
         if header is None or "points" not in (header.dtype.names or ()) or header.size != 1
         else header["points"].item()
     )
-    if not 0 <= points <= MOST_POINTS:
-        raise ValueError(f"its state counts {points} contact points; there is room for {MOST_POINTS}")
+    if not 0 <= points <= MAX_CONTACT_POINTS:
+        raise ValueError(f"its state counts {points} contact points; there is room for {MAX_CONTACT_POINTS}")
     state.contacts.header.points = points
     for name, target in fields_of(state).items():
         found = fields.get(name, fields.get(_RENAMED.get(name, "")))

@@ -32,7 +32,7 @@ CALM_TIME = 0.2  # s for which it has to be below
 SLOWEST = 1.01  # of the time in which the far field follows a load: longest tick of a modal region
 # Gradient of the displacement at a region's edge from which on the whole model moves: a modal region is then off by 5 %
 # at most, wherever the load is (`bench region`).
-STEEPEST_EDGE = 0.04
+MAX_EDGE_GRADIENT = 0.04
 CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
 
 
@@ -250,7 +250,7 @@ def change_region(world: World) -> None:
 def is_strongly_deformed(model: Model, state: State, scratch: Scratch, fraction: float) -> bool:
     """Return whether the gradient at a modal region's edge exceeds a fraction of its limit."""
     modal = state.status.region == Region.MODAL
-    return modal and edge_gradient(model, state, scratch) > fraction * STEEPEST_EDGE
+    return modal and edge_gradient(model, state, scratch) > fraction * MAX_EDGE_GRADIENT
 
 
 @kernel
@@ -279,7 +279,7 @@ def leave_region(model: Model, state: State, settings: Settings, scratch: Scratc
         Working memory; updated.
     """
     if state.status.region == Region.MODAL:
-        show_region(model, state, settings, scratch)
+        update_outside(model, state, settings, scratch)
     state.status.region = Region.WHOLE
 
 
@@ -289,7 +289,7 @@ def _show(model: Model, state: State, settings: Settings, scratch: Scratch) -> N
 
 
 @_or(_show, _nothing)
-def show_region(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
+def update_outside(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Put the nodes outside a modal region where they belong; this is done on request only.
 
     Parameters
@@ -306,7 +306,7 @@ def show_region(model: Model, state: State, settings: Settings, scratch: Scratch
 
 
 @kernel
-def is_shown(state: State) -> bool:
+def is_outside_current(state: State) -> bool:
     """Return whether all positions are up to date; else show_region updates them.
 
     Parameters

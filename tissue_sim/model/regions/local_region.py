@@ -39,7 +39,7 @@ def mark_loaded(state: State, scratch: Scratch) -> int:
     Returns
     -------
     int
-        Number of new nodes, which are in scratch.fresh.
+        Number of new nodes, which are in scratch.new_node.
     """
     fresh = 0
     for entry in range(state.contacts.header.points):
@@ -61,8 +61,8 @@ def _mark(state: State, scratch: Scratch, node: int, fresh: int) -> int:
     hop = state.region_hop
     if hop[node] == 0:
         return fresh
-    scratch.was[fresh] = hop[node]
-    scratch.fresh[fresh] = node
+    scratch.previous_hop[fresh] = hop[node]
+    scratch.new_node[fresh] = node
     hop[node] = 0
     return fresh + 1
 
@@ -85,11 +85,11 @@ def spread(model: Model, state: State, scratch: Scratch, fresh: int, hops: int) 
         Number of hops.
     """
     for index in range(fresh):
-        if scratch.was[index] < 0:
-            _join(state, scratch, scratch.fresh[index])
+        if scratch.previous_hop[index] < 0:
+            _join(state, scratch, scratch.new_node[index])
     if len(model.hops) > 0:
         for index in range(fresh):
-            node = scratch.fresh[index]
+            node = scratch.new_node[index]
             if node < model.n_surface:
                 for other in range(model.n_surface):
                     if model.hops[node, other] <= hops:
@@ -98,11 +98,11 @@ def spread(model: Model, state: State, scratch: Scratch, fresh: int, hops: int) 
     first, last = 0, fresh
     for layer in range(1, hops + 1):
         for index in range(first, last):
-            node = scratch.fresh[index]
+            node = scratch.new_node[index]
             for entry in range(model.neighbour_start[node], model.neighbour_start[node + 1]):
                 other = model.neighbours[entry]
                 if _reach(state, scratch, other, layer):
-                    scratch.fresh[fresh] = other
+                    scratch.new_node[fresh] = other
                     fresh += 1
         first, last = last, fresh
 
@@ -209,7 +209,7 @@ def collect(model: Model, state: State, scratch: Scratch) -> None:
         if model.inverse_mass[node] > 0.0:
             scratch.moved_node[moved] = node
             moved += 1
-    scratch.moved[0] = moved
+    scratch.n_moved[0] = moved
     collect_elements(model, state, scratch)
 
 
@@ -429,7 +429,7 @@ def region_forces(model: Model, state: State, scratch: Scratch) -> None:
 
 @kernel
 def _return_forces(model: Model, state: State, scratch: Scratch) -> None:
-    nodes = scratch.moved_node[: scratch.moved[0]]
+    nodes = scratch.moved_node[: scratch.n_moved[0]]
     return_forces(state.position, model.rest, nodes, model.return_stiffness, scratch.force)
 
 

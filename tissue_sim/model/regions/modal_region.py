@@ -24,8 +24,8 @@ from tissue_sim.model.regions import local_region
 from tissue_sim.model.regions.local_region import driving
 from tissue_sim.model.regions.mode_motion import combine, project_load, set_mode_move, set_propagator
 
-MOST_BOUNDARY = 256  # nodes at the edge of a region; one with more isn't local
-MOST_DRIVE = 640  # nodes in the region and at its edge
+MAX_BOUNDARY = 256  # nodes at the edge of a region; one with more isn't local
+MAX_DRIVE = 640  # nodes in the region and at its edge
 
 
 @kernel
@@ -70,7 +70,7 @@ def fits(state: State) -> bool:
         State of the simulation.
     """
     boundary = state.status.region_boundary
-    return boundary <= MOST_BOUNDARY and state.status.region_nodes + boundary <= MOST_DRIVE
+    return boundary <= MAX_BOUNDARY and state.status.region_nodes + boundary <= MAX_DRIVE
 
 
 @kernel

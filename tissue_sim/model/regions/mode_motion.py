@@ -157,7 +157,7 @@ def modes_are_finite(state: State) -> bool:
 
 
 @kernel
-def largest_swing(model: Model, state: State) -> tuple[float, float]:
+def largest_modal_motion(model: Model, state: State) -> tuple[float, float]:
     """Return the largest speed, m/s, and displacement, m, that the modes may have anywhere."""
     speed = away = 0.0
     if state.status.region == Region.MODAL:

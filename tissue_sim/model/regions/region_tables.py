@@ -11,7 +11,7 @@ from tissue_sim.organ.organ import Organ
 
 # Up to so many cells local_region auto moves the whole organ: 0.3 ms a tick (`bench region`). A region is less
 # accurate.
-MOST_WHOLE = 20_000
+MAX_WHOLE_CELLS = 20_000
 
 
 def moves_whole(organ: Organ) -> bool:
@@ -22,7 +22,7 @@ def moves_whole(organ: Organ) -> bool:
     organ : Organ
         The organ.
     """
-    return len(organ.cell_nodes) <= MOST_WHOLE
+    return len(organ.cell_nodes) <= MAX_WHOLE_CELLS
 
 
 def possible_region(organ: Organ, model: str, local_region: str) -> str:

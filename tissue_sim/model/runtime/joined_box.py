@@ -15,8 +15,8 @@ from tissue_sim.model.data.world import World
 from tissue_sim.model.runtime.mailboxes import JOURNAL_ROWS, Mailbox, fence, mailbox, put, take
 from tissue_sim.model.stepping.breathing import Breath
 from tissue_sim.model.stepping.contact_pairs import (
-    MOST_ORGANS,
-    MOST_PAIRS,
+    MAX_ORGANS,
+    MAX_PAIRS,
     OrganContactSet,
     copy_pair,
     copy_points,
@@ -35,14 +35,14 @@ class JoinedRow(Record):
     respiration: int
 
 
-class Kept(NamedTuple):
+class JoinedSnapshot(NamedTuple):
     """State of what joins organs after a tick, as far as it changes."""
 
     breath: Longs  # the words of a Breath
     pairs: OrganContactSet
     pressed: Floats  # (p,) N, as in OrganContacts
     held: Floats  # (p, 3) N
-    version: Longs  # (MOST_ORGANS,) as in OrganContacts
+    version: Longs  # (MAX_ORGANS,) as in OrganContacts
 
 
 class JoinedBox(NamedTuple):
@@ -54,7 +54,7 @@ class JoinedBox(NamedTuple):
     row: JoinedRow  # as the last tick took it up
     journal_written: Longs  # (1,)
     journal: Records  # (JOURNAL_ROWS,) of JoinedRow
-    kept: Kept  # when asked
+    snapshot: JoinedSnapshot  # when asked
     # The loop's own.
     taken: OrganContactSet
     taken_fraction: Floats  # (1,)
@@ -78,12 +78,12 @@ def make_joined_box(n_bodies: int) -> JoinedBox:
         row=JoinedRow.new(),
         journal_written=np.zeros(1, dtype=np.int64),
         journal=JoinedRow.rows(np.zeros(JOURNAL_ROWS * JoinedRow.words(), dtype=np.int64)),
-        kept=Kept(
+        snapshot=JoinedSnapshot(
             np.zeros(Breath.words(), dtype=np.int64),
             organ_contact_set(),
-            np.zeros(MOST_PAIRS),
-            np.zeros((MOST_PAIRS, 3)),
-            np.zeros(MOST_ORGANS, dtype=np.int64),
+            np.zeros(MAX_PAIRS),
+            np.zeros((MAX_PAIRS, 3)),
+            np.zeros(MAX_ORGANS, dtype=np.int64),
         ),
         taken=taken,
         taken_fraction=np.zeros(1),
@@ -143,7 +143,7 @@ def post_haptic_output(worlds: Sequence[World], joined: CoupledOrgans | None, bo
 
 
 @kernel
-def keep_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
+def snapshot_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
     """Copy what joins organs; the journal shows what it has applied.
 
     Parameters
@@ -156,15 +156,15 @@ def keep_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
         Number of the tick.
     """
     note_joined(box, tick)
-    pairs, kept, words = joined.pairs, box.kept, joined.carried.breath_words
+    pairs, snapshot, words = joined.pairs, box.snapshot, joined.carried.breath_words
     for index in range(len(words)):
-        kept.breath[index] = words[index]
-    copy_points(pairs, kept.pairs)
-    for organ in range(len(kept.version)):
-        kept.version[organ] = pairs.version[organ]
-    kept.pairs.found[0] = pairs.found[0]
+        snapshot.breath[index] = words[index]
+    copy_points(pairs, snapshot.pairs)
+    for organ in range(len(snapshot.version)):
+        snapshot.version[organ] = pairs.version[organ]
+    snapshot.pairs.found[0] = pairs.found[0]
     for pair in range(pairs.found[0]):
-        copy_pair(pairs, pair, kept.pairs, pair)
-        kept.pressed[pair] = pairs.pressed[pair]
+        copy_pair(pairs, pair, snapshot.pairs, pair)
+        snapshot.pressed[pair] = pairs.pressed[pair]
         for axis in range(3):
-            kept.held[pair, axis] = pairs.held[pair, axis]
+            snapshot.held[pair, axis] = pairs.held[pair, axis]

@@ -19,16 +19,16 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.contact.tool_motion import freshness
 from tissue_sim.model.data.world import World
 from tissue_sim.model.runtime.exchange import Exchange, take_exchange
-from tissue_sim.model.runtime.joined_box import JoinedBox, keep_joined, post_haptic_output, take_joined
+from tissue_sim.model.runtime.joined_box import JoinedBox, post_haptic_output, snapshot_joined, take_joined
 from tissue_sim.model.runtime.mailboxes import (
     Control,
     LoopWords,
     Mailboxes,
-    Pace,
+    RequestPhase,
     fence,
-    keep_states,
     note_tick,
     post_results,
+    snapshot_states,
     take_inputs,
 )
 from tissue_sim.model.stepping.breathing import note_gravity
@@ -37,11 +37,11 @@ from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled, 
 CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
 # ns; further behind than this, ticks are dropped instead of run in a burst. Posted times come in larger steps.
 LATEST_CATCH_UP, LATEST_CATCH_UP_POSTED = 50_000_000, 1_000_000_000
-MOST_WAITS = 2  # see wait_for_tick
+MAX_WAITS = 2  # see wait_for_tick
 SHIFTS = 32  # requests until most of a wrong phase is gone
 NAP = 4_000_000  # ns that an idle loop sleeps at most, so that simulated time is never 5 ms behind
-LOOK_UP = 50_000_000  # ns after which a loop that waits for a posted time checks whether it has to end
-STANDS_AFTER = 500_000_000  # ns of wall time after which a clock that doesn't advance counts as stopped
+STOP_CHECK_INTERVAL = 50_000_000  # ns after which a loop that waits for a posted time checks whether it has to end
+STOPPED_AFTER = 500_000_000  # ns of wall time after which a clock that doesn't advance counts as stopped
 
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
 _clock_nanosleep = types.ExternalFunction(
@@ -104,15 +104,15 @@ def wait_until(deadline: int, loop: LoopWords) -> int:
 
     It may not have reached the deadline yet: then it is earlier, and the caller asks again.
     """
-    control, pace = loop.control, loop.pace
+    control, phase = loop.control, loop.phase
     if control.posted_time < deadline:
-        sleep_until_bell(now(loop.now) + LOOK_UP, loop)
+        sleep_until_bell(now(loop.now) + STOP_CHECK_INTERVAL, loop)
     fence()
     time = control.posted_time
-    if time != pace.seen:
-        pace.behind = max(0, pace.seen - deadline)
-        pace.seen, pace.seen_at = time, now(loop.now)
-    elif time < deadline and now(loop.now) - pace.seen_at > STANDS_AFTER:
+    if time != phase.seen:
+        phase.behind = max(0, phase.seen - deadline)
+        phase.seen, phase.seen_at = time, now(loop.now)
+    elif time < deadline and now(loop.now) - phase.seen_at > STOPPED_AFTER:
         control.standing = True
     return time
 
@@ -123,9 +123,9 @@ def wait_for_tick(due: int, period: int, answered: int, loop: LoopWords) -> int:
 
     answered: control.asked when the last tick began. The time is returned, which is `due` or later. A request before
     `due` waits, and its tick uses up the time of the next one: in a stream of poses at the rate of the ticks all would
-    wait like that. After MOST_WAITS in a row, a tick is therefore left out for the request after it.
+    wait like that. After MAX_WAITS in a row, a tick is therefore left out for the request after it.
     """
-    control, pace, time = loop.control, loop.pace, now(loop.now)
+    control, phase, time = loop.control, loop.phase, now(loop.now)
     early = answered  # control.asked with all requests before `due`
     while time < due + period:
         control.waiting = True
@@ -133,28 +133,28 @@ def wait_for_tick(due: int, period: int, answered: int, loop: LoopWords) -> int:
         asked, deadline = control.asked, due + period
         if time < due:
             early = asked
-        if pace.waits < MOST_WAITS or asked != early:
+        if phase.waits < MAX_WAITS or asked != early:
             if asked != answered and time >= due:
                 break
             deadline = due if asked != answered else deadline
         sleep_until_bell(deadline, loop)
         time = now(loop.now)
     control.waiting = False
-    pace.waits = pace.waits + 1 if control.asked == early == answered + 1 and pace.waits < MOST_WAITS else 0
+    phase.waits = phase.waits + 1 if control.asked == early == answered + 1 and phase.waits < MAX_WAITS else 0
     return time
 
 
 @kernel
-def suited_due(due: int, start: int, period: int, pace: Pace) -> int:
+def suited_due(due: int, start: int, period: int, phase: RequestPhase) -> int:
     """Return when a tick that one request brought forward was due, ns, shifted to let requests come midway between two.
 
     In a stream at the rate of the ticks, one that comes a little early then needn't wait, and one that comes a little
     late finds no tick under way without it. All shifts together are at most half a period.
     """
     shift = (start - due - period // 2) // SHIFTS
-    if abs(pace.shift + shift) > period // 2:
+    if abs(phase.shift + shift) > period // 2:
         return due
-    pace.shift += shift
+    phase.shift += shift
     return due + shift
 
 
@@ -225,13 +225,13 @@ def post_all(
 
 
 @kernel
-def keep_all(
+def snapshot_all(
     worlds: Sequence[World], boxes: Sequence[Mailboxes], joined: CoupledOrgans | None, joined_box: JoinedBox
 ) -> None:
     """Copy the whole states, and what joins them."""
-    keep_states(worlds, boxes)
+    snapshot_states(worlds, boxes)
     if joined is not None:
-        keep_joined(joined, joined_box, worlds[0].state.status.tick)
+        snapshot_joined(joined, joined_box, worlds[0].state.status.tick)
 
 
 @kernel
@@ -248,20 +248,20 @@ def run_loop(
     joined: what joins them, see `coupled_step.CoupledOrgans`; None, and compiled without any of it, for an organ alone.
     exchange: new arrays for an organ, between two ticks.
     """
-    settings, control, pace = worlds[0].settings, loop.control, loop.pace
+    settings, control, phase = worlds[0].settings, loop.control, loop.phase
     for organ in range(len(boxes)):
         boxes[organ].demand.moved = True  # the rest shape
     post_all(worlds, boxes, joined, joined_box)
-    control.looked_up = now(loop.now)
+    control.last_wait = now(loop.now)
     control.started = True
     due = 0  # when the last tick was due by the clock that ticks follow; 0 before its first time
     answered = 0  # control.asked when the last tick began
     posted = not control.sim_time
     while not control.stop:
-        control.looked_up = now(loop.now)
+        control.last_wait = now(loop.now)
         asked = control.snapshot_asked
         if asked != control.snapshot_done:
-            keep_all(worlds, boxes, joined, joined_box)
+            snapshot_all(worlds, boxes, joined, joined_box)
             fence()
             control.snapshot_done = asked
         if posted != control.sim_time:
@@ -285,7 +285,7 @@ def run_loop(
         else:
             start = wait_for_tick(due, period, answered, loop)
             if start < due + period and control.asked == answered + 1:
-                due = suited_due(due, start, period, pace)
+                due = suited_due(due, start, period, phase)
         due += period
         late = max(0, start - due)
         begin = start
@@ -293,7 +293,7 @@ def run_loop(
             control.dropped += late // period
             due = start
         if posted:  # a posted time makes many ticks due at once; late is what was left of the one before
-            begin, late, pace.behind = now(loop.now), pace.behind, 0
+            begin, late, phase.behind = now(loop.now), phase.behind, 0
         if late > period:
             control.overruns += 1
         before, answered = answered, control.asked

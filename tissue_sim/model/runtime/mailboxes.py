@@ -23,14 +23,14 @@ from tissue_sim.model.data.records import Record, Records
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
-from tissue_sim.model.regions.active_region import is_shown, show_region
+from tissue_sim.model.regions.active_region import is_outside_current, update_outside
 from tissue_sim.model.stepping.inputs import reset_state, take_contacts, take_force, take_pose
 
 SLOTS = 4
 JOURNAL_ROWS = 8192
 TIMING_ROWS = 8192
 POSE_WORDS = 8
-CARRIED_ON = 5e-5  # m that the breath moves a sleeping organ before its shape is posted again
+REPOST_DISTANCE = 5e-5  # m that the breath moves a sleeping organ before its shape is posted again
 
 
 class Mailbox(NamedTuple):
@@ -73,7 +73,7 @@ class Control(Record):
     dropped: int
     simulated: int  # ns of simulated time
     due: int  # ns of the clock in use: when the last tick was due
-    looked_up: int  # ns of the monotonic clock when the loop last began to wait; an old time: it hangs, or starves
+    last_wait: int  # ns of the monotonic clock when the loop last began to wait; an old time: it hangs, or starves
     posted_time: int  # ns, newest time of /clock; 0 before the first one
 
 
@@ -89,7 +89,7 @@ class Demand(Record):
     z: float
 
 
-class Pace(Record):
+class RequestPhase(Record):
     """Notes of the loop about requests and posted times."""
 
     waits: int  # how many ticks in a row had one request, which had to wait until they were due
@@ -127,7 +127,7 @@ class LoopWords(NamedTuple):
 
     control: Control
     timing: Records  # (TIMING_ROWS,) of Timing
-    pace: Pace
+    phase: RequestPhase
     now: Longs  # (2,) a timespec
     wake: Longs  # (2,) another
     bell: Longs  # (4,) a sem_t, posted to wake the loop
@@ -166,7 +166,7 @@ def make_loop_words() -> LoopWords:
     return LoopWords(
         control=Control.new(),
         timing=Timing.rows(_longs(TIMING_ROWS * Timing.words())),
-        pace=Pace.new(),
+        phase=RequestPhase.new(),
         now=_longs(2),
         wake=_longs(2),
         bell=_longs(4),
@@ -346,11 +346,11 @@ def post_results(world: World, box: Mailboxes) -> None:
     put(box.results, 0, state.results)
     if not state.status.asleep or continues_motion(state.carried, demand):
         demand.moved = True
-    lazy = not is_shown(state)
+    lazy = not is_outside_current(state)
     demand.on_demand = lazy
     asked = demand.asked
     if lazy and asked != demand.done:
-        show_region(world.model, state, world.settings, world.scratch)
+        update_outside(world.model, state, world.settings, world.scratch)
         lazy, demand.moved = False, True
     if demand.moved and not lazy:
         state.shape_tick[0] = state.status.tick
@@ -363,13 +363,13 @@ def post_results(world: World, box: Mailboxes) -> None:
 
 @kernel
 def continues_motion(carried: Floats, demand: Demand) -> bool:
-    """Return whether the breath has moved an organ by more than CARRIED_ON since its positions were posted."""
+    """Return whether the breath has moved an organ by more than REPOST_DISTANCE since its positions were posted."""
     x, y, z = carried[0] - demand.x, carried[1] - demand.y, carried[2] - demand.z
-    return x * x + y * y + z * z > CARRIED_ON * CARRIED_ON
+    return x * x + y * y + z * z > REPOST_DISTANCE * REPOST_DISTANCE
 
 
 @kernel
-def keep_states(worlds: Sequence[World], boxes: Sequence[Mailboxes]) -> None:
+def snapshot_states(worlds: Sequence[World], boxes: Sequence[Mailboxes]) -> None:
     """Copy the whole states; the journals show what they have applied.
 
     Parameters

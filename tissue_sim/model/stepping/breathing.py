@@ -19,7 +19,7 @@ from tissue_sim.model.data.records import Record, words_of
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.world import World
 
-FOLLOW = 20.0  # 1/s, rate at which it follows external input: 0.1 s behind
+FOLLOW_RATE = 20.0  # 1/s, rate at which it follows external input: 0.1 s behind
 
 
 class Breath(Record):
@@ -92,7 +92,7 @@ def moves_with_frame(breath: Breath, moves: Sequence[float], gravity: Floats) ->
 @kernel
 def follow(breath: Breath, step: float) -> tuple[float, float, float]:
     """Advance by `step` s towards the external input; return fraction, speed, 1/s, and acceleration, 1/s^2."""
-    change = FOLLOW * (FOLLOW * (breath.target - breath.fraction) - 2.0 * breath.speed)
+    change = FOLLOW_RATE * (FOLLOW_RATE * (breath.target - breath.fraction) - 2.0 * breath.speed)
     breath.speed += step * change
     breath.fraction += step * breath.speed
     return breath.fraction, breath.speed, change
@@ -135,7 +135,7 @@ def breathe(worlds: Sequence[World], carried: Carried, step: float) -> None:
 
 
 @kernel
-def weigh(settings: Settings, carried: Carried, organ: int, fraction: float) -> None:
+def set_frame_gravity(settings: Settings, carried: Carried, organ: int, fraction: float) -> None:
     """Set an organ's gravity, minus the part of its frame's acceleration that it feels.
 
     Parameters

@@ -34,7 +34,9 @@ from tissue_sim.model.stepping.wake_threshold import rounded_up
 
 CALM_SPEED = 5e-3  # m/s, of any coordinate: a slowly changing load doesn't move a node faster
 ROOM = 1.01  # factor on the required step, so that it is stable in spite of rounding
-MOST_OF_LINKS = 0.5  # largest fraction of a step's squared frequency that links may take up; beyond, no coarse steps
+MAX_LINK_FRACTION = (
+    0.5  # largest fraction of a step's squared frequency that links may take up; beyond, no coarse steps
+)
 ROUNDING = 1e-9  # of a step
 FRACTIONS = np.linspace(0.1, 1.0, 19)  # of what Gershgorin's circles require; the smallest stable one is used
 
@@ -72,12 +74,12 @@ def coarse_masses(model: Model, settings: Settings, added: float) -> tuple[Float
     """
     factor = np.ones(len(model.rest))
     tick_time, substeps = float(settings.tick_time), int(settings.substeps)
-    fewer = max(math.ceil(substeps / 2), least_of(tick_time))
+    fewer = max(math.ceil(substeps / 2), min_substeps_of(tick_time))
     elastic = model.tissue is not None and len(model.relaxation) == 0
     if fewer >= substeps or not elastic or settings.integrator != Integrator.SYMPLECTIC:
         return factor, 0.0
     allowed = (2.0 * SAFETY * fewer / tick_time) ** 2
-    if added > MOST_OF_LINKS * allowed:
+    if added > MAX_LINK_FRACTION * allowed:
         return factor, 0.0
     return masses_for(model, 2.0 * ROOM * math.sqrt(settings.stiffness_scale / (allowed - added)))
 
@@ -113,7 +115,7 @@ def masses_for(model: Model, step: float) -> tuple[Floats, float]:
 
 
 @kernel
-def least_of(tick_time: float) -> int:
+def min_substeps_of(tick_time: float) -> int:
     """Return the smallest number of substeps in a tick, s, that are no longer than cells may take."""
     return max(1, math.ceil((1.0 - ROUNDING) * tick_time / LONGEST_OF_CELLS))
 
@@ -137,7 +139,7 @@ def plan_coarse(world: World, coarse: Coarse, organ: int, added: float) -> None:
     if coarse.square[organ] == 0.0 or plan.handled or not may_be_coarse(world) or not is_left_alone(world.state):
         return
     frequency = math.sqrt(coarse.square[organ] * settings.stiffness_scale + added)
-    substeps = max(least_of(settings.tick_time), math.ceil(settings.tick_time * frequency / (2.0 * SAFETY)))
+    substeps = max(min_substeps_of(settings.tick_time), math.ceil(settings.tick_time * frequency / (2.0 * SAFETY)))
     if substeps < plan.substeps:
         plan.coarse, plan.substeps = True, substeps
 

@@ -17,14 +17,14 @@ from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import POINT_NODES
 from tissue_sim.model.data.records import Record, Vector
 
-MOST_PAIRS = 4096
-MOST_CUT_POINTS = 4096
-MOST_ORGANS = 16
-MOST_BEARERS = 2 * POINT_NODES  # nodes of both organs that bear a pair's force
+MAX_PAIRS = 4096
+MAX_CUT_POINTS = 4096
+MAX_ORGANS = 16
+MAX_BEARERS = 2 * POINT_NODES  # nodes of both organs that bear a pair's force
 
 
 class OrganContactSet(NamedTuple):
-    """Room for MOST_PAIRS pairs, a node of organ[0] and a triangle of organ[1], in the order of organs and nodes.
+    """Room for MAX_PAIRS pairs, a node of organ[0] and a triangle of organ[1], in the order of organs and nodes.
 
     Cut points are ordered like that, too. As nodes of pairs they come after all others, by their numbers.
     """
@@ -47,7 +47,7 @@ _POINT = np.dtype(
     [("organ", "i8"), ("number", "i8"), ("version", "i8"), ("node", "i8", POINT_NODES), ("weight", "f8", POINT_NODES)]
 )
 PAIR_WORDS, POINT_WORDS = _PAIR.itemsize // 8, _POINT.itemsize // 8
-POINTS_AT = 1 + MOST_PAIRS * PAIR_WORDS  # where the number of cut points is, followed by these
+POINTS_AT = 1 + MAX_PAIRS * PAIR_WORDS  # where the number of cut points is, followed by these
 
 
 def organ_contact_set(words: Longs | None = None) -> OrganContactSet:
@@ -59,7 +59,7 @@ def organ_contact_set(words: Longs | None = None) -> OrganContactSet:
         Words of another set; None for memory of its own.
     """
     if words is None:
-        words = np.zeros(POINTS_AT + 1 + MOST_CUT_POINTS * POINT_WORDS, dtype=np.int64)
+        words = np.zeros(POINTS_AT + 1 + MAX_CUT_POINTS * POINT_WORDS, dtype=np.int64)
     rows, points = words[1:POINTS_AT].view(_PAIR), words[POINTS_AT + 1 :].view(_POINT)
     of_pairs = words[:1], rows["organ"], rows["node"], rows["weight"]
     of_points = (points[name] for name in ("organ", "number", "version", "node", "weight"))
@@ -98,10 +98,10 @@ def set_of_words(words: Longs) -> OrganContactSet:
         raise ValueError("its organ contacts are not whole words")
     count = int(words[0])
     most = 1 + count * PAIR_WORDS
-    if not 0 <= count <= MOST_PAIRS or len(words) < most:
+    if not 0 <= count <= MAX_PAIRS or len(words) < most:
         raise ValueError(f"it counts {count} organ contacts, but contains another number")
     points = words[most:]
-    if len(points) and not (0 <= points[0] <= MOST_CUT_POINTS and len(points) == 1 + int(points[0]) * POINT_WORDS):
+    if len(points) and not (0 <= points[0] <= MAX_CUT_POINTS and len(points) == 1 + int(points[0]) * POINT_WORDS):
         raise ValueError(f"it counts {count} organ contacts, but contains another number, or other points of cuts")
     made.words[:most] = words[:most]
     made.words[POINTS_AT : POINTS_AT + len(points)] = points
@@ -129,9 +129,9 @@ class OrganContacts(NamedTuple):
     point_node: Longs  # (q, POINT_NODES)
     point_weight: Floats  # (q, POINT_NODES)
     bearing: Longs  # (p, 2) how many nodes of the first organ bear its force, and how many of both
-    bearer: Longs  # (p, MOST_BEARERS) these nodes, those of the first organ first
-    part: Floats  # (p, MOST_BEARERS) of the force that each bears
-    version: Longs  # (MOST_ORGANS,) number of the newest cut of each organ, or of its reset
+    bearer: Longs  # (p, MAX_BEARERS) these nodes, those of the first organ first
+    part: Floats  # (p, MAX_BEARERS) of the force that each bears
+    version: Longs  # (MAX_ORGANS,) number of the newest cut of each organ, or of its reset
     pressed: Floats  # (p,) N along the triangle's normal, in the last substep
     held: Floats  # (p, 3) N across it
     loaded: Floats  # (p, 3) N that the node bears in this tick's loads
@@ -141,7 +141,7 @@ class OrganContacts(NamedTuple):
     held_before: Floats  # (p, 3) buffer
     plane: ContactPlane  # of the pair that was measured last
     corner: Floats  # (3, 3) m, of that pair's triangle
-    caught: Longs  # (MOST_ORGANS,) buffer: 1 for an organ released in this tick
+    caught: Longs  # (MAX_ORGANS,) buffer: 1 for an organ released in this tick
 
 
 def make_organ_contacts(friction: float = 0.0) -> OrganContacts:
@@ -154,29 +154,29 @@ def make_organ_contacts(friction: float = 0.0) -> OrganContacts:
     """
     return OrganContacts(
         found=np.zeros(1, dtype=np.int64),
-        organ=np.zeros((MOST_PAIRS, 2), dtype=np.int64),
-        node=np.zeros((MOST_PAIRS, 4), dtype=np.int64),
-        weight=np.zeros((MOST_PAIRS, 3)),
+        organ=np.zeros((MAX_PAIRS, 2), dtype=np.int64),
+        node=np.zeros((MAX_PAIRS, 4), dtype=np.int64),
+        weight=np.zeros((MAX_PAIRS, 3)),
         points=np.zeros(1, dtype=np.int64),
-        point_organ=np.zeros(MOST_CUT_POINTS, dtype=np.int64),
-        point_number=np.zeros(MOST_CUT_POINTS, dtype=np.int64),
-        point_version=np.zeros(MOST_CUT_POINTS, dtype=np.int64),
-        point_node=np.zeros((MOST_CUT_POINTS, POINT_NODES), dtype=np.int64),
-        point_weight=np.zeros((MOST_CUT_POINTS, POINT_NODES)),
-        bearing=np.zeros((MOST_PAIRS, 2), dtype=np.int64),
-        bearer=np.zeros((MOST_PAIRS, MOST_BEARERS), dtype=np.int64),
-        part=np.zeros((MOST_PAIRS, MOST_BEARERS)),
-        version=np.zeros(MOST_ORGANS, dtype=np.int64),
-        pressed=np.zeros(MOST_PAIRS),
-        held=np.zeros((MOST_PAIRS, 3)),
-        loaded=np.zeros((MOST_PAIRS, 3)),
+        point_organ=np.zeros(MAX_CUT_POINTS, dtype=np.int64),
+        point_number=np.zeros(MAX_CUT_POINTS, dtype=np.int64),
+        point_version=np.zeros(MAX_CUT_POINTS, dtype=np.int64),
+        point_node=np.zeros((MAX_CUT_POINTS, POINT_NODES), dtype=np.int64),
+        point_weight=np.zeros((MAX_CUT_POINTS, POINT_NODES)),
+        bearing=np.zeros((MAX_PAIRS, 2), dtype=np.int64),
+        bearer=np.zeros((MAX_PAIRS, MAX_BEARERS), dtype=np.int64),
+        part=np.zeros((MAX_PAIRS, MAX_BEARERS)),
+        version=np.zeros(MAX_ORGANS, dtype=np.int64),
+        pressed=np.zeros(MAX_PAIRS),
+        held=np.zeros((MAX_PAIRS, 3)),
+        loaded=np.zeros((MAX_PAIRS, 3)),
         friction=np.array([friction]),
-        before=np.zeros(MOST_PAIRS, dtype=np.int64),
-        pressed_before=np.zeros(MOST_PAIRS),
-        held_before=np.zeros((MOST_PAIRS, 3)),
+        before=np.zeros(MAX_PAIRS, dtype=np.int64),
+        pressed_before=np.zeros(MAX_PAIRS),
+        held_before=np.zeros((MAX_PAIRS, 3)),
         plane=ContactPlane.new(),
         corner=np.zeros((3, 3)),
-        caught=np.zeros(MOST_ORGANS, dtype=np.int64),
+        caught=np.zeros(MAX_ORGANS, dtype=np.int64),
     )
 
 

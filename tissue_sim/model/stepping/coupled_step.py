@@ -10,7 +10,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.contact.haptic_output import divide_slew_limit
 from tissue_sim.model.data.links import Links
 from tissue_sim.model.data.world import World
-from tissue_sim.model.stepping.breathing import Carried, breathe, weigh
+from tissue_sim.model.stepping.breathing import Carried, breathe, set_frame_gravity
 from tissue_sim.model.stepping.coarse_steps import Coarse, fit_coarse, plan_coarse, ratio_of
 from tissue_sim.model.stepping.contact_pairs import OrganContacts
 from tissue_sim.model.stepping.ligament_links import load_links, measure_links, pull_links
@@ -52,7 +52,7 @@ def uncouple(worlds: Sequence[World], joined: CoupledOrgans) -> None:
     carried.speed[:] = 0.0
     carried.change[:] = 0.0
     for organ in range(len(worlds)):
-        weigh(worlds[organ].settings, carried, organ, 0.0)
+        set_frame_gravity(worlds[organ].settings, carried, organ, 0.0)
 
 
 @kernel

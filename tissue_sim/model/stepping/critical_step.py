@@ -18,7 +18,7 @@ FINE = 1e-3
 # s. In a modal region the nodes' mass is scaled so that they need no shorter step: on a fine organ they are tiny, and
 # no hand feels how fast they vibrate. The organ's own motion is that of its modes.
 REGION_STEP = 1e-3 / 6
-MOST_SUBSTEPS = 10_000  # in a tick; where the critical step is shorter, only the guard is left
+MAX_SUBSTEPS = 10_000  # in a tick; where the critical step is shorter, only the guard is left
 
 
 def critical_step(frequency: float, damping_ratio: float, integrator: str = "symplectic") -> float:
@@ -91,7 +91,7 @@ def model_step(
     return critical_step(scaled, least_damping / (2.0 * scaled), integrator)
 
 
-def step_with(shapes: Shapes, of_cells: bool) -> float:
+def longest_step_with(shapes: Shapes, of_cells: bool) -> float:
     """Return the longest substep that tools allow, s.
 
     Parameters
@@ -120,6 +120,6 @@ def substeps_for(tick_time: float, longest_step: float) -> int:
     int
         The number, at most 10,000.
     """
-    if longest_step <= SAFETY * tick_time / MOST_SUBSTEPS:
-        return MOST_SUBSTEPS
+    if longest_step <= SAFETY * tick_time / MAX_SUBSTEPS:
+        return MAX_SUBSTEPS
     return max(1, math.ceil(tick_time / (SAFETY * longest_step)))

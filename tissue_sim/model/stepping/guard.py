@@ -24,7 +24,7 @@ RETURN_RATE = 20.0  # 1/s, rate of the recovery to rest
 CELLS_A_TICK = 32  # a rolling check: all 1984 of the kidney's every 62 ticks
 PER_AXIS = 1.0 / math.sqrt(3.0)  # a vector with smaller coordinates is shorter than 1
 KEEP_EVERY = 4  # ticks between two shapes that are kept
-MOST_TURNED = 0.5  # fraction of the cells; an organ with more inverted cells doesn't recover by itself
+MAX_INVERTED = 0.5  # fraction of the cells; an organ with more inverted cells doesn't recover by itself
 
 
 @kernel
@@ -62,7 +62,7 @@ def guard(model: Model, state: State, settings: Settings, scratch: Scratch) -> N
         fault = check(model, state, checked_nodes(model, state, scratch), span * span, speed * speed, energy)
         if not modes_are_finite(state):
             fault = Fault.NOT_FINITE.value
-    collapsing = status.turned > MOST_TURNED * len(model.cells)
+    collapsing = status.turned > MAX_INVERTED * len(model.cells)
     if collapsing and not status.collapsing:
         count.faults += 1
         status.fault_kind = Fault.COLLAPSED

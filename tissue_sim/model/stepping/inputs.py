@@ -8,7 +8,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.blade_places import forget_blades
 from tissue_sim.model.contact.poses import distance, distance_along_path, quaternion_distance
-from tissue_sim.model.contact.tool_motion import CAREFUL, HASTY, forget_slips
+from tissue_sim.model.contact.tool_motion import FIRST_RETRY_SPEED, MAX_FAST_SLIPS, forget_slips
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import POINT_NODES, ContactSet, Engaged, used_words
 from tissue_sim.model.data.model import Model
@@ -19,14 +19,14 @@ from tissue_sim.model.regions.active_region import drop_region
 from tissue_sim.model.stepping.prescribed import forget_prescribed
 from tissue_sim.model.stepping.relaxation import forget_relaxation
 
-CATCH_UP = 0.03  # s in which a tool catches up most of its lag behind its poses, where these were that fast
-RESUMED = 1.0  # s without poses after which a returning hand counts as new
+CATCH_UP_TIME = 0.03  # s in which a tool catches up most of its lag behind its poses, where these were that fast
+RESUME_TIME = 1.0  # s without poses after which a returning hand counts as new
 MAX_BACKOFF = 8  # highest factor on the substeps
-BEHIND = 1e-4  # m that a tool which isn't hasty may be behind its hand
-BORNE = 0.7  # fraction of the force at which a tool slipped, up to which it is pressed from then on
-SWALLOWED = 0.97  # fraction of that which is left where swinging tissue swallowed it without such a force
-BARELY_FELT = 0.05  # N: a tool that slipped at less is pressed as if it had slipped at this
-CREEP = 1e-3, 1e-2  # m/s and 1/s at least, so that it arrives
+LAG_TOLERANCE = 1e-4  # m that a tool which isn't hasty may be behind its hand
+BEARABLE_FRACTION = 0.7  # fraction of the force at which a tool slipped, up to which it is pressed from then on
+SWALLOWED_FRACTION = 0.97  # fraction of that which is left where swinging tissue swallowed it without such a force
+MIN_SLIP_FORCE = 0.05  # N: a tool that slipped at less is pressed as if it had slipped at this
+MIN_APPROACH = 1e-3, 1e-2  # m/s and 1/s at least, so that it arrives
 
 
 @kernel
@@ -52,7 +52,7 @@ def take_pose(world: World, body: int, pose: Floats, stamp: int, sequence: int) 
     state = world.state
     status = state.bodies[body]
     if status.age < 0 or status.released or status.held_off:
-        goes_on = status.released and status.placed and status.age * world.settings.tick_time < RESUMED
+        goes_on = status.released and status.placed and status.age * world.settings.tick_time < RESUME_TIME
         if not goes_on:
             copy(pose, state.body_pose[body])
         copy(pose, state.held_pose[body])
@@ -84,8 +84,8 @@ def move_tool_towards(world: World, body: int, pose: Floats, stamp: int) -> None
     status.speed = max(moved / interval, status.speed if before else 0.0)
     status.turning = max(turned / interval, status.turning if before else 0.0)
     seconds = max(
-        motion_time(distance(held, pose), moved, interval, status.speed, CREEP[0]),
-        motion_time(quaternion_distance(held, pose), turned, interval, status.turning, CREEP[1]),
+        motion_time(distance(held, pose), moved, interval, status.speed, MIN_APPROACH[0]),
+        motion_time(quaternion_distance(held, pose), turned, interval, status.turning, MIN_APPROACH[1]),
     )
     seconds = min(seconds, settings.stale_time)
     smoothed = max(world.shapes.smoothing[body] * seconds, settings.tick_time)
@@ -97,7 +97,7 @@ def motion_time(way: float, new: float, interval: float, most: float, creep: flo
     """Return the time, s, for a way to which the last pose added `new`, in `interval` s; most: largest speed."""
     if way == 0.0:
         return 0.0
-    return way / min(most, new / interval + max(0.0, way - new) / CATCH_UP + creep) if most > 0.0 else interval
+    return way / min(most, new / interval + max(0.0, way - new) / CATCH_UP_TIME + creep) if most > 0.0 else interval
 
 
 @kernel
@@ -183,7 +183,7 @@ def put_back(state: State, body: int) -> None:
     hasty, or slips again, presses with less force than that at which it slipped, which the surface can't bear.
     """
     status, pose, place, ahead, size = state.bodies[body], state.body_pose[body], state.contacts.place[body], 0.0, 0.0
-    is_hasty = status.recent_speed > CAREFUL or distance(pose, state.held_pose[body]) > BEHIND
+    is_hasty = status.recent_speed > FIRST_RETRY_SPEED or distance(pose, state.held_pose[body]) > LAG_TOLERANCE
     for c in range(3):
         ahead -= status.outward[c] * (place[c] - pose[c])
         size += status.outward[c] ** 2
@@ -200,10 +200,10 @@ def put_back(state: State, body: int) -> None:
         state.count.slips += 1
         # Tissue that swings back may swallow a tool that was just put on it, whatever the force.
         is_pressed = status.slips == 0 or status.recent_force > 0.5 * status.bearable
-        borne = BORNE * max(status.recent_force, BARELY_FELT)
-        status.bearable = borne if is_pressed else SWALLOWED * status.bearable
+        borne = BEARABLE_FRACTION * max(status.recent_force, MIN_SLIP_FORCE)
+        status.bearable = borne if is_pressed else SWALLOWED_FRACTION * status.bearable
         status.recent_force = 0.0
-        status.slips += 1 if is_hasty or status.slips > 0 else HASTY + 1
+        status.slips += 1 if is_hasty or status.slips > 0 else MAX_FAST_SLIPS + 1
 
 
 @kernel

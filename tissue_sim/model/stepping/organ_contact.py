@@ -22,7 +22,7 @@ from tissue_sim.model.stepping.inputs import load_node
 SWEEPS = 8  # over all pairs in a substep
 RECOVERY_SPEED = 0.2  # m/s, largest speed at which what lay inside comes out
 TOLERANCE = 1e-3  # of the sum of all forces: change in a sweep at which it has converged
-CAUGHT = 1e-3  # m inside, far beyond contact, at which organs count as caught in each other
+INTERLOCKED_DEPTH = 1e-3  # m inside, far beyond contact, at which organs count as caught in each other
 
 
 @kernel
@@ -50,7 +50,7 @@ def wake_touched_organs(worlds: Sequence[World], pairs: OrganContacts, awake: Lo
             continue
         measure(worlds, pairs, pair)
         if pairs.pressed[pair] > 0.0 or pairs.plane.gap <= 0.0:
-            bear(worlds, pairs, pair)
+            load_bearers(worlds, pairs, pair)
 
 
 @kernel
@@ -71,7 +71,7 @@ def note_interlocked(worlds: Sequence[World], pairs: OrganContacts) -> None:
         first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
         if worlds[first].state.status.faulted or worlds[second].state.status.faulted:
             measure(worlds, pairs, pair)
-            if pairs.plane.gap < -CAUGHT:
+            if pairs.plane.gap < -INTERLOCKED_DEPTH:
                 pairs.caught[first] = pairs.caught[second] = 1
 
 
@@ -99,11 +99,11 @@ def apply_organ_contacts(worlds: Sequence[World], pairs: OrganContacts, awake: L
         was = loaded[0] != 0.0 or loaded[1] != 0.0 or loaded[2] != 0.0
         if is_resolved(pairs, pair, awake) and (pairs.pressed[pair] > 0.0 or was):
             measure(worlds, pairs, pair)
-            bear(worlds, pairs, pair)
+            load_bearers(worlds, pairs, pair)
 
 
 @kernel
-def bear(worlds: Sequence[World], pairs: OrganContacts, pair: int) -> None:
+def load_bearers(worlds: Sequence[World], pairs: OrganContacts, pair: int) -> None:
     """Set the loads of a pair's nodes to its force; pairs.plane has been computed."""
     normal, held, loaded, pressed = pairs.plane.normal, pairs.held[pair], pairs.loaded[pair], pairs.pressed[pair]
     x = pressed * normal[0] + held[0] - loaded[0]
@@ -219,7 +219,7 @@ def resolve_organ_contact(
         return 0.0
     stiffness = 1.0 / light  # N that move the node a metre out of the triangle
     push = max(0.0, pressed - max(gap, -RECOVERY_SPEED * step) * stiffness)
-    sx, sy, sz = sliding(worlds, carried, pairs, pair, step)
+    sx, sy, sz = sliding_motion(worlds, carried, pairs, pair, step)
     along = sx * normal[0] + sy * normal[1] + sz * normal[2]
     tx = held[0] - (sx - along * normal[0]) * stiffness
     ty = held[1] - (sy - along * normal[1]) * stiffness
@@ -246,7 +246,7 @@ def substep_of(world: World) -> float:
 
 
 @kernel
-def sliding(
+def sliding_motion(
     worlds: Sequence[World], carried: Carried, pairs: OrganContacts, pair: int, step: float
 ) -> tuple[float, float, float]:
     """Return the motion of the node along the triangle's place in a substep, m."""

@@ -17,16 +17,16 @@ from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.state import State
 
-LOOK_EVERY = 2  # least number of substeps between two checks
-FAST = 2e-3  # m/s, 2 um in a step of a ms: contacts that settle are slower, but
-FAST_AGAIN = 2e-5  # m/s, once a step was too long: held tissue must not be shaken off at each new trial
-TURNED = 0.5  # of a speed, that it has at least in the reverse direction
-MANY = 4  # coordinates that reverse
-GREW = 1.5  # ratio of their squared speeds between two checks
-MOST = 0.2  # of all squared speeds is theirs: after an impact more of the motion reverses, while it decays
+CHECK_EVERY = 2  # least number of substeps between two checks
+MIN_SPEED = 2e-3  # m/s, 2 um in a step of a ms: contacts that settle are slower, but
+MIN_SPEED_AGAIN = 2e-5  # m/s, once a step was too long: held tissue must not be shaken off at each new trial
+REVERSED_FRACTION = 0.5  # of a speed, that it has at least in the reverse direction
+MIN_COORDINATES = 4  # coordinates that reverse
+MIN_GROWTH = 1.5  # ratio of their squared speeds between two checks
+MIN_FRACTION = 0.2  # of all squared speeds is theirs: after an impact more of the motion reverses, while it decays
 # Ticks for which the step stays halved. An impact is soon over. A step that is too long is found so again, and each
 # time halved for MORE times as long, until the oscillation has decayed.
-HALVED, MORE, LONGEST = 120, 3, 1080
+HALVED_TICKS, HALVED_GROWTH, MAX_HALVED_TICKS = 120, 3, 1080
 
 
 @kernel
@@ -61,10 +61,10 @@ def is_oscillation_checked(model: Model, state: State, substeps: int) -> bool:
     if status.oscillating > 0:
         status.oscillating -= 1
     else:
-        status.halving = max(HALVED, status.halving - 1)
+        status.halving = max(HALVED_TICKS, status.halving - 1)
     if substeps > 1 and not checks_oscillation(model):
         return False
-    return substeps * status.tick % LOOK_EVERY < substeps
+    return substeps * status.tick % CHECK_EVERY < substeps
 
 
 @kernel
@@ -97,21 +97,21 @@ def end_oscillation_check(state: State, scratch: Scratch) -> None:
     size, status = state.velocity.size, state.status
     before, after = scratch.velocity_before.reshape(size), state.velocity.reshape(size)
     last, status.turning = status.turning, 0.0
-    fast = FAST_AGAIN if status.halving > HALVED else FAST
-    if count_oscillating(before, after, fast) < MANY:
+    fast = MIN_SPEED_AGAIN if status.halving > HALVED_TICKS else MIN_SPEED
+    if count_oscillating(before, after, fast) < MIN_COORDINATES:
         return
     status.turning = energy_of_oscillation(before, after, fast)
-    if 0.0 < GREW * last < status.turning and status.turning > MOST * energy_of(after):
+    if 0.0 < MIN_GROWTH * last < status.turning and status.turning > MIN_FRACTION * energy_of(after):
         status.turning = 0.0
-        status.oscillating = max(HALVED, status.halving)
-        status.halving = min(LONGEST, MORE * status.oscillating)
+        status.oscillating = max(HALVED_TICKS, status.halving)
+        status.halving = min(MAX_HALVED_TICKS, HALVED_GROWTH * status.oscillating)
         state.count.oscillations += 1
 
 
 @kernel
-def turns(before: float, after: float, fast: float) -> bool:
+def has_reversed(before: float, after: float, fast: float) -> bool:
     """Return whether a speed of more than `fast`, m/s, has about reversed."""
-    return (before * before > fast * fast) & (before * after < -TURNED * before * before)
+    return (before * before > fast * fast) & (before * after < -REVERSED_FRACTION * before * before)
 
 
 @kernel
@@ -119,7 +119,7 @@ def count_oscillating(before: Floats, after: Floats, fast: float) -> int:
     """Return how many coordinates faster than `fast`, m/s, have about reversed; flat arrays."""
     turning = 0
     for index in range(len(before)):
-        turning += turns(before[index], after[index], fast)
+        turning += has_reversed(before[index], after[index], fast)
     return turning
 
 
@@ -137,6 +137,6 @@ def energy_of_oscillation(before: Floats, after: Floats, fast: float) -> float:
     """Return the sum of the squared speeds of those that have reversed, m^2/s^2."""
     total = 0.0
     for index in range(len(before)):
-        if turns(before[index], after[index], fast):
+        if has_reversed(before[index], after[index], fast):
             total += after[index] * after[index]
     return total

@@ -25,7 +25,7 @@ from tissue_sim.model.data.state import State
 LANES = 4  # sums side by side, so that none waits for the one before; their order is fixed
 
 
-def stiffest(model: Model) -> float:
+def unrelaxed_factor(model: Model) -> float:
     """Return the factor of the tissue's stiffness before it relaxes, 1 / (1 - g); 1 for elastic tissue.
 
     Parameters

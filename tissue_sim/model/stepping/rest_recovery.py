@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tissue_sim.jit import kernel
-from tissue_sim.model.contact.haptic_output import is_felt
+from tissue_sim.model.contact.haptic_output import has_output
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.model import Model
@@ -20,12 +20,12 @@ QUIET_SPEED = 2e-5  # m/s
 QUIET_DISPLACEMENT = 5e-6  # m
 QUIET_TICKS = 20
 # An organ next to one that a hand is on sleeps sooner: the end of its return is too small to see or to feel.
-DROWSY_SPEED = 5e-4  # m/s
-DROWSY_DISPLACEMENT = 4e-5  # m
-DROWSY_TICKS = 5
-TREMBLING = 1.0  # 1/s, largest speed over displacement of a false rest shape
-SLOWEST_RETURN = 0.02  # of the organ's pace: a sound one returns at half of it
-SLOWEST = 0.2  # 1/s, of paces
+EARLY_SLEEP_SPEED = 5e-4  # m/s
+EARLY_SLEEP_DISPLACEMENT = 4e-5  # m
+EARLY_SLEEP_TICKS = 5
+FALSE_REST_RATE = 1.0  # 1/s, largest speed over displacement of a false rest shape
+MIN_RETURN_FRACTION = 0.02  # of the organ's pace: a sound one returns at half of it
+MIN_RETURN_RATE = 0.2  # 1/s, of paces
 RECOVERY_DISPLACEMENT = 2e-4  # m; a sound organ this far from rest is moving
 INVERTED_TIME = 0.15  # s that cells may stay inverted without load
 LONGEST_RETURN = (
@@ -57,20 +57,20 @@ def sleep_or_recover(model: Model, state: State, settings: Settings, scratch: Sc
     status = state.status
     doubted = status.faulted or not scratch.plan.forced
     if doubted and status.turned > 0 and status.alone * settings.tick_time > INVERTED_TIME:
-        snap(model, state, settings, scratch)
+        begin_recovery(model, state, settings, scratch)
         return
-    rate = pace(model, settings)
+    rate = return_rate(model, settings)
     lasted = min(1.0, settings.damping_scale) * rate * status.alone * settings.tick_time  # undamped it oscillates on
     overdue = lasted > LONGEST_RETURN
     if not doubted and not (overdue and (status.turned > 0 or has_compressed_cells(model))):
         return
     speed, away = largest_motion(model, state, scratch)
     # Far from rest, a false shape may tremble for good; slow is what wouldn't get back in ten times a sound one's time.
-    slow = speed <= max(QUIET_SPEED, min(TREMBLING, SLOWEST_RETURN * rate) * away)
+    slow = speed <= max(QUIET_SPEED, min(FALSE_REST_RATE, MIN_RETURN_FRACTION * rate) * away)
     # Its weight may squeeze an organ for good, which then lies still.
     lies = not doubted and status.turned == 0 and slow and is_out_of_balance(model, settings)
     if away > RECOVERY_DISPLACEMENT and overdue and not lies:
-        snap(model, state, settings, scratch)
+        begin_recovery(model, state, settings, scratch)
         return
     status.quiet = status.quiet + 1 if slow and doubted else 0
     if status.quiet < QUIET_TICKS:
@@ -79,7 +79,7 @@ def sleep_or_recover(model: Model, state: State, settings: Settings, scratch: Sc
         if speed <= QUIET_SPEED:
             fall_asleep(model, state)
     elif away > RECOVERY_DISPLACEMENT and rate * status.quiet * settings.tick_time > 1.0:
-        snap(model, state, settings, scratch)
+        begin_recovery(model, state, settings, scratch)
 
 
 @kernel
@@ -97,13 +97,13 @@ def sleep_if_at_rest(model: Model, state: State, scratch: Scratch) -> None:
     """
     status = state.status
     speed, away = largest_motion(model, state, scratch)
-    status.quiet = status.quiet + 1 if speed <= DROWSY_SPEED and away <= DROWSY_DISPLACEMENT else 0
-    if status.quiet >= DROWSY_TICKS:
+    status.quiet = status.quiet + 1 if speed <= EARLY_SLEEP_SPEED and away <= EARLY_SLEEP_DISPLACEMENT else 0
+    if status.quiet >= EARLY_SLEEP_TICKS:
         fall_asleep(model, state)
 
 
 @kernel
-def pace(model: Model, settings: Settings) -> float:
+def return_rate(model: Model, settings: Settings) -> float:
     """Return how fast the organ returns after its release: its damping rate, which is twice its lowest frequency.
 
     This is so after a calibration, and nearly so for organs as built; it is slower where parameters have made it softer
@@ -122,7 +122,7 @@ def pace(model: Model, settings: Settings) -> float:
         The rate.
     """
     softer, tougher = min(1.0, settings.stiffness_scale), max(1.0, settings.damping_scale)
-    own = max(SLOWEST, model.damping_rate * softer / tougher)
+    own = max(MIN_RETURN_RATE, model.damping_rate * softer / tougher)
     return own if len(model.relaxation) == 0 else min(own, creep_rate(model))
 
 
@@ -132,7 +132,7 @@ def fall_asleep(model: Model, state: State) -> None:
 
     Not while the slew limit still lets a force down: there is none on an organ that sleeps.
     """
-    if is_felt(state):
+    if has_output(state):
         return
     status = state.status
     status.asleep = True
@@ -152,9 +152,9 @@ def fall_asleep(model: Model, state: State) -> None:
 
 
 @kernel
-def snap(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
+def begin_recovery(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Start the recovery from a false rest shape, as soon as no force is left, as in `fall_asleep`."""
-    if is_felt(state):
+    if has_output(state):
         return
     leave_region(model, state, settings, scratch)
     forget_relaxation(state)

@@ -19,9 +19,9 @@ from tissue_sim.model.contact.tool_motion import (
     couple_bodies,
     follow_untouched,
     has_tip_force,
-    keep_bodies,
     note_forces,
-    slip_caution,
+    slip_substep_factor,
+    store_body_poses,
 )
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.contact.walls import find_walls
@@ -50,7 +50,7 @@ from tissue_sim.model.stepping.prescribed import count_prescribed, move_prescrib
 from tissue_sim.model.stepping.relaxation import relax
 from tissue_sim.model.stepping.rest_recovery import sleep_if_at_rest, sleep_or_recover, step_recovery
 
-CRUMPLED = 0.02  # fraction of inverted cells from which on a tick takes four times its substeps
+MANY_INVERTED = 0.02  # fraction of inverted cells from which on a tick takes four times its substeps
 
 
 @kernel
@@ -115,10 +115,10 @@ def plan_tick(world: World) -> bool:
     if plan.regional:
         region_forces(model, state, settings, scratch, False)
     wanted = settings.substeps if plan.whole else settings.region_substeps
-    factor = caution(model, state, plan.whole or plan.regional)
-    plan.substeps = wanted * status.backoff * max(factor, slip_caution(state))
-    plan.looking = plan.whole and is_oscillation_checked(model, state, plan.substeps)
-    plan.looking = plan.looking and (factor == 1 or can_be_cut(model, state))
+    factor = substep_factor(model, state, plan.whole or plan.regional)
+    plan.substeps = wanted * status.backoff * max(factor, slip_substep_factor(state))
+    plan.is_checked = plan.whole and is_oscillation_checked(model, state, plan.substeps)
+    plan.is_checked = plan.is_checked and (factor == 1 or can_be_cut(model, state))
     return True
 
 
@@ -145,7 +145,7 @@ def take_substep(world: World, substep: int) -> None:
     model, state, shapes = world.model, world.state, world.shapes
     settings, scratch, plan = world.settings, world.scratch, world.scratch.plan
     substeps, first = plan.substeps, substep == 0
-    if plan.looking and substep == substeps - 1:
+    if plan.is_checked and substep == substeps - 1:
         begin_oscillation_check(state, scratch)
     # The last substep of a region has more to compute.
     known = first and (plan.whole or (plan.regional and substeps > 1))
@@ -163,7 +163,7 @@ def take_substep(world: World, substep: int) -> None:
     move_prescribed(state, substep, substeps, step)
     pushed = has_taken_impulses(state, settings)
     state.status.touching = resolve_contacts(world, step, pushed)
-    keep_bodies(state, scratch)
+    store_body_poses(state, scratch)
 
 
 @part
@@ -178,7 +178,7 @@ def end_tick(world: World) -> None:
     model, state, shapes = world.model, world.state, world.shapes
     settings, scratch = world.settings, world.scratch
     status, plan = state.status, scratch.plan
-    if plan.looking:
+    if plan.is_checked:
         end_oscillation_check(state, scratch)
     absorb_load(model, state, settings, scratch)
     guard(model, state, settings, scratch)
@@ -211,7 +211,7 @@ def is_region_of_cells(model: Model, state: State) -> Any:
 
 
 @kernel
-def caution(model: Model, state: State, begun: bool) -> int:
+def substep_factor(model: Model, state: State, begun: bool) -> int:
     """Return the factor on the substeps while cells are stretched, compressed or inverted, or nodes oscillate.
 
     All of these stiffen them. begun: the forces of this tick's first substep are known.
@@ -219,7 +219,7 @@ def caution(model: Model, state: State, begun: bool) -> int:
     least = shortening_of(model) if begun else 1
     factor = 2 if begun and has_compressed_cells(model) else 1
     if state.status.turned > 0:
-        factor = 4 if state.status.turned > CRUMPLED * len(model.cells) else 2
+        factor = 4 if state.status.turned > MANY_INVERTED * len(model.cells) else 2
     doubled = factor == 2 and can_be_cut(model, state)
     if state.status.oscillating > 0 and (factor == 1 or doubled):
         factor *= 2

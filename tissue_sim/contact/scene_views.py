@@ -16,10 +16,10 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.rendering.pinhole import Pinhole
 
 if TYPE_CHECKING:
-    from tissue_sim.contact.scene_page import ScenePage, Seen
+    from tissue_sim.contact.scene_page import DrawnParts, ScenePage
 
 
-class Pictured:
+class SceneViews:
     """Pictures and a page of a scene."""
 
     names: list[str]
@@ -90,7 +90,7 @@ class Pictured:
         except ImportError as error:
             raise UserError(f"a page needs {error.name}: pip install 'tissue_sim[viewer]'") from None
 
-        def look() -> Seen:
+        def look() -> DrawnParts:
             return surfaces_of(self.simulations, self.names), body_poses(self.simulations[0])
 
         return ScenePage(look, self.tools, port)
