@@ -1,4 +1,4 @@
-"""What goes in and out of all organs, beside the mailboxes of each: where they touch, what tools feel."""
+"""Inputs and outputs of all organs together, besides the mailboxes of each: contact pairs, breath, haptic output."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class JoinedRow(Record):
 
 
 class JoinedSnapshot(NamedTuple):
-    """State of what joins organs after a tick, as far as it changes."""
+    """Snapshot of the changing state of everything that joins organs, after a tick."""
 
     breath: Longs  # the words of a Breath
     pairs: OrganContactSet
@@ -55,7 +55,7 @@ class JoinedBox(NamedTuple):
     journal_written: Longs  # (1,)
     journal: Records  # (JOURNAL_ROWS,) of JoinedRow
     snapshot: JoinedSnapshot  # when asked
-    # The loop's own.
+    # Used by the loop only.
     taken: OrganContactSet
     taken_fraction: Floats  # (1,)
     wrench_words: Longs  # (1 + 6 T,) the tick, and the wrench
@@ -63,7 +63,7 @@ class JoinedBox(NamedTuple):
 
 
 def make_joined_box(n_bodies: int) -> JoinedBox:
-    """Return empty mailboxes of joined organs.
+    """Return empty mailboxes for joined organs.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def make_joined_box(n_bodies: int) -> JoinedBox:
 
 @kernel
 def take_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
-    """Apply new pairs and the breath's external input, and note the tick that did.
+    """Apply new pairs and the breath's external input, and record the tick in the journal.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def take_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
 
 @kernel
 def note_joined(box: JoinedBox, tick: int) -> None:
-    """Note what was applied by this tick."""
+    """Record in the journal which inputs this tick has applied."""
     box.row.tick = tick
     box.journal[box.journal_written[0] % JOURNAL_ROWS] = box.row
     fence()
@@ -131,7 +131,7 @@ def note_joined(box: JoinedBox, tick: int) -> None:
 
 @kernel
 def post_haptic_output(worlds: Sequence[World], joined: CoupledOrgans | None, box: JoinedBox) -> None:
-    """Hand out what tools feel of all organs; of one that nothing joins as it is, which is clamped already."""
+    """Post the haptic output of all organs; that of a single organ is already clamped, and is posted unchanged."""
     box.wrench_words[0] = worlds[0].state.status.tick
     if joined is None:
         for body in range(len(box.wrench)):
@@ -144,7 +144,7 @@ def post_haptic_output(worlds: Sequence[World], joined: CoupledOrgans | None, bo
 
 @kernel
 def snapshot_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
-    """Copy what joins organs; the journal shows what it has applied.
+    """Copy the state of everything that joins organs; the journal shows which inputs it contains.
 
     Parameters
     ----------

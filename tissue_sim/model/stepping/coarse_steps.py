@@ -1,4 +1,4 @@
-"""Coarse steps: an organ that no hand is near takes half as many substeps, with masses that allow it.
+"""Coarse steps: an organ that no hand is near takes half as many substeps, with larger masses.
 
 The loads of such an organ, from ligaments, its neighbours and breathing, change slowly compared with its lowest modes:
 its shape is nearly the static one, whatever its masses are. So the mass of each node is increased as far as a substep
@@ -33,12 +33,12 @@ from tissue_sim.model.stepping.critical_step import LONGEST_OF_CELLS, SAFETY
 from tissue_sim.model.stepping.wake_threshold import rounded_up
 
 CALM_SPEED = 5e-3  # m/s, of any coordinate: a slowly changing load doesn't move a node faster
-ROOM = 1.01  # factor on the required step, so that it is stable in spite of rounding
+ROOM = 1.01  # factor on the required step, so that it is stable despite rounding
 MAX_LINK_FRACTION = (
     0.5  # largest fraction of a step's squared frequency that links may take up; beyond, no coarse steps
 )
 ROUNDING = 1e-9  # of a step
-FRACTIONS = np.linspace(0.1, 1.0, 19)  # of what Gershgorin's circles require; the smallest stable one is used
+FRACTIONS = np.linspace(0.1, 1.0, 19)  # of the mass that Gershgorin's circles require; the smallest stable one is used
 
 
 class Coarse(NamedTuple):
@@ -69,8 +69,8 @@ def coarse_masses(model: Model, settings: Settings, added: float) -> tuple[Float
     -------
     tuple[Floats, float]
         Factors (n,) on the nodes' masses, and the largest frequency with these, rad/s; 0 where there are no coarse
-        steps: for springs, tissue that relaxes, other integrators than the symplectic one, links that are too stiff,
-        and where half of the substeps is no smaller number.
+        steps: for springs, tissue that relaxes, integrators other than the symplectic one, links that are too stiff,
+        and a tick of one substep.
     """
     factor = np.ones(len(model.rest))
     tick_time, substeps = float(settings.tick_time), int(settings.substeps)
@@ -116,7 +116,7 @@ def masses_for(model: Model, step: float) -> tuple[Floats, float]:
 
 @kernel
 def min_substeps_of(tick_time: float) -> int:
-    """Return the smallest number of substeps in a tick, s, that are no longer than cells may take."""
+    """Return the smallest number of substeps in a tick, s, with steps no longer than cells allow."""
     return max(1, math.ceil((1.0 - ROUNDING) * tick_time / LONGEST_OF_CELLS))
 
 
@@ -167,12 +167,12 @@ def is_left_alone(state: State) -> bool:
 
 @kernel
 def ratio_of(plan: Plan, substeps: int) -> int:
-    """Return the number of the tick's substeps during one substep of an organ; more than 1 in coarse steps only."""
+    """Return the number of the tick's substeps in one substep of an organ; more than 1 only in coarse steps."""
     return substeps // plan.substeps if plan.coarse else 1
 
 
 @kernel
 def fit_coarse(plan: Plan, substeps: int) -> None:
-    """Increase an organ's coarse steps until their number divides the tick's substeps."""
+    """Increase the number of an organ's coarse steps until it divides the tick's substeps."""
     while substeps % plan.substeps != 0:
         plan.substeps += 1

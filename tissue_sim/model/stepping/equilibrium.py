@@ -1,4 +1,4 @@
-"""Settling of an organ: steps until nothing moves any more."""
+"""Settling of an organ: steps until it is in equilibrium."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from tissue_sim.model.stepping.world import (
     return_rate_of_world,
 )
 
-MIN_RETURN_TIME = 0.1  # s, least time that an organ on its way to rest may take for the remaining way
+MIN_RETURN_TIME = 0.1  # s, least time in which an organ may complete the rest of its return
 
 
 class Steppable(Protocol):
-    """What settling needs of a simulation, which itself offers to settle."""
+    """Interface of a simulation that can settle."""
 
     model: Model
     state: State
@@ -53,9 +53,9 @@ class Steppable(Protocol):
 def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: float, ramp: float) -> tuple[Floats, bool]:
     """Return the displacements at equilibrium under constant surface forces, gravity, and prescribed nodes.
 
-    It steps from the rest shape until the residual force is under `tolerance` times the load, or times what holds
-    prescribed nodes, and the organ is nearly still by its own pace. Forces act, and prescribed nodes move, at once, or
-    within `ramp` seconds, as a hand does, so that the organ doesn't overshoot.
+    It steps from the rest shape until the residual force is below `tolerance` times the load, or times the force that
+    holds prescribed nodes, and the organ is nearly still compared with its return rate. Forces act, and prescribed
+    nodes move, at once, or within `ramp` seconds, so that the organ doesn't overshoot.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: flo
     tolerance : float
         Residual force over load.
     longest : float, s
-        Simulated time after which it gives up.
+        Simulated time after which settling is abandoned.
     ramp : float, s
         Time in which forces rise and prescribed nodes move.
 
@@ -119,7 +119,7 @@ def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: flo
 
 
 def residuals(simulation: Steppable, forces: Floats | float = 0.0) -> Floats:
-    """Return the residual force on every node under surface forces; limits of cells and lips count as forces.
+    """Return the residual force on every node under surface forces; impulses of volume limit and lips count as forces.
 
     Parameters
     ----------

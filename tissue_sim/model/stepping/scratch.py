@@ -1,4 +1,4 @@
-"""Working memory of a model: how large it is."""
+"""Allocation of the working memory of a model."""
 
 from __future__ import annotations
 

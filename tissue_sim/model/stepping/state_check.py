@@ -1,4 +1,4 @@
-"""Checks of states and contact sets from files: kernels index with their numbers and check no bounds."""
+"""Checks of states and contact sets from files, whose indices kernels use without checking bounds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tissue_sim.model.data.state import Fault, Region, State, fields_of
 from tissue_sim.model.stepping.critical_step import MAX_SUBSTEPS
 from tissue_sim.model.stepping.inputs import MAX_BACKOFF
 
-MAX_NUMBER = 1e15  # of any number in a state; computations with larger ones overflow
+MAX_NUMBER = 1e15  # largest number in a state; computations with larger ones overflow
 
 
 def check_state(state: State) -> None:
@@ -29,7 +29,7 @@ def check_state(state: State) -> None:
     Raises
     ------
     ValueError
-        When a field is not; the message names it.
+        When a field is invalid; the message names it.
     """
     n, n_cells, status = len(state.position), len(state.is_turned), state.status
     _check_finite(fields_of(state))
@@ -62,7 +62,7 @@ def check_state(state: State) -> None:
 
 
 def check_settings(settings: Settings) -> None:
-    """Check that every setting is one that a node can have.
+    """Check that every setting is in the range of a node's parameters.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def check_settings(settings: Settings) -> None:
     Raises
     ------
     ValueError
-        When a setting is not; the message names it.
+        When a setting is out of range; the message names it.
     """
     for name in Settings.dtype.names or ():
         value = getattr(settings, name)

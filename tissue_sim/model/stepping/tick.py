@@ -1,7 +1,7 @@
 """One tick: the same compiled function in the node's loop, in a test and in a replay.
 
-Its order: inputs are applied; if nothing touches or moves, it ends; a local region or the whole organ is chosen; the
-substeps follow; positions are checked to be finite and bounded; wrenches are reported.
+Its order is: inputs are applied; if nothing touches or moves, the tick ends; a local region or the whole organ is
+chosen; the substeps are computed; positions are checked to be finite and bounded; wrenches are computed.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from tissue_sim.model.stepping.prescribed import count_prescribed, move_prescrib
 from tissue_sim.model.stepping.relaxation import relax
 from tissue_sim.model.stepping.rest_recovery import sleep_if_at_rest, sleep_or_recover, step_recovery
 
-MANY_INVERTED = 0.02  # fraction of inverted cells from which on a tick takes four times its substeps
+MANY_INVERTED = 0.02  # fraction of inverted cells from which a tick takes four times its substeps
 
 
 @kernel
@@ -74,9 +74,9 @@ def tick(world: World) -> None:
 
 @part
 def plan_tick(world: World) -> bool:
-    """Return whether there is anything to advance, and write how into scratch.plan.
+    """Return whether there is anything to advance, and write the plan of the tick to scratch.plan.
 
-    scratch.plan.handled tells whether nodes were loaded before links and other organs did.
+    scratch.plan.handled is set if nodes were loaded before links and other organs loaded them.
     """
     model, state, shapes = world.model, world.state, world.shapes
     settings, scratch = world.settings, world.scratch
@@ -107,7 +107,7 @@ def plan_tick(world: World) -> bool:
         status.active = len(model.moving)
 
     scratch.impulse[:] = 0.0
-    # The first forces tell how stiff the cells are.
+    # The first forces show how stiff the cells are.
     plan.whole = status.region == Region.WHOLE
     if plan.whole:
         elastic_forces(model, state.position, settings.stiffness_scale, scratch.force)
@@ -147,7 +147,7 @@ def take_substep(world: World, substep: int) -> None:
     substeps, first = plan.substeps, substep == 0
     if plan.is_checked and substep == substeps - 1:
         begin_oscillation_check(state, scratch)
-    # The last substep of a region has more to compute.
+    # The last substep of a region computes more.
     known = first and (plan.whole or (plan.regional and substeps > 1))
     step = settings.tick_time / substeps
     couple_bodies(state, shapes, settings, scratch, step, 1.0 / (substeps - substep))
@@ -168,7 +168,7 @@ def take_substep(world: World, substep: int) -> None:
 
 @part
 def end_tick(world: World) -> None:
-    """Check the result of the substeps, report the wrenches, and come to rest where nothing acts.
+    """Check the result of the substeps, compute the wrenches, and let an organ fall asleep on which nothing acts.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def is_region_of_cells(model: Model, state: State) -> Any:
 def substep_factor(model: Model, state: State, begun: bool) -> int:
     """Return the factor on the substeps while cells are stretched, compressed or inverted, or nodes oscillate.
 
-    All of these stiffen them. begun: the forces of this tick's first substep are known.
+    All of these make cells stiffer. begun: the forces of this tick's first substep are known.
     """
     least = shortening_of(model) if begun else 1
     factor = 2 if begun and has_compressed_cells(model) else 1
@@ -228,7 +228,7 @@ def substep_factor(model: Model, state: State, begun: bool) -> int:
 
 @kernel
 def can_be_cut(model: Model, state: State) -> bool:
-    """Return whether the organ has cuts, and with them light nodes, or meets a blade, which presses deep dents."""
+    """Return whether the organ has cuts, and therefore light nodes, or a blade can touch it, which makes deep dents."""
     return len(model.lips.weight) > 0 or len(state.blades) > 0
 
 
@@ -271,16 +271,16 @@ def integrate(world: World, step: float) -> None:
 
 @kernel
 def has_taken_impulses(state: State, settings: Settings) -> bool:
-    """Return whether the last contact impulses move nodes too: while these persist, nothing is left to resolve."""
+    """Return whether the integrator applies the last contact impulses; while they persist, nothing need be resolved."""
     return settings.integrator != Integrator.EXPLICIT and state.status.region == Region.WHOLE
 
 
 @kernel
 def set_mobility(world: World, step: float) -> None:
-    """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the integration's part of its mass.
+    """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the factors of the integrator.
 
-    Only when settings have changed. The damping is implicit, so it acts on the contact's impulse too: 1 / (m + h d).
-    With 1/m alone a body at rest would press with a force short by h d/m.
+    They are computed only when settings have changed. The damping is implicit, so it also acts on the contact's
+    impulse: 1 / (m + h d). With 1/m alone, the force of a body at rest would be too small by h d/m.
     """
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     key, damping, inertia = scratch.mobility_key, damping_of(state, settings), inertia_of(state, settings)

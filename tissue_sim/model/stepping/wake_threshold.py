@@ -1,11 +1,11 @@
 """Loads below the wake threshold: ligaments that hardly pull, and breathing that hardly bends an organ.
 
-Either would keep an organ awake whose shape it doesn't change visibly. So each tick bounds their effect on an organ:
-how far they bend it at most, which is the tension of each link times the compliance of its node plus the acceleration
-of the frame times the compliance to it, and with which force they pull. Where that is s times as much as
-WAKE_DISPLACEMENT and WAKE_FORCE allow, an organ that nothing else loads feels 1 - 1/s^2 of these loads, and none while
-s is below 1. The part that it lacks never exceeds these bounds, shrinks as the loads grow, and never jumps. An organ
-that a tool, a hand or another organ loads is awake anyway, and feels all of it.
+Such loads would keep an organ awake although they don't change its shape visibly. So each tick bounds their effect on
+an organ: the displacement, which is at most the tension of each link times the compliance of its node plus the
+acceleration of the frame times the compliance to it, and the force. If the effect is s times as large as
+WAKE_DISPLACEMENT and WAKE_FORCE allow, the fraction 1 - 1/s^2 of these loads acts on an organ without other loads, and
+none while s is below 1. The part that is left out never exceeds these bounds, shrinks as the loads grow, and never
+jumps. An organ that a tool, a hand or another organ loads is awake anyway, and all of these loads act on it.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from tissue_sim.model.elasticity.gravity import is_out_of_balance
 from tissue_sim.model.elasticity.modes import free_axes, stiffness_matrix
 from tissue_sim.model.stepping.breathing import Carried, set_frame_gravity
 
-WAKE_DISPLACEMENT = 1e-4  # m, too little to see
-WAKE_FORCE = 1e-3  # N, too little to feel
-UNBOUNDED = 1e30  # m/N or s^2, where no node is fixed, or there are too many to factorise: it feels everything
-MAX_NODES = 8000  # whose factorisation takes a second
+WAKE_DISPLACEMENT = 1e-4  # m, too small to be seen
+WAKE_FORCE = 1e-3  # N, too small to be felt
+UNBOUNDED = 1e30  # m/N or s^2, where no node is fixed, or there are too many to factorise: no load is left out
+MAX_NODES = 8000  # of an organ whose stiffness is factorised, which takes a second
 _RIGID = 1e-9  # of the largest pivot; less counts as 0
 _TOGETHER = 48  # columns solved for at once
 
 
 class WakeThreshold(NamedTuple):
-    """Bounds of the loads of k organs and l links that are not felt, and the results of the last tick."""
+    """Bounds on the loads of k organs and l links that are left out, and the results of the last tick."""
 
     limits: Floats  # (2,) m and N, largest effect of loads that are left out; zeros: none is left out
     frame_compliance: Floats  # (k,) s^2, largest displacement of an organ for each m/s^2 of its frame's acceleration
@@ -48,7 +48,7 @@ class WakeThreshold(NamedTuple):
 
 
 def wake_threshold_of(models: Sequence[Model], links: Links, directions: Floats, most: float) -> WakeThreshold:
-    """Return the bounds for organs whose frames move along given ways.
+    """Return the bounds for organs whose frames move along given directions.
 
     The numbers are rounded up to two digits, so that libraries that round differently on another processor give the
     same ones, and replays the same bits.
@@ -62,7 +62,7 @@ def wake_threshold_of(models: Sequence[Model], links: Links, directions: Floats,
     directions : Floats, shape (k, 3)
         Directions of the frames, of any length.
     most : float, m
-        Largest displacement that an organ may lack; 0: everything is felt.
+        Largest displacement by loads that are left out; 0: none is left out.
     """
     count = len(models)
     frame_compliance, compliance = np.zeros(count), np.zeros(links.organ.shape)
@@ -83,9 +83,9 @@ def wake_threshold_of(models: Sequence[Model], links: Links, directions: Floats,
 
 
 def bounds_of(model: Model, nodes: Longs, way: Floats) -> tuple[float, Floats]:
-    """Return how far any node moves at most, about rest: by an acceleration along `way` (3,), s^2; by pulls (k,), m/N.
+    """Return bounds on the displacement of nodes about rest, by acceleration, s^2, and by pulls, m/N.
 
-    nodes (k,) are those that are pulled, in any direction. The bound is UNBOUNDED where it is not known.
+    The acceleration is along `way` (3,); pulls act on nodes (k,) in any direction. Unknown bounds are UNBOUNDED.
     """
     speed = float(np.linalg.norm(way))
     if not len(nodes) and speed == 0.0:
@@ -132,9 +132,9 @@ def rounded_up(value: float) -> float:
 
 @kernel
 def apply_wake_threshold(worlds: Sequence[World], carried: Carried, threshold: WakeThreshold, breathes: bool) -> None:
-    """Compute the fraction of its links' and the breath's loads that every organ feels, and set its weight accordingly.
+    """Compute the fraction of the links' and the breath's loads that acts on each organ, and set the organ's weight.
 
-    Called once links have been measured, and hands and other organs have loaded the nodes.
+    Call it after the links have been measured, and after hands and other organs have loaded the nodes.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def apply_wake_threshold(worlds: Sequence[World], carried: Carried, threshold: W
 
 @kernel
 def loaded_fraction(bent: float, pulled: float, most: Floats) -> float:
-    """Return the fraction of loads that is felt; bent m, pulled N, most (2,) that may be lacking."""
+    """Return the fraction of loads that acts on an organ; bent m, pulled N, most (2,) that may be left out."""
     if most[0] <= 0.0:
         return 1.0
     size = max(bent / most[0], pulled / most[1])

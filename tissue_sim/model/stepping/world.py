@@ -16,7 +16,7 @@ from tissue_sim.model.stepping.rest_recovery import return_rate
 
 @kernel
 def reset_world(world: World) -> None:
-    """Return to the rest shape, asleep, without tools; the counters go on.
+    """Return to the rest shape, asleep, without tools; the counters continue.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def reset_world(world: World) -> None:
 
 @kernel
 def relax_world(world: World) -> None:
-    """Let tissue that relaxes do so at once.
+    """Relax the tissue at once.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def add_weight_of_world(world: World, force: Floats) -> None:
 
 @kernel
 def return_rate_of_world(world: World) -> float:
-    """Return how soon the organ is on its way after it was released.
+    """Return the rate at which the organ returns after its release, see `rest_recovery.return_rate`.
 
     Parameters
     ----------
@@ -89,8 +89,8 @@ def return_rate_of_world(world: World) -> float:
 
     Returns
     -------
-    float
-        1/s
+    float, 1/s
+        The rate.
     """
     return return_rate(world.model, world.settings)
 
