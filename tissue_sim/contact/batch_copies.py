@@ -1,4 +1,4 @@
-"""What a batch does with its copies: compiled for an organ alone, in Python for organs that are joined."""
+"""Operations of a batch on its copies: compiled for a single organ, in Python for coupled organs."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from tissue_sim.handles import handle, row
 
 
 class CompiledCopies:
-    """Copies of an organ alone, which one kernel advances without the GIL.
+    """Copies of a scene with a single organ, which one kernel advances without the GIL.
 
     Parameters
     ----------
     scenes : list[Scene]
         The copies.
     threads : int
-        How many may advance copies at the same time.
+        Number of threads that may advance copies at the same time.
     """
 
     def __init__(self, scenes: list[Scene], threads: int) -> None:
@@ -55,7 +55,7 @@ class CompiledCopies:
         self._rooms: queue.SimpleQueue[Any] = queue.SimpleQueue()
         for _ in range(threads):
             self._rooms.put(search_memory(finder))
-        self._finding = threading.Lock()  # the finder has its buffers once
+        self._finding = threading.Lock()  # all copies share the finder's buffers
 
     def move(self, copies: Longs, poses: Floats, angles: Floats) -> None:
         """Give the tools of copies (k,) new poses (k, T, 7) and angles (k, T)."""
@@ -75,7 +75,7 @@ class CompiledCopies:
             self._rooms.put(room)
 
     def _find(self, copy: int) -> None:
-        """Find the contacts of a copy by its finder."""
+        """Find the contacts of a copy with its finder."""
         course, organ = self._course, self._scenes[copy].organs[0]
         organ.set_goal = course.goal[copy].copy() if course.has_goal[copy] else None
         with self._finding:
@@ -88,7 +88,7 @@ class CompiledCopies:
         self._course.ticks[copy] = self._course.has_goal[copy] = 0
 
     def counters(self, copy: int) -> Longs:
-        """Return what counts beside a copy's memory: ticks, sequence, and the goals of the last search."""
+        """Return the counters of a copy besides its memory: ticks, sequence, and the goals of the last search."""
         course = self._course
         head = [course.ticks[copy], course.sequence[copy], course.has_goal[copy]]
         return np.concatenate([np.array(head), course.goal[copy].reshape(-1).view(np.int64)])
@@ -101,7 +101,7 @@ class CompiledCopies:
 
 
 class JoinedCopies:
-    """Copies of organs that are joined: the ticks are compiled, the search for contacts takes the GIL.
+    """Copies of a scene with coupled organs: the ticks are compiled, the search for contacts takes the GIL.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class JoinedCopies:
 
     def __init__(self, scenes: list[Scene]) -> None:
         self._scenes = scenes
-        self._finding = threading.Lock()  # the finders have their buffers once
+        self._finding = threading.Lock()  # all copies share the finders' buffers
 
     def move(self, copies: Longs, poses: Floats, angles: Floats) -> None:
         """Give the tools of copies (k,) new poses (k, T, 7) and angles (k, T)."""
@@ -135,7 +135,7 @@ class JoinedCopies:
         self._scenes[copy].reset()
 
     def counters(self, copy: int) -> Longs:
-        """Return what counts beside a copy's memory: ticks, sequence, where the breath was, and goals."""
+        """Return the counters of a copy besides its memory: ticks, sequence, the breath's displacement, and goals."""
         scene = self._scenes[copy]
         goals = [one.set_goal for one in scene.organs]
         shape = scene.simulation.state.body_goal.shape

@@ -37,7 +37,7 @@ NO_COPY = -1  # in place of a copy that waits for Python
 
 
 class Tables(NamedTuple):
-    """What a contact search needs of an organ and B bodies; all copies share it."""
+    """Tables of an organ and B bodies for the contact search, shared by all copies."""
 
     triangles: Ints | Longs  # (t, 3)
     n_surface: int
@@ -72,10 +72,10 @@ class SearchMemory(NamedTuple):
 
 
 class CopyProgress(NamedTuple):
-    """How far each of n copies has come, and what is left to do."""
+    """Progress of n copies, and the remaining ticks."""
 
     ticks_a_set: int
-    left: Longs  # (n,) ticks to do
+    left: Longs  # (n,) remaining ticks
     ticks: Longs  # (n,) ticks since its reset
     sequence: Longs  # (n,) number of its newest pose or contact set
     is_found: Longs  # (n,) 1 where the contact set of the coming tick was found by Python
@@ -84,7 +84,7 @@ class CopyProgress(NamedTuple):
 
 
 def tables_of(finder: ContactFinder) -> Tables:
-    """Return a handle of what a finder knows about its organ and tools.
+    """Return a handle of a finder's tables of its organ and tools.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def search_memory(finder: ContactFinder) -> SearchMemory:
     def longs(*shape: int) -> Longs:
         return np.zeros(shape, dtype=np.int64)
 
-    # Where more points are found than a contact set has room for, Python selects from them.
+    # If more points are found than fit into a contact set, Python selects from them.
     body, triangle, corners = longs(MAX_CONTACT_POINTS), longs(MAX_CONTACT_POINTS), longs(MAX_CONTACT_POINTS, 3)
     weight, normal, yielding = (np.zeros((MAX_CONTACT_POINTS, columns)) for columns in (3, 3, 2))
     points = FoundPoints(body, triangle, corners, weight, normal, yielding)
@@ -164,7 +164,7 @@ def take_poses(worlds: Sequence[World], copies: Longs, poses: Floats, course: Co
         Which copies.
     poses : Floats, shape (k, B, 7), m and unit quaternions xyzw
         The poses.
-    course : Course
+    course : CopyProgress
         Course of the copies; updated.
     """
     for index in range(len(copies)):
@@ -180,17 +180,17 @@ def take_poses(worlds: Sequence[World], copies: Longs, poses: Floats, course: Co
 def advance_copies(
     worlds: Sequence[World], course: CopyProgress, tables: Tables, room: SearchMemory, copies: Longs
 ) -> int:
-    """Advance copies one after the other by the ticks that are left of each.
+    """Advance copies one after the other by their remaining ticks.
 
     Parameters
     ----------
     worlds : Sequence[World]
         Row of the copies' worlds; updated.
-    course : Course
+    course : CopyProgress
         Course of the copies; updated.
     tables : Tables
         Tables of the organ and the bodies.
-    room : Room
+    room : SearchMemory
         Working memory of this thread.
     copies : Longs, shape (k,)
         Which copies.
@@ -198,7 +198,7 @@ def advance_copies(
     Returns
     -------
     int
-        The copy whose contacts Python has to find before it goes on; NO_COPY when all is done.
+        The copy whose contacts Python must find before it can continue; NO_COPY if all are done.
     """
     for index in range(len(copies)):
         copy = copies[index]
@@ -218,10 +218,11 @@ def advance_copies(
 
 @kernel
 def _search(world: World, course: CopyProgress, copy: int, tables: Tables, room: SearchMemory) -> bool:
-    """Write the contact set of a copy to room.found; return False where a body needs what only the finder can do.
+    """Write the contact set of a copy to room.found; return False if a body needs the finder in Python.
 
-    That is the way out for a body that has slipped in, the nearest points of triangles too coarse for a body, the
-    surface under a tip that pushes, and a selection among too many points. FCL isn't asked: it only saves time.
+    That is for the way out of a body that has slipped in, the nearest points of triangles that are too coarse for a
+    body, the surface under a tip that pushes, and a selection among too many points. FCL isn't used, as it only saves
+    time.
     """
     state, shapes, found = world.state, world.shapes, room.found
     surface_box(state.position, tables.n_surface, room.low, room.high)
@@ -276,7 +277,7 @@ def _search(world: World, course: CopyProgress, copy: int, tables: Tables, room:
 
 @kernel
 def _margin(state: State, shapes: Shapes, course: CopyProgress, copy: int, body: int) -> float:
-    """Return what `reach_margins` does for a body, m."""
+    """Return the margin of a body, m, as `reach_margins` does."""
     goal = state.body_goal[body]
     covered = distance_along_path(state.body_pose[body], goal, shapes.extent[body])
     if course.ticks_a_set > 1 and course.has_goal[copy] == 1:
@@ -286,7 +287,7 @@ def _margin(state: State, shapes: Shapes, course: CopyProgress, copy: int, body:
 
 @kernel
 def _fill(found: ContactSet, points: FoundPoints, count: int, tables: Tables) -> None:
-    """Write the first points that were found to a contact set."""
+    """Write the first `count` points that were found to a contact set."""
     found.header.points, found.header.dropped = count, 0
     for point in range(count):
         found.body[point] = points.body[point]
@@ -294,13 +295,13 @@ def _fill(found: ContactSet, points: FoundPoints, count: int, tables: Tables) ->
             found.node[point, c] = points.node[point, c]
             found.weight[point, c] = points.weight[point, c]
             found.normal[point, c] = points.normal[point, c]
-        found.node[point, 3], found.weight[point, 3] = points.node[point, 0], 0.0  # of a surface without cuts
+        found.node[point, 3], found.weight[point, 3] = points.node[point, 0], 0.0  # the surface has no cuts
     set_compliance(found, points.node, points.weight, points.yielding, tables.compliance, tables.between)
 
 
 @kernel
 def _is_swallowed(position: Floats, pose: Floats, body: int, tables: Tables, room: SearchMemory) -> bool:
-    """Return whether one of a body's centre points lies inside the surface; the body's matrix is in room."""
+    """Return whether one of a body's centre points lies inside the surface; room holds the body's matrix."""
     m = room.matrix
     for index in range(tables.middle_start[body], tables.middle_start[body + 1]):
         x, y, z = tables.middle[index, 0], tables.middle[index, 1], tables.middle[index, 2]
@@ -318,7 +319,7 @@ def _is_swallowed(position: Floats, pose: Floats, body: int, tables: Tables, roo
 
 @kernel
 def read_surfaces(worlds: Sequence[World], found: Floats) -> None:
-    """Read where the surfaces of all copies are, carried by the breath.
+    """Write the surface positions of all copies, with the displacement by the breath.
 
     Parameters
     ----------
@@ -336,14 +337,14 @@ def read_surfaces(worlds: Sequence[World], found: Floats) -> None:
 
 @kernel
 def read_tools(worlds: Sequence[World], poses: Floats, wrenches: Floats) -> None:
-    """Read where the bodies of all copies are, and what they feel.
+    """Write the poses and wrenches of the bodies of all copies.
 
     Parameters
     ----------
     worlds : Sequence[World]
         Row of the copies' worlds.
     poses : Floats, shape (n, B, 7), m and quaternion xyzw
-        Their poses, carried by the breath; updated.
+        Their poses, with the displacement by the breath; updated.
     wrenches : Floats, shape (n, B, 6), N and N m
         Their wrenches; updated.
     """

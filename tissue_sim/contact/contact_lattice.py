@@ -1,4 +1,4 @@
-"""Contact points of triangles: on a lattice in each, as fine as a tool needs it."""
+"""Contact points of triangles: a lattice in each, as fine as a tool requires."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.contact_points import Fineness, Lattices
 from tissue_sim.contact.touched_surface import TouchedSurface
 
-MAX_SPACING = 0.75  # of a tool's smallest radius: distance of contact points beyond which the nearest is added
-MIN_DIVISIONS = 2  # a large ball that presses slightly touches less than a node's area
+MAX_SPACING = 0.75  # of a tool's smallest radius: spacing of contact points beyond which the nearest point is added
+MIN_DIVISIONS = 2  # a large ball that presses slightly touches an area smaller than a node's
 MAX_DIVISIONS = 8
 
 
 def divisions_of(wanted: float) -> int:
-    """Return into how many parts contact points divide an edge: rounded up, 2 to 8."""
+    """Return the number of parts into which contact points divide an edge: rounded up, 2 to 8."""
     return min(max(MIN_DIVISIONS, math.ceil(wanted)), MAX_DIVISIONS)
 
 
@@ -29,9 +29,9 @@ def lattices() -> Lattices:
 
 
 def fineness_of(surface: TouchedSurface, parts: Longs, yielding: Floats) -> Fineness:
-    """Return the points of triangles whose edges are divided in so many parts (t,), and give way by give (t, 2).
+    """Return the contact points of triangles, from the number of parts (t,) of their edges and their yielding (t, 2).
 
-    Of a corner's triangles the mean of the factors counts, and the least of the depths.
+    A corner has the mean factor of its triangles, and the smallest of their depths.
     """
     triangles, nodes = surface.triangles, surface.n_points
     in_triangle, at_corner = surface.area_factors()

@@ -1,4 +1,4 @@
-"""Contact points of triangles near a tool: corners and points of lattices within its reach, and their compliance."""
+"""Contact points of triangles near a tool: corners and lattice points within its reach, and their compliance."""
 
 from __future__ import annotations
 
@@ -16,18 +16,16 @@ class Lattices(NamedTuple):
     """Contact points on a triangle whose edges are divided into a number of parts, besides its corners."""
 
     weight: Floats  # (k, 3) barycentric
-    edge: Longs  # (k,) corner opposite to the edge that a point is on, -1 for none
+    edge: Longs  # (k,) corner opposite to the edge on which a point lies, -1 for none
     start: Longs  # (m + 2,) first point for each number of parts, up to m
 
 
 class Fineness(NamedTuple):
     """Spacing of a body's contact points."""
 
-    parts: Longs  # (t,) in how many parts the edges of each triangle are divided
-    yielding: (
-        Floats  # (t, 2) how many times as far as its nodes' compliance has it its points give way; how far at most, m
-    )
-    corner_yielding: Floats  # (n, 2) the same of the corners
+    parts: Longs  # (t,) number of parts of the edges of each triangle
+    yielding: Floats  # (t, 2) factor on the nodes' compliance for its points; their largest yielding, m
+    corner_yielding: Floats  # (n, 2) the same for the corners
 
 
 class Search(NamedTuple):
@@ -69,7 +67,7 @@ def points_near(near: Longs, number: Longs, search: Search, seen: Longs, found: 
         The query, with the positions of the nodes, (n, 3) m.
     seen : Longs, shape (n,)
         Buffer, zero outside this function.
-    found : Found
+    found : FoundPoints
         Receives the points after the first `count`, as far as there is room.
     count : int
         Number of points found before.
@@ -96,7 +94,7 @@ def points_near(near: Longs, number: Longs, search: Search, seen: Longs, found: 
         parts, yielding = fineness.parts[number[t]], fineness.yielding[number[t]]
         for point in range(lattices.start[parts], lattices.start[parts + 1]):
             edge, weight = lattices.edge[point], lattices.weight[point]
-            # A point on an edge belongs to two triangles; it is taken from the one that runs along it.
+            # A point on an edge belongs to two triangles; it is added for the one with the edge's direction.
             if edge < 0 or nodes[(edge + 1) % 3] < nodes[(edge + 2) % 3]:
                 count = _add_point(nodes, (weight[0], weight[1], weight[2]), yielding, search, found, count)
     for t in range(len(near)):
@@ -114,7 +112,7 @@ def _add_point(
     found: FoundPoints,
     count: int,
 ) -> int:
-    """Add a point where it is near the body; return how many there are then. The triangle follows its nodes."""
+    """Add a point if it is near the body; return the new count. The triangle's index follows its nodes."""
     x = y = z = nx = ny = nz = 0.0
     for c in range(3):
         at, normal = search.position[nodes[c]], search.normal[nodes[c]]
@@ -160,7 +158,7 @@ def set_compliance(
     compliance : Floats, shape (B, p, 2), m/N
         Compliance of the tissue around each corner, along a body's normal and across it.
     between : Floats, shape (B,)
-        By what fraction a point in the middle of three nodes yields more, times 3/2.
+        Fraction by which a point in the middle of three nodes yields more, times 3/2.
     """
     for point in range(found.header.points):
         body, square = found.body[point], 0.0

@@ -1,4 +1,4 @@
-"""Scene as a YAML file: organs and where they lie, their attachments, and the breathing that moves them."""
+"""Scene as a YAML file: organs and their places, their attachments, and the breathing that moves them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _ATTACHMENT_KEYS = "between", "of", "point", "moves", "within", "nodes", "stiffn
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Content of a scene's file, with its organs where they lie.
+    """Content of a scene's file, with its organs in their places.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class SceneFile:
     organs : tuple[Organ, ...], shape (k,)
         The organs.
     stiffness : tuple[float, ...], shape (k,)
-        Factors of their tissue's stiffness.
+        Factors on their tissue's stiffness.
     breathes : tuple[float, ...], shape (k,)
         Motion of their clamps with the breath, as a factor.
     attachments : tuple[Attachment, ...]
@@ -120,7 +120,7 @@ class SceneFile:
         )
 
     def join(self, simulations: Sequence[Simulation]) -> Joined:
-        """Return the joined simulations of its organs.
+        """Return the coupled simulations of its organs.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ def load_scene(path: str | os.PathLike[str], tools: Sequence[Tool] = (), **optio
     Returns
     -------
     Scene
-        At rest, its organs called as in the file.
+        The scene at rest; its organs have the names of the file.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def load_scene(path: str | os.PathLike[str], tools: Sequence[Tool] = (), **optio
 
 
 class _InvalidEntry(Exception):
-    """Error about an entry, with which the message begins."""
+    """Error in an entry; its message begins with the name of the entry."""
 
 
 def _organ(path: Path, entry: object, where: str) -> tuple[str, Organ, float, float]:

@@ -1,4 +1,4 @@
-"""A scene on a page in the browser, or in a notebook, without ROS."""
+"""Page that shows a scene in the browser, or in a notebook, without ROS."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ DrawnParts = tuple[list[DrawnSurface], list[Floats | None]]  # surfaces, and pos
 
 
 class ScenePage:
-    """A page that shows a scene; `update` brings it up to date, `close` ends it. In a notebook it shows itself.
+    """Page that shows a scene; `update` shows the present state, `close` ends it. A notebook displays it.
 
     Parameters
     ----------
-    look : Callable[[], Seen]
-        Returns what is there now.
+    look : Callable[[], DrawnParts]
+        Returns the present surfaces and poses.
     tools : ToolSet
         The tools.
     port : int, optional
@@ -36,7 +36,7 @@ class ScenePage:
     Raises
     ------
     UserError
-        Where the port is taken.
+        If the port is in use.
     """
 
     def __init__(self, look: Callable[[], DrawnParts], tools: ToolSet, port: int = 0) -> None:
@@ -67,7 +67,7 @@ class ScenePage:
         return f"http://{LOOPBACK}:{self.port}"
 
     def update(self) -> None:
-        """Show the scene as it is now; costs a copy of its surfaces, and doesn't wait for the page."""
+        """Show the present state of the scene; copies its surfaces, and doesn't wait for the page."""
         self._newest = self._look()
 
     def close(self) -> None:
@@ -91,7 +91,7 @@ class ScenePage:
         return f'<iframe src="{self.address}" width="100%" height="{HEIGHT}" style="border: 0"></iframe>'
 
     def _draw(self) -> None:
-        """Show what is new until the page is closed."""
+        """Show new states until the page is closed."""
         while not self._ended.is_set():
             newest, self._newest = self._newest, None
             with self._server.atomic():

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 
 class SceneViews:
-    """Pictures and a page of a scene."""
+    """Mixin of a scene for pictures and a page."""
 
     names: list[str]
     tools: ToolSet
-    _painter: tuple[int, Painter] | None = None  # and the thread that it serves
+    _painter: tuple[int, Painter] | None = None  # with the thread for which it was made
 
     @property
     def simulations(self) -> list[Simulation]:
