@@ -58,3 +58,19 @@ def test_readers_with_room_for_fewer_nodes_get_these(loop):
     physics.positions(every)
     physics.positions(fewer)
     np.testing.assert_array_equal(fewer, every[: len(fewer)])
+
+
+def test_a_running_loop_takes_a_cut_up_between_two_ticks_once_it_is_preloaded(loop):
+    physics = Organs(loop).each[0]
+    made = physics.simulation.prepared_cut(*CUT)
+    tick = physics.exchange(made)
+    words = loop._exchange.words
+    assert words.loaded == words.asked == 1
+    loop.hold.begin()
+    by_hand = make()
+    by_hand.step(tick - 1)
+    cut = by_hand.cut(*CUT)
+    cut.step(loop.ticks - tick + 1)
+    shown = np.zeros_like(cut.positions)
+    assert physics.positions(shown)[0] == loop.ticks
+    np.testing.assert_array_equal(shown, cut.positions)

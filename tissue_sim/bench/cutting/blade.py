@@ -3,6 +3,9 @@
 Work of the blade is stored in the tissue, taken by damping, or has made area. Friction is off here. Work and damping
 are summed in every substep: the blade may lag behind the hand, and nodes oscillate within a tick when the tissue
 springs back behind the edge. What yields right at the places of a blade, a millimetre per newton, stores energy too.
+
+The node makes a cut in another process while its loop ticks on. Here one thread does both, and the caches hold nothing
+of a tick afterwards. So the old organ ticks on for a moment, and the new one is handed over as to the node's loop.
 """
 
 from __future__ import annotations
@@ -24,8 +27,10 @@ from tissue_sim.bench.timing import in_one_thread, now
 from tissue_sim.contact.scene import TICKS_A_CUT, Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.json_types import JsonObject
+from tissue_sim.memory import provide
 from tissue_sim.model.contact.blade_lag import GIVE
 from tissue_sim.model.data.world import World
+from tissue_sim.model.runtime.exchange import preload
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.tick import begin_tick, end_tick, plan_tick, take_substep
 from tissue_sim.organ.normals import surface_normals
@@ -37,6 +42,7 @@ LENGTH, HEIGHT, RADIUS = 0.02, 0.012, 1.5e-3  # m, of the blade
 DEPTH = 0.025  # m from the surface that it is moved, and
 SPEED = 0.02  # m/s, at which
 AWAY = 0.003  # m from which it comes
+TICKS_ON = 3  # of the organ before each opening, when the cut is made
 PATCH = 19  # nodes around the place where it enters
 MOST_REST, MOST_P99, MOST_TICK = 5.0, 250.0, 1000.0  # %, us, us
 
@@ -116,7 +122,9 @@ def cut(organ: Organ, toughness: float, depth: float, friction: float = 0.0) -> 
             entry, dent = max(entry, force), tick * step - AWAY
         if scene.ticks % TICKS_A_CUT == 0:
             scene.open_cuts()
-            opened += scene.simulation is not simulation
+            if scene.simulation is not simulation:
+                opened += 1
+                _hand_over(simulation, scene.simulation, clock)
     state, measured = scene.simulation.state, np.array(seconds or [np.nan])
     area = float(state.blades.area.sum())
     return BladeRun(
@@ -142,6 +150,14 @@ def stored_in(simulation: Simulation) -> float:
     """Return the energy in the tissue and in what yields to the forces at the places of blades, J."""
     places = simulation.state.blades
     return simulation.energy.total + 0.5 * GIVE * float(np.square(places.force[places.embedded]).sum())
+
+
+def _hand_over(before: Simulation, after: Simulation, clock: Longs) -> None:
+    """Tick an organ that isn't needed any more, and preload the one that continues it, as the node's loop does."""
+    provide((after.model, after.state.words, after.scratch))
+    for _ in range(TICKS_ON):
+        _tick(before.world, np.zeros(2), clock)
+    preload(after.world)
 
 
 @numba.njit(nogil=True, error_model="numpy")

@@ -71,7 +71,7 @@ def has_compressed_cells(model: Model) -> Any:
 
 
 @kernel
-def volume_of(position: Floats, nodes: Longs, inverse: float) -> float:
+def volume_of(position: Floats, nodes: Longs | tuple[int, int, int, int], inverse: float) -> float:
     """Return the volume of a cell over that at rest; inverse: 1 / (6 V), 1/m^3."""
     i, j, k, m = nodes[0], nodes[1], nodes[2], nodes[3]
     x, y, z = position[i, 0], position[i, 1], position[i, 2]

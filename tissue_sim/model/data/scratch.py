@@ -19,6 +19,7 @@ class Plan(Record):
     regional: bool  # a region of cells moves
     is_checked: bool  # its last substep is checked for oscillation
     coarse: bool  # its steps are coarse, with the larger masses that they need
+    mass_scaled: bool  # nodes of compressed cells are heavier, see stepping.mass_scaling
 
 
 class Scratch(NamedTuple):
@@ -32,8 +33,10 @@ class Scratch(NamedTuple):
     mass: Floats  # (n,) kg, 0 where held
     push: Floats  # (3n,) s/kg, and
     shrink: Floats  # (3n,), of integrators.symplectic_euler_whole
-    mobility_key: Floats  # (5,) settings that they were computed for
-    coarse: Floats  # (n,) factors on the nodes' masses in coarse steps
+    mobility_key: Floats  # (6,) settings and masses that they were computed for
+    coarse: Floats  # (n,) factors on the nodes' masses in coarse steps, and
+    mass_factor: Floats  # (n,) in all others, and
+    last_mass_factor: Floats  # (n,) in the tick before
     velocity_before: Floats  # (n, 3) m/s, at the beginning of its last substep
     origin: Floats  # (T, 3) m at the substep's end
     rotation: Floats  # (T, 9)

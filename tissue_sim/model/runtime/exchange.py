@@ -1,8 +1,8 @@
 """Replacement of an organ's arrays between two ticks of a running loop by arrays of another size, after a cut.
 
-Python makes the new arrays in parallel to the loop, with a plan of the words to be copied. The loop copies these, and
-continues with the new arrays: it takes no lock, allocates nothing, and the tick that does it takes some microseconds
-longer.
+Python makes the new arrays in parallel to the loop, with a plan of the words to be copied. The loop reads the arrays
+after one tick, copies these words before the next, and continues with the new arrays: it takes no lock, allocates
+nothing, and the tick that does it takes some microseconds longer.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from tissue_sim.model.cutting.carry import CarryPlan, carry
 from tissue_sim.model.data.records import Record
 from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
+from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.runtime.mailboxes import Mailboxes, mailbox
 from tissue_sim.model.stepping.contact_pairs import renew_surface
 from tissue_sim.model.stepping.coupled_step import CoupledOrgans
@@ -28,6 +29,7 @@ class ExchangeWords(Record):
     """Words shared by the loop and Python, each written by one of them."""
 
     asked: int  # raised when new arrays are available
+    loaded: int  # `asked` of the last arrays that the loop has preloaded
     done: int  # `asked` of the last arrays, after the first tick with them
     organ: int  # to which they belong
     tick: int  # that first tick
@@ -83,6 +85,18 @@ def make_exchange(worlds: HandleRow, boxes: HandleRow, world: Any, box: Any, lin
     next_worlds, next_boxes = row([world]), row([box])
     places = next_worlds.places, next_boxes.places, worlds.places, boxes.places
     return Exchange(ExchangeWords.new(), np.zeros(links), next_worlds, next_boxes, *places)
+
+
+@kernel
+def preload(world: World) -> None:
+    """Compute the forces of new arrays once, for nothing: a tick would wait for memory that no cache has yet.
+
+    Parameters
+    ----------
+    world : World
+        The new arrays; their working memory is updated.
+    """
+    elastic_forces(world.model, world.state.position, world.settings.stiffness_scale, world.scratch.force)
 
 
 @kernel

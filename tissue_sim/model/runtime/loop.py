@@ -18,7 +18,7 @@ from tissue_sim.array_types import Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.tool_motion import freshness
 from tissue_sim.model.data.world import World
-from tissue_sim.model.runtime.exchange import Exchange, take_exchange
+from tissue_sim.model.runtime.exchange import Exchange, preload, take_exchange
 from tissue_sim.model.runtime.joined_box import JoinedBox, post_haptic_output, snapshot_joined, take_joined
 from tissue_sim.model.runtime.mailboxes import (
     Control,
@@ -299,14 +299,20 @@ def run_loop(
         before, answered = answered, control.asked
         fence()  # inputs posted before the request are applied
         exchanged = exchange.words.asked
-        if exchanged != exchange.words.done:
+        is_due = exchanged != exchange.words.done
+        is_taken = is_due and (posted or exchange.words.loaded == exchanged)
+        if is_taken:
             take_exchange(worlds, boxes, joined, exchange)
         take_all(worlds, boxes, control.resets, joined, joined_box)
         tick_coupled(worlds, joined)
         post_all(worlds, boxes, joined, joined_box)
         fence()
-        exchange.words.done = exchanged
+        if is_taken:
+            exchange.words.done = exchanged
         if answered != before:
             _sem_post(loop.answered.ctypes.data)
         control.standing = False
         note_tick(loop, due, period, late, now(loop.now) - begin)
+        if is_due and not is_taken:
+            preload(exchange.worlds[0])
+            exchange.words.loaded = exchanged

@@ -25,6 +25,7 @@ from tissue_sim.model.contact.tool_motion import (
 )
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.contact.walls import find_walls
+from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.settings import Integrator, Settings
 from tissue_sim.model.data.state import Region, State
@@ -45,6 +46,7 @@ from tissue_sim.model.regions.moved_nodes import integrated_nodes
 from tissue_sim.model.stepping.guard import check_cells, guard
 from tissue_sim.model.stepping.inputs import unload_nodes
 from tissue_sim.model.stepping.integrators import explicit_euler, symplectic_euler, symplectic_euler_whole
+from tissue_sim.model.stepping.mass_scaling import can_be_cut, is_mass_scaled, write_mass_factors
 from tissue_sim.model.stepping.oscillation import begin_oscillation_check, end_oscillation_check, is_oscillation_checked
 from tissue_sim.model.stepping.prescribed import count_prescribed, move_prescribed
 from tissue_sim.model.stepping.relaxation import relax
@@ -115,6 +117,7 @@ def plan_tick(world: World) -> bool:
     if plan.regional:
         region_forces(model, state, settings, scratch, False)
     wanted = settings.substeps if plan.whole else settings.region_substeps
+    plan.mass_scaled = is_mass_scaled(model, state)
     factor = substep_factor(model, state, plan.whole or plan.regional)
     plan.substeps = wanted * status.backoff * max(factor, slip_substep_factor(state))
     plan.is_checked = plan.whole and is_oscillation_checked(model, state, plan.substeps)
@@ -220,16 +223,10 @@ def substep_factor(model: Model, state: State, begun: bool) -> int:
     factor = 2 if begun and has_compressed_cells(model) else 1
     if state.status.turned > 0:
         factor = 4 if state.status.turned > MANY_INVERTED * len(model.cells) else 2
-    doubled = factor == 2 and can_be_cut(model, state)
+    doubled = factor == 2 and can_be_cut(model, state) and not is_mass_scaled(model, state)
     if state.status.oscillating > 0 and (factor == 1 or doubled):
         factor *= 2
     return max(least, factor)
-
-
-@kernel
-def can_be_cut(model: Model, state: State) -> bool:
-    """Return whether the organ has cuts, and therefore light nodes, or a blade can touch it, which makes deep dents."""
-    return len(model.lips.weight) > 0 or len(state.blades) > 0
 
 
 @kernel
@@ -279,21 +276,31 @@ def has_taken_impulses(state: State, settings: Settings) -> bool:
 def set_mobility(world: World, step: float) -> None:
     """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the factors of the integrator.
 
-    They are computed only when settings have changed. The damping is implicit, so it also acts on the contact's
-    impulse: 1 / (m + h d). With 1/m alone, the force of a body at rest would be too small by h d/m.
+    They are computed only when settings or masses have changed. The damping is implicit, so it also acts on the
+    contact's impulse: 1 / (m + h d). With 1/m alone, the force of a body at rest would be too small by h d/m.
     """
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     key, damping, inertia = scratch.mobility_key, damping_of(state, settings), inertia_of(state, settings)
     changes, coarse = float(state.status.prescriptions), scratch.plan.coarse
-    masses = 1.0 if coarse else 0.0
-    if key[0] == step and key[1] == damping and key[2] == inertia and key[3] == changes and key[4] == masses:
+    masses, scaled = 1.0 if coarse else 0.0, scratch.plan.mass_scaled
+    same = key[0] == step and key[1] == damping and key[2] == inertia and key[3] == changes and key[4] == masses
+    if same and not scaled and key[5] == 0.0:
         return
-    key[0], key[1], key[2], key[3], key[4] = step, damping, inertia, changes, masses
+    factor, last = scratch.coarse if coarse else scratch.mass_factor, scratch.last_mass_factor
+    copy(scratch.mass_factor, last)
+    if scaled:
+        write_mass_factors(model, state.position, scratch.mass_factor)
+    else:
+        scratch.mass_factor[:] = 1.0
+    key[0], key[1], key[2], key[3], key[4], key[5] = step, damping, inertia, changes, masses, 1.0 if scaled else 0.0
     mobility, moving, inverse_mass = scratch.mobility, model.moving, model.inverse_mass
-    write_masses(model, scratch.mass)
+    if not same:
+        write_masses(model, scratch.mass)
     for index in range(len(moving)):
         node = moving[index]
-        inverse = inverse_mass[node] / scratch.coarse[node] if coarse else inverse_mass[node]
+        if same and factor[node] == last[node]:
+            continue
+        inverse = inverse_mass[node] / factor[node]
         if settings.integrator == Integrator.EXPLICIT:
             mobility[node] = inverse
         else:
