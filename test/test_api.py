@@ -164,7 +164,7 @@ NAN = float("nan")
         ),
         (lambda scene: scene.surface_positions(1), "no organ 1; choose ball"),
         (lambda scene: scene.simulation.apply_force([0], [[0, NAN, 0]]), "forces must be finite"),
-        (lambda _: Scene([], []), "a scene wants at least one organ"),
+        (lambda _: Scene([], []), "a scene needs at least one organ"),
         (lambda _: Scene(ball(), [], stiffness=[NAN]), "stiffness is [nan]; expected: a finite number"),
         (lambda _: Scene(ball(), [], stiffness=[0.0]), "stiffness is [0.0]; expected: factors greater than 0"),
         (

@@ -13,7 +13,7 @@ from unittest import mock
 import pytest
 
 from helpers.scenes import ball
-from tissue_sim.contact.scene_file import OF_SCENE
+from tissue_sim.contact.scene_file import SCENE_KEYS
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -219,7 +219,7 @@ def test_parameters_exist(page, parameters):
         for name in re.findall(r"^(?:<tool>)?\.(\w+)$", snippet):
             assert name in of_tool | {"venv"}, snippet
         if setting := re.match(r"(\w+): \w", snippet):
-            assert setting[1] in of_node | set(OF_SCENE), snippet
+            assert setting[1] in of_node | set(SCENE_KEYS), snippet
     for head, *rows in tables(page):
         for row in rows if head[0] == "parameter" else []:
             for name in re.findall(r"`([^`]+)`", row[0]):

@@ -116,8 +116,8 @@ def test_a_hand_that_falls_through_is_found(monkeypatch):
     """As without a proxy: sets that claim to reach everywhere, and nothing that puts a tool back."""
     find = ContactFinder.find
 
-    def far_reaching(self, position, sought):
-        found = find(self, position, sought)
+    def far_reaching(self, position, query):
+        found = find(self, position, query)
         found.reach[:], found.n_points[:] = 1e3, 0
         return found
 

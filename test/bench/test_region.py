@@ -8,7 +8,7 @@ import pytest
 from helpers.scenes import ball, ball_of_cells, kidney
 from tissue_sim.bench.region import SMALL, WHOLE_NONLINEAR, as_json, measure, measure_sizes, off, places
 from tissue_sim.cli import main
-from tissue_sim.model.regions.region_tables import MOST_WHOLE
+from tissue_sim.model.regions.region_tables import MAX_WHOLE_CELLS
 from tissue_sim.model.simulation import Simulation
 
 
@@ -60,7 +60,7 @@ def test_a_bean_is_timed_and_auto_goes_by_its_cells():
     assert size.points == 80
     assert size.modal.median > 0.0
     assert 0.0 < min(size.small, size.dented) < 50.0
-    assert size.auto == (size.cells > MOST_WHOLE)
+    assert size.auto == (size.cells > MAX_WHOLE_CELLS)
 
 
 def test_error_is_relative():

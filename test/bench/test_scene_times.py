@@ -56,7 +56,7 @@ def test_an_organ_that_is_kept_awake_shows_in_the_rows_of_a_scene():
     for kept in (False, True):
         ticks = bench.scene_ticks(hanging_pair(), [0])
         if kept:
-            ticks.joined.threshold.most[:] = 0.0
+            ticks.joined.threshold.limits[:] = 0.0
         ticks(100)
         counts.append([one.state.count.asleep_ticks for one in ticks.joined.simulations])
     (poked, other), (_, kept_awake) = counts

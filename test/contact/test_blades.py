@@ -365,7 +365,7 @@ def test_scissors_cut_what_is_between_their_blades_off():
         ({"cautery_speed": 0.02, "cautery_stiffening": 0.5}, "cautery_stiffening 0.5 is outside 1..20"),
         ({"cautery_speed": 0.02, "cautery_stiffening": float("nan")}, "cautery_stiffening nan is outside 1..20"),
         ({"cautery_speed": 0.02, "cautery_spread": 0.02}, "cautery_spread 0.02 m is outside 0..0.01"),
-        ({"cautery_stiffening": 3.0}, "cautery_stiffening 3 is that of a hot tool, and without a cautery_speed"),
+        ({"cautery_stiffening": 3.0}, "cautery_stiffening 3 needs a hot tool, and without a cautery_speed"),
     ],
 )
 def test_a_blade_out_of_range_is_refused(changes, said):
@@ -380,7 +380,7 @@ def test_a_blade_needs_cells_that_move_as_a_whole():
 
 
 def test_a_batch_takes_no_blades():
-    with pytest.raises(UserError, match="a batch takes no blades"):
+    with pytest.raises(UserError, match="a batch supports no blades"):
         SceneBatch(Scene(slab(), [knife()]), 2)
 
 
@@ -410,7 +410,9 @@ class Refusing:
         self.made = Cutting()
         self.made.begin()
         patch.setattr(Simulation, "prepared_sheet", refuse)
-        with pytest.warns(UserWarning, match="was not opened: no cut now; it is tried again when the blade has cut on"):
+        with pytest.warns(
+            UserWarning, match="not opened: no cut now; it is tried again when the blade has cut farther"
+        ):
             self.made.step(SPEED, 300)
         assert self.counted > 0
         assert not self.made.simulation.cuts
@@ -437,7 +439,7 @@ def test_a_stage_that_is_refused_is_tried_again_when_the_blade_leaves(monkeypatc
 def test_a_stage_that_is_refused_when_the_blade_has_left_is_told(monkeypatch):
     refusing = Refusing(monkeypatch)
     counted = refusing.counted
-    with pytest.warns(UserWarning, match="it stays shut, as the blade has left; cut there again"):
+    with pytest.warns(UserWarning, match="it stays closed, as the blade has left; cut there again"):
         refusing.leave()
     assert refusing.counted == counted + 1
 

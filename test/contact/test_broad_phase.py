@@ -6,8 +6,8 @@ import trimesh
 from helpers.scenes import kidney
 from helpers.turns import random_turns
 from tissue_sim.contact.broad_phase import (
-    Near,
-    Placed,
+    NearTriangles,
+    PlacedBody,
     body_box,
     boxes_meet,
     holds_node,
@@ -41,7 +41,9 @@ def test_triangles_in_a_box_are_those_whose_boxes_meet_it():
     corners = POSITION[ORGAN.surface_triangles]
     for centre in np.random.default_rng(0).uniform(*np.array([POSITION.min(axis=0), POSITION.max(axis=0)]), (40, 3)):
         low, high = centre - [0.005, 0.01, 0.002], centre + [0.005, 0.01, 0.002]
-        count, moved = triangles_in_box(POSITION, rest, ORGAN.surface_triangles, low, high, Near(found, number))
+        count, moved = triangles_in_box(
+            POSITION, rest, ORGAN.surface_triangles, low, high, NearTriangles(found, number)
+        )
         meets = np.all((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low), axis=1)
         np.testing.assert_array_equal(number[:count], np.flatnonzero(meets))
         np.testing.assert_array_equal(found[:count], ORGAN.surface_triangles[meets])
@@ -88,6 +90,8 @@ def test_tool_holds_a_node_when_one_lies_inside_it():
         axis = np.zeros_like(local)
         axis[:, 2] = np.clip(local[:, 2], -0.03, 0.0)
         inside = bool(np.any(np.linalg.norm(local - axis, axis=1) < 0.004))
-        assert holds_node(POSITION, N, Placed(tools.shapes, 0, origin, turn.as_matrix().ravel(), low, high)) == inside
+        assert (
+            holds_node(POSITION, N, PlacedBody(tools.shapes, 0, origin, turn.as_matrix().ravel(), low, high)) == inside
+        )
         answers.append(inside)
     assert 5 < sum(answers) < 55

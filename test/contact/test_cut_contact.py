@@ -6,7 +6,7 @@ import pytest
 from helpers.pressing import lead, line
 from helpers.slabs import INCISION, MIDDLE, SIZE, hold_open, opened, slab
 from tissue_sim.contact.attachments import Attachment
-from tissue_sim.contact.finder import ContactFinder, Sought
+from tissue_sim.contact.finder import ContactFinder, ContactQuery
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool, ToolSet
@@ -190,8 +190,10 @@ def test_far_from_the_cut_points_and_compliance_are_those_of_the_uncut_organ():
     scene.cut(0, *INCISION)
     before, after = ContactFinder(slab(), tools), ContactFinder.of(scene.simulation, tools)
     pose = np.array([[0.003, 0.015, TOP + 0.001, 0.0, 0.0, 0.0, 1.0], [0.003, 0.02, TOP, 0.0, 0.0, 0.0, 1.0]])
-    sought = Sought(pose, np.zeros(2), np.ones(2, dtype=np.int64), np.ones(2, dtype=np.int64), np.zeros(2, np.int64))
-    wanted, found = before.find(slab().rest_positions, sought), after.find(scene.simulation.positions, sought)
+    query = ContactQuery(
+        pose, np.zeros(2), np.ones(2, dtype=np.int64), np.ones(2, dtype=np.int64), np.zeros(2, np.int64)
+    )
+    wanted, found = before.find(slab().rest_positions, query), after.find(scene.simulation.positions, query)
     assert len(wanted.body) > 10
     for name in ("body", "node", "weight", "normal", "most_give", "tip_node", "tip_weight"):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)
@@ -207,7 +209,7 @@ def test_tissue_between_contact_points_yields_as_much_on_an_area_as_without_the_
     one, none = np.ones(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
 
     def stiffness(finder, position):
-        found = finder.find(position, Sought(pose, np.array([0.003]), one, none, none))
+        found = finder.find(position, ContactQuery(pose, np.array([0.003]), one, none, none))
         places = np.einsum("kc,kcx->kx", found.weight, position[found.node])
         above = (places[:, 2] > TOP - 1e-9) & (np.abs(places[:, 0] - MIDDLE) < 0.006)
         return above.sum(), (1.0 / found.compliance[above, 0]).sum()

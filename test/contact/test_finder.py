@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 
 from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.contact.contact_lattice import divisions_of, edge_and_face_points
-from tissue_sim.contact.finder import TIP_REACH, TISSUE_WAY, ContactFinder, Sought
-from tissue_sim.contact.local_compliance import OF_OTHERS, local_compliance, most_give
+from tissue_sim.contact.finder import TIP_REACH, TISSUE_MOTION, ContactFinder, ContactQuery
+from tissue_sim.contact.local_compliance import OF_OTHERS, local_compliance, max_yielding
 from tissue_sim.contact.reach_margins import reach_margins
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
-from tissue_sim.model.data.contact_set import MOST_POINTS, Engaged
+from tissue_sim.model.data.contact_set import MAX_CONTACT_POINTS, Engaged
 from tissue_sim.ros.probes.soak_monitor import resident
 
 STILL = (0.0, 0.0, 0.0, 1.0)
@@ -26,14 +26,14 @@ def make_finder(organ, *tools):
 
 def find(finder, organ, *poses, engaged=None, pushing=None, margins=None, positions=None):
     n_bodies = len(poses)
-    sought = Sought(
+    query = ContactQuery(
         np.array(poses),
         np.zeros(n_bodies) if margins is None else np.array(margins),
         np.ones(n_bodies, dtype=np.int64) if engaged is None else np.array(engaged),
         np.zeros(n_bodies, dtype=np.int64) if pushing is None else np.array(pushing),
         np.zeros(n_bodies, dtype=np.int64),
     )
-    return finder.find(organ.rest_positions if positions is None else positions, sought)
+    return finder.find(organ.rest_positions if positions is None else positions, query)
 
 
 def over(organ, direction, gap, radius=0.0):
@@ -192,7 +192,7 @@ def test_tissue_gives_way_to_a_jaw_as_far_as_the_points_around_lie_close_not_as_
 ):
     organ, longest, radius, found = on_a_jaw(tmp_path)
     parts = np.array([divisions_of(edge / (OF_OTHERS.spacing * radius)) for edge in longest])
-    own = most_give(OF_OTHERS, organ, radius, longest / parts)
+    own = max_yielding(OF_OTHERS, organ, radius, longest / parts)
     assert own.max() > 1.5 * own.min()
     inner = np.count_nonzero(found.weight > 0.0, axis=1) == 3
     for triangle, room in zip(organ.surface_triangles, own, strict=True):
@@ -229,8 +229,8 @@ def test_entries_beyond_the_capacity_are_dropped_farthest_first():
     finder = make_finder(organ, Tool("left", radius=3.0 * RADIUS))
     pose = np.array([0.0, 0.0, 1.1 * RADIUS, *STILL])
     found = find(finder, organ, pose)
-    assert len(found.body) == MOST_POINTS
-    assert found.header.dropped >= organ.n_surface - MOST_POINTS
+    assert len(found.body) == MAX_CONTACT_POINTS
+    assert found.header.dropped >= organ.n_surface - MAX_CONTACT_POINTS
     check_entries(found, organ)
     distance = np.linalg.norm(organ.surface_positions - pose[:3], axis=1)
     kept = np.zeros(organ.n_surface, dtype=bool)
@@ -370,7 +370,7 @@ def test_a_set_has_every_point_that_a_tool_may_touch_within_its_reach():
     finder = make_finder(organ, Tool("left", radius=0.005))
     pose = over(organ, (1.0, 0.3, 0.2), 0.002, 0.005)
     found = find(finder, organ, pose, margins=[0.004])
-    assert found.reach[0] == pytest.approx(MARGIN + 0.004 - TISSUE_WAY)
+    assert found.reach[0] == pytest.approx(MARGIN + 0.004 - TISSUE_MOTION)
     assert found.n_points[0] == len(found.body) > 0
     np.testing.assert_array_equal(found.place[0], pose)
     distance = np.linalg.norm(organ.surface_positions - pose[:3], axis=1) - 0.005
@@ -384,7 +384,7 @@ def test_an_empty_set_reaches_as_far_as_the_boxes_are_apart():
     found = find(finder, organ, [1.0, 0.0, 0.0, *STILL])
     assert found.n_points[0] == 0
     apart = 1.0 - 0.005 - organ.surface_positions[:, 0].max()
-    assert found.reach[0] == pytest.approx(apart - TISSUE_WAY, abs=1e-9)
+    assert found.reach[0] == pytest.approx(apart - TISSUE_MOTION, abs=1e-9)
 
 
 def test_what_has_slipped_inside_is_put_back_on_the_surface():

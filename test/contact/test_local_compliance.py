@@ -16,7 +16,7 @@ from tissue_sim.contact.local_compliance import (
     STRETCHED,
     extra_compliance_between_nodes,
     local_compliance,
-    most_give,
+    max_yielding,
 )
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
@@ -45,10 +45,10 @@ def test_a_fine_tool_sinks_in_as_a_flat_punch_does_and_one_between_the_points_no
         local_compliance(organ, fine)[:, 0], math.pi * fine**2 / area / (2.0 * fine * stiffness), rtol=1e-12
     )
     for give in (OF_BALLS, OF_OTHERS):
-        assert most_give(give, organ, 0.004, 0.0005) == give.most * 0.004
-        assert most_give(give, organ, 0.004, 0.003) == pytest.approx(0.004 - give.covered * STRETCHED * 0.003)
-        assert most_give(give, organ, 0.001, 0.003) == 0.0
-        assert most_give(give, organ, 1.0, 0.003) == LAYER * mean_edge(organ)
+        assert max_yielding(give, organ, 0.004, 0.0005) == give.most * 0.004
+        assert max_yielding(give, organ, 0.004, 0.003) == pytest.approx(0.004 - give.covered * STRETCHED * 0.003)
+        assert max_yielding(give, organ, 0.001, 0.003) == 0.0
+        assert max_yielding(give, organ, 1.0, 0.003) == LAYER * mean_edge(organ)
 
 
 def test_nothing_of_a_triangle_is_farther_from_its_corners_than_covered():
@@ -124,6 +124,6 @@ def test_force_depends_on_neither_the_spacing_of_points_nor_on_friction(monkeypa
     _, force = pressed()
     _, sticking = pressed(friction=10.0)
     assert sticking == pytest.approx(force, rel=0.08)
-    monkeypatch.setattr(contact_lattice, "LEAST_DIVISIONS", 4)
+    monkeypatch.setattr(contact_lattice, "MIN_DIVISIONS", 4)
     _, fine = pressed()
     assert fine == pytest.approx(force, rel=0.06)

@@ -14,7 +14,7 @@ from tissue_sim.contact.attachments import Breathing
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.contact.active_contact import RECOVERY_SPEED, place_tool, take_nodes
-from tissue_sim.model.contact.constraint import count_impulse, give_impulse
+from tissue_sim.model.contact.constraint import apply_impulse, count_impulse
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.organ.placement import placed
 from tissue_sim.organ.winding import inside
@@ -135,7 +135,7 @@ def test_every_push_on_the_tissue_is_counted_with_its_moment_about_the_bodys_ori
         place_tool(world.state, world.shapes, world.scratch, contact)
         take_nodes(world.state, mobility, contact)
         count_impulse(world.state, world.scratch, contact)
-        give_impulse(world, contact, tuple(impulse), 1e-3)
+        apply_impulse(world, contact, tuple(impulse), 1e-3)
     np.testing.assert_allclose(scratch.impulse[tool], expected, atol=1e-9 * len(own))
     np.testing.assert_allclose(organ.mass @ simulation.velocities - before, expected[:3], atol=1e-9 * len(own))
     np.testing.assert_array_equal(scratch.origin[tool], state.body_pose[tool, :3])

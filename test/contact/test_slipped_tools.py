@@ -7,7 +7,7 @@ from helpers.scenes import RADIUS, ball
 from tissue_sim.bench.presses import Form, Motion, locations_on
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.contact.tool_motion import HASTY
+from tissue_sim.model.contact.tool_motion import MAX_FAST_SLIPS
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
@@ -113,7 +113,7 @@ def test_a_coupled_tool_that_has_slipped_is_held_without_oscillating(stiffness):
     state, settings = scene.simulation.state, scene.simulation.settings
     settings.coupling_stiffness, settings.coupling_damping = stiffness, 1.0
     press(scene, ways(0.05)[0])
-    assert state.bodies[0].slips > HASTY
+    assert state.bodies[0].slips > MAX_FAST_SLIPS
     held, _, _ = press(scene, np.full(1500, ways(0.05)[0][-1]))
     sizes = np.linalg.norm(held[-500:], axis=1)
     assert np.ptp(held[-500:], axis=0).max() < 0.02, "N"
@@ -152,4 +152,4 @@ def test_a_hand_that_resumes_inside_is_put_on_the_surface_and_presses_on():
     assert not state.bodies[0].held_off
     assert not inside[-200:].any()
     assert forces[-200:, 2].min() > 0.1, "N"
-    assert state.bodies[0].slips <= HASTY, "it is not held at less"
+    assert state.bodies[0].slips <= MAX_FAST_SLIPS, "it is not held at less"

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.turns import random_turns
 from tissue_sim.contact.broad_phase import body_box
-from tissue_sim.contact.tools import MARGIN, MOST_PLANES, Tool, ToolSet
+from tissue_sim.contact.tools import MARGIN, MAX_PLANES, Tool, ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model.contact.shapes import signed_distance
 from tissue_sim.model.data.shapes import CAPSULE, CONVEX, SPHERE
@@ -180,7 +180,7 @@ def test_flat_mesh_is_refused_in_one_line(tmp_path):
 
 def test_mesh_with_too_many_faces_is_refused_by_name(tmp_path):
     fine = trimesh.creation.icosphere(3, 0.01)
-    with pytest.raises(UserError, match=f"left.*{MOST_PLANES}"):
+    with pytest.raises(UserError, match=f"left.*{MAX_PLANES}"):
         ToolSet([Tool("left", "mesh", mesh=mesh_file(tmp_path, fine))])
 
 

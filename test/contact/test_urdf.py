@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.paths import CONFIG
 from tissue_sim.contact.scene import Scene
-from tissue_sim.contact.tools import MOST_FACES, MOST_MOVED, Tool, ToolSet, simplified
+from tissue_sim.contact.tools import MAX_DECIMATION_ERROR, MAX_FACES, Tool, ToolSet, simplified
 from tissue_sim.contact.urdf import read_instrument
 from tissue_sim.errors import UserError
 from tissue_sim.model.contact.shapes import signed_distance
@@ -137,12 +137,12 @@ def test_meshes_of_many_faces_become_few_and_stay_where_they_are(monkeypatch):
     pytest.importorskip("fast_simplification")
     ring = trimesh.creation.torus(0.01, 0.003, major_sections=96, minor_sections=48)
     thin = simplified(ring, "a ring")
-    assert len(thin.faces) <= MOST_FACES < len(ring.faces)
+    assert len(thin.faces) <= MAX_FACES < len(ring.faces)
     assert thin.is_watertight
     assert thin.volume == pytest.approx(ring.volume, rel=0.02)
     x, y, z = thin.triangles_center.T
-    assert np.hypot(np.hypot(x, y) - 0.01, z) == pytest.approx(0.003, abs=MOST_MOVED)
-    monkeypatch.setattr("tissue_sim.contact.tools.MOST_MOVED", 1e-6)
+    assert np.hypot(np.hypot(x, y) - 0.01, z) == pytest.approx(0.003, abs=MAX_DECIMATION_ERROR)
+    monkeypatch.setattr("tissue_sim.contact.tools.MAX_DECIMATION_ERROR", 1e-6)
     with pytest.raises(UserError, match=r"a ring has \d+ faces; \d+ would move its surface by .* mm"):
         simplified(ring, "a ring")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue_sim.model.stepping.breathing import FOLLOW, Breath, follow
+from tissue_sim.model.stepping.breathing import FOLLOW_RATE, Breath, follow
 
 
 def led(given, seconds, step=1e-3):
@@ -20,17 +20,17 @@ def test_it_comes_to_where_it_is_told_without_going_beyond():
     """As a critically damped spring: 1 - (1 + w t) exp(-w t)."""
     found = led(lambda _: 1.0, 1.0)
     time = 1e-3 * (1.0 + np.arange(len(found)))
-    np.testing.assert_allclose(found[:, 0], 1.0 - (1.0 + FOLLOW * time) * np.exp(-FOLLOW * time), atol=0.01)
+    np.testing.assert_allclose(found[:, 0], 1.0 - (1.0 + FOLLOW_RATE * time) * np.exp(-FOLLOW_RATE * time), atol=0.01)
     assert found[:, 0].max() <= 1.0
     assert found[-1, 0] == pytest.approx(1.0, abs=1e-6)
-    assert np.abs(found[:, 2]).max() <= FOLLOW**2
+    assert np.abs(found[:, 2]).max() <= FOLLOW_RATE**2
 
 
 def test_it_follows_a_breath_a_tenth_of_a_second_behind():
     period = 4.0
     found = led(lambda time: np.sin(np.pi * time / period) ** 4, 8.0)
     time = 1e-3 * np.arange(len(found))
-    wanted = np.sin(np.pi * (time - 2.0 / FOLLOW) / period) ** 4
+    wanted = np.sin(np.pi * (time - 2.0 / FOLLOW_RATE) / period) ** 4
     late = time > 1.0
     np.testing.assert_allclose(found[late, 0], wanted[late], atol=0.01)
 

@@ -19,7 +19,7 @@ from tissue_sim.bench.arguments import add_shared
 from tissue_sim.bench.pinch_tools import both
 from tissue_sim.bench.printing import Bound, Result, aligned, bound_lines, figure, noise_lines
 from tissue_sim.bench.timing import in_one_thread, noise_burst
-from tissue_sim.contact.finder import Sought
+from tissue_sim.contact.finder import ContactQuery
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.json_types import JsonObject
@@ -108,7 +108,7 @@ def pressed(organ: Organ, name: str, tools: list[Tool]) -> Pressed:
     find, seconds, points = scene.finder.find, [], [0]
     scene.finder.warm_up(organ.rest_positions)
 
-    def timed(position: Floats, sought: Sought) -> ContactSet:
+    def timed(position: Floats, sought: ContactQuery) -> ContactSet:
         start = time.thread_time()
         found = find(position, sought)
         seconds.append(time.thread_time() - start)

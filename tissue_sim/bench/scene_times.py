@@ -161,7 +161,7 @@ def lacking(scene: SceneFile) -> WakeThresholdError:
     """Compare a scene with itself without a wake threshold and without coarse steps."""
     scenes = [_pressed(scene, 1) for _ in range(2)]
     (some, _), (everything, _) = scenes
-    everything.joined.threshold.most[:] = 0.0
+    everything.joined.threshold.limits[:] = 0.0
     everything.joined.coarse.square[:] = 0.0
     seconds = max(LEAST_BREATH, float(some.joined.carried.breath.period))
     moved = force = 0.0

@@ -1,4 +1,4 @@
-"""Attachments of organs to each other or to points, each of many links, and the breathing that moves them."""
+"""Attachments of organs to each other or to points, each with many links, and the breathing that moves them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.data.links import POINT, Links, make_links
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath
-from tissue_sim.model.stepping.ligament_links import weight_link_ends
+from tissue_sim.model.stepping.ligament_links import compute_link_bounds
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
 
@@ -26,15 +26,15 @@ class Attachment:
     Attributes
     ----------
     organs : tuple[int, int | None]
-        Which two organs of a scene, or which one and None.
+        Numbers of two organs of a scene, or of one and None.
     stiffness : float
-        N/m of all its links together, divided among them by the area around their nodes.
+        N/m, the sum over its links, divided among them in proportion to the area around their nodes.
     damping : float
         N s/m, likewise.
     within : float
         Distance, m, up to which nodes are joined with the nearest one of the other organ; alternative to `nodes`.
     nodes : ArrayLike | None
-        Nodes of both organs, shape (k, 2), or of the one that hangs on `point`, shape (k,).
+        Nodes of both organs, shape (k, 2), or of the organ that is joined with `point`, shape (k,).
     point : ArrayLike | None
         Point, shape (3,), m.
     slack : float | None
@@ -55,7 +55,7 @@ class Attachment:
 
 @dataclass(frozen=True)
 class Breathing:
-    """Breathing that moves what follows it by a displacement, from breathed out to breathed in.
+    """Breathing that moves clamps and points by a displacement, from exhaled to inhaled.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Breathing:
     way: ArrayLike
 
     def breath(self) -> Breath:
-        """Return it as kernels take it. Raises UserError for numbers out of range."""
+        """Return the record for the kernels. Raises UserError for numbers out of range."""
         way = np.asarray(self.way, dtype=np.float64)
         if self.rate != 0.0 and not 1.0 <= self.rate <= 120.0:
             raise UserError(f"a breathing rate of {self.rate:g} a minute is outside 1..120")
@@ -120,7 +120,7 @@ def links_of(attachments: Sequence[Attachment], simulations: Sequence[Simulation
         links.damping[rows] = one.damping * area / area.sum()
         links.slack[rows] = np.linalg.norm(ends[1] - ends[0], axis=1) if one.slack is None else one.slack
     if len(links.slack):
-        weight_link_ends(links, [simulation.model.inverse_mass for simulation in simulations])
+        compute_link_bounds(links, [simulation.model.inverse_mass for simulation in simulations])
     return links
 
 

@@ -1,4 +1,4 @@
-"""What a batch does with its copies: compiled for an organ alone, in Python for organs that are joined."""
+"""Operations of a batch on its copies: compiled for a single organ, in Python for coupled organs."""
 
 from __future__ import annotations
 
@@ -9,21 +9,28 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.contact.compiled_steps import NO_COPY, Course, advance_copies, room_for, tables_of, take_poses
+from tissue_sim.contact.compiled_steps import (
+    NO_COPY,
+    CopyProgress,
+    advance_copies,
+    search_memory,
+    tables_of,
+    take_poses,
+)
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.handles import handle, row
 
 
 class CompiledCopies:
-    """Copies of an organ alone, which one kernel advances without the GIL.
+    """Copies of a scene with a single organ, which one kernel advances without the GIL.
 
     Parameters
     ----------
     scenes : list[Scene]
         The copies.
     threads : int
-        How many may advance copies at the same time.
+        Number of threads that may advance copies at the same time.
     """
 
     def __init__(self, scenes: list[Scene], threads: int) -> None:
@@ -31,7 +38,7 @@ class CompiledCopies:
         self._scenes, self._tools = scenes, scenes[0].tools
         self._worlds = row([one.simulation.world for one in scenes])
         bodies = len(self._tools.grown)
-        self._course = Course(
+        self._course = CopyProgress(
             ticks_a_set=scenes[0].ticks_a_set,
             left=np.zeros(count, dtype=np.int64),
             ticks=np.array([one.ticks for one in scenes], dtype=np.int64),
@@ -47,8 +54,8 @@ class CompiledCopies:
         self._tables = tables_of(finder)
         self._rooms: queue.SimpleQueue[Any] = queue.SimpleQueue()
         for _ in range(threads):
-            self._rooms.put(room_for(finder))
-        self._finding = threading.Lock()  # the finder has its buffers once
+            self._rooms.put(search_memory(finder))
+        self._finding = threading.Lock()  # all copies share the finder's buffers
 
     def move(self, copies: Longs, poses: Floats, angles: Floats) -> None:
         """Give the tools of copies (k,) new poses (k, T, 7) and angles (k, T)."""
@@ -68,7 +75,7 @@ class CompiledCopies:
             self._rooms.put(room)
 
     def _find(self, copy: int) -> None:
-        """Find the contacts of a copy by its finder."""
+        """Find the contacts of a copy with its finder."""
         course, organ = self._course, self._scenes[copy].organs[0]
         organ.set_goal = course.goal[copy].copy() if course.has_goal[copy] else None
         with self._finding:
@@ -81,7 +88,7 @@ class CompiledCopies:
         self._course.ticks[copy] = self._course.has_goal[copy] = 0
 
     def counters(self, copy: int) -> Longs:
-        """Return what counts beside a copy's memory: ticks, sequence, and the goals of the last search."""
+        """Return the counters of a copy besides its memory: ticks, sequence, and the goals of the last search."""
         course = self._course
         head = [course.ticks[copy], course.sequence[copy], course.has_goal[copy]]
         return np.concatenate([np.array(head), course.goal[copy].reshape(-1).view(np.int64)])
@@ -94,7 +101,7 @@ class CompiledCopies:
 
 
 class JoinedCopies:
-    """Copies of organs that are joined: the ticks are compiled, the search for contacts takes the GIL.
+    """Copies of a scene with coupled organs: the ticks are compiled, the search for contacts takes the GIL.
 
     Parameters
     ----------
@@ -104,7 +111,7 @@ class JoinedCopies:
 
     def __init__(self, scenes: list[Scene]) -> None:
         self._scenes = scenes
-        self._finding = threading.Lock()  # the finders have their buffers once
+        self._finding = threading.Lock()  # all copies share the finders' buffers
 
     def move(self, copies: Longs, poses: Floats, angles: Floats) -> None:
         """Give the tools of copies (k,) new poses (k, T, 7) and angles (k, T)."""
@@ -128,7 +135,7 @@ class JoinedCopies:
         self._scenes[copy].reset()
 
     def counters(self, copy: int) -> Longs:
-        """Return what counts beside a copy's memory: ticks, sequence, where the breath was, and goals."""
+        """Return the counters of a copy besides its memory: ticks, sequence, the breath's displacement, and goals."""
         scene = self._scenes[copy]
         goals = [one.set_goal for one in scene.organs]
         shape = scene.simulation.state.body_goal.shape

@@ -1,4 +1,4 @@
-"""Cuts of blades: what they have swept in an organ becomes a cut of it, again and again while they move on."""
+"""Cuts by blades: the sheets that they sweep in an organ are cut, again and again while they advance."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tissue_sim.model.cutting.blade_path import BladePath
 from tissue_sim.model.cutting.sheet import Coagulation, Sheet
 from tissue_sim.model.simulation import Simulation
 
-LEAST_STRETCH = 0.05  # determinant of a deformation that still tells directions
+MIN_DETERMINANT = 0.05  # of a deformation gradient from which directions at rest can be computed
 
 
 class BladeCuts:
@@ -33,10 +33,10 @@ class BladeCuts:
         blades = simulation.shapes.blades
         self._edges = {body: np.flatnonzero((blades.body == body) & (blades.width > 0.0)) for body in set(blades.body)}
         self._paths: dict[int, BladePath] = {}  # by tool
-        self._first: dict[int, int] = {}  # of each tool the body that has entered first
-        self._left: list[BladePath] = []  # of blades that are out again
+        self._first: dict[int, int] = {}  # body of each tool that has entered first
+        self._left: list[BladePath] = []  # of blades that have left the tissue
         self._earlier: dict[int, BladePath] = {}  # all since the last reset, by their marks
-        self._marks = 0  # so far; none is given twice, as a cut may still be made while the organ is reset
+        self._marks = 0  # so far; none is used twice, as a cut may still be made while the organ is reset
         self.refused = 0  # stages of cuts that could not be opened
         self.scratches = 0  # left by blades, too shallow to open
 
@@ -45,18 +45,18 @@ class BladeCuts:
 
     @property
     def in_tissue(self) -> bool:
-        """Whether any blade is cutting."""
+        """Whether any blade is in tissue."""
         return bool(self._paths)
 
     def forget(self) -> None:
-        """Forget all paths: the organ was reset."""
+        """Remove all paths after a reset of the organ."""
         self._paths.clear()
         self._first.clear()
         self._left.clear()
         self._earlier.clear()
 
     def note(self, simulation: Simulation) -> None:
-        """Note where the blades are.
+        """Add the present places of the blades to their paths.
 
         Parameters
         ----------
@@ -75,8 +75,8 @@ class BladeCuts:
             part = cells.part[cell][:, :, None]
             corner = (1.0 - part) * state.position[cells.nodes[cell]] + part * state.position[cells.others[cell]]
             stretch = np.einsum("kax,kac->xc", corner, cells.slope[cell]) / len(held)
-            if not np.linalg.det(stretch) > LEAST_STRETCH or not state.blades.embedded[held].all():
-                continue  # nearly flat; or the loop has taken one out meanwhile, whose place is gone
+            if not np.linalg.det(stretch) > MIN_DETERMINANT or not state.blades.embedded[held].all():
+                continue  # the cell is nearly flat, or the loop has meanwhile taken the blade out
             back = np.linalg.inv(stretch)
             blades, turn = simulation.shapes.blades, tuple(state.body_pose[body, 3:].tolist())
             ahead = blades.forward[held[0]]
@@ -93,7 +93,7 @@ class BladeCuts:
                 self._paths[tool].meet(swept)
 
     def _path(self, places: Floats, forward: Floats, along: Floats) -> BladePath:
-        """Return the path of a blade that has entered: that of an earlier cut in which it is, or a new one."""
+        """Return the path of a blade that has entered: that of an earlier cut which it continues, or a new one."""
         for path in self._earlier.values():
             if path.continues(places, forward, along):
                 return path
@@ -102,9 +102,9 @@ class BladeCuts:
         return self._earlier[self._marks]
 
     def due(self) -> Iterator[Sheet]:
-        """Yield the sheets by which cuts have grown so much that they should be opened, or opened once more.
+        """Yield the sheets of cuts that have grown enough to be opened, or opened again.
 
-        Tell of each whether it was: `opened` or `refuse`.
+        Report the result of each by `opened` or `refuse`.
         """
         left, self._left = self._left, []
         for path in left:
@@ -115,22 +115,22 @@ class BladeCuts:
                     self.scratches += 1
         for path in tuple(self._paths.values()):
             if path.has_grown:
-                with suppress(UserError):  # of a cut that is too shallow still
+                with suppress(UserError):  # the cut is still too shallow
                     yield path.sheet()
 
     def opened(self, sheet: Sheet) -> None:
-        """Note that a stage of a cut was opened.
+        """Record that a stage of a cut was opened.
 
         Parameters
         ----------
         sheet : Sheet
             Its sheet.
         """
-        if sheet.mark in self._earlier:  # or the organ was reset meanwhile
+        if sheet.mark in self._earlier:  # not if the organ was reset meanwhile
             self._earlier[sheet.mark].note_opened()
 
     def refuse(self, sheet: Sheet) -> str:
-        """Count a stage of a cut that could not be opened; return what becomes of it, as words.
+        """Count a stage of a cut that could not be opened; return the text of a message about what follows.
 
         Parameters
         ----------
@@ -139,5 +139,5 @@ class BladeCuts:
         """
         self.refused += 1
         if self._earlier.get(sheet.mark) in self._paths.values():
-            return "it is tried again when the blade has cut on, or leaves"
-        return "it stays shut, as the blade has left; cut there again"
+            return "it is tried again when the blade has cut farther, or leaves"
+        return "it stays closed, as the blade has left; cut there again"

@@ -13,7 +13,7 @@ from tissue_sim.model.data.shapes import Shapes
 
 @kernel
 def surface_box(position: Floats, n_surface: int, low: Floats, high: Floats) -> None:
-    """Compute the axis-aligned box of the surface nodes into `low` and `high`.
+    """Write the axis-aligned box of the surface nodes to `low` and `high`.
 
     Parameters
     ----------
@@ -34,14 +34,14 @@ def surface_box(position: Floats, n_surface: int, low: Floats, high: Floats) -> 
 
 @kernel
 def body_box(corners: Floats, padding: float, rotation: Floats, origin: Floats, low: Floats, high: Floats) -> None:
-    """Compute the axis-aligned box of a body into `low` and `high`.
+    """Write the axis-aligned box of a body to `low` and `high`.
 
     Parameters
     ----------
     corners : Floats, shape (k, 3), m
-        Points whose hull, grown by `padding`, holds the body.
+        Points whose hull, enlarged by `padding`, contains the body.
     padding : float, m
-        Distance by which the hull is grown.
+        Distance by which the hull is enlarged.
     rotation : Floats, shape (9,)
         Rotation matrix, row by row.
     origin : Floats, shape (3,), m
@@ -98,20 +98,20 @@ def boxes_apart(low: Floats, high: Floats, other_low: Floats, other_high: Floats
     return apart
 
 
-class Near(NamedTuple):
-    """Room for triangles that lie near something."""
+class NearTriangles(NamedTuple):
+    """Buffers for triangles that lie near a box."""
 
     node: Longs  # (t, 3) their nodes
-    number: Longs  # (t,) which of all they are
+    number: Longs  # (t,) their indices
 
 
 @kernel
 def triangles_in_box(
-    position: Floats, rest: Floats, triangles: Longs, low: Floats, high: Floats, near: Near
+    position: Floats, rest: Floats, triangles: Longs, low: Floats, high: Floats, near: NearTriangles
 ) -> tuple[int, float]:
-    """Write the triangles (t, 3) whose box meets the box low, high (3,) to near.
+    """Write the triangles (t, 3) whose box overlaps the box low, high (3,) to near.
 
-    Returns how many, and how far, m along an axis, the farthest of their nodes lies from rest (n, 3).
+    Returns their number, and the largest displacement of their nodes from rest (n, 3) along an axis, m.
     """
     count, moved = 0, 0.0
     for t in range(len(triangles)):
@@ -158,8 +158,8 @@ def nearest_node(position: Floats, n_surface: int, x: float, y: float, z: float)
     return chosen, best
 
 
-class Placed(NamedTuple):
-    """A body where it is: at origin (3,), rotation (9,), in the box low, high (3,), m."""
+class PlacedBody(NamedTuple):
+    """A body at its pose: origin (3,), rotation (9,), and its box low, high (3,), m."""
 
     shapes: Shapes
     body: int
@@ -170,8 +170,8 @@ class Placed(NamedTuple):
 
 
 @kernel
-def holds_node(position: Floats, n_surface: int, placed: Placed) -> bool:
-    """Return True when a surface node lies inside a body."""
+def holds_node(position: Floats, n_surface: int, placed: PlacedBody) -> bool:
+    """Return whether a surface node lies inside a body."""
     shapes, body, origin, r, low, high = placed
     for node in range(n_surface):
         x, y, z = position[node, 0], position[node, 1], position[node, 2]
@@ -186,9 +186,9 @@ def holds_node(position: Floats, n_surface: int, placed: Placed) -> bool:
 
 @kernel
 def approach(first: Floats, first_before: Floats, second: Floats, second_before: Floats) -> float:
-    """Return a bound on how much nearer any point of one surface may have come to any point of another.
+    """Return a bound on the decrease of the distance between any two points of two surfaces.
 
-    Motion that both have in common, as with breathing, doesn't count.
+    Common motion of both, as with breathing, doesn't count.
 
     Parameters
     ----------

@@ -9,17 +9,24 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs
-from tissue_sim.contact.broad_phase import Near, body_box, boxes_apart, boxes_meet, surface_box, triangles_in_box
-from tissue_sim.contact.contact_points import Fineness, Found, Lattices, Search, points_near, set_compliance
+from tissue_sim.contact.broad_phase import (
+    NearTriangles,
+    body_box,
+    boxes_apart,
+    boxes_meet,
+    surface_box,
+    triangles_in_box,
+)
+from tissue_sim.contact.contact_points import Fineness, FoundPoints, Lattices, Search, points_near, set_compliance
 from tissue_sim.contact.crossings import crossings_above
-from tissue_sim.contact.finder import TISSUE_WAY, ContactFinder
-from tissue_sim.contact.reach_margins import MOST_MARGIN
+from tissue_sim.contact.finder import TISSUE_MOTION, ContactFinder
+from tissue_sim.contact.reach_margins import MAX_MARGIN
 from tissue_sim.contact.tools import MARGIN
 from tissue_sim.handles import handle
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.poses import distance_along_path
 from tissue_sim.model.contact.shapes import rotation_matrix
-from tissue_sim.model.data.contact_set import MOST_POINTS, POINT_NODES, ContactSet, Engaged, contact_set
+from tissue_sim.model.data.contact_set import MAX_CONTACT_POINTS, POINT_NODES, ContactSet, Engaged, contact_set
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
@@ -30,15 +37,15 @@ NO_COPY = -1  # in place of a copy that waits for Python
 
 
 class Tables(NamedTuple):
-    """What a contact search needs of an organ and B bodies; all copies share it."""
+    """Tables of an organ and B bodies for the contact search, shared by all copies."""
 
     triangles: Ints | Longs  # (t, 3)
     n_surface: int
     rest: Floats  # (n, 3) m
     lattices: Lattices
     parts: Longs  # (B, t), with
-    give: Floats  # (B, t, 2) and
-    corner_give: Floats  # (B, n, 2) see Fineness
+    yielding: Floats  # (B, t, 2) and
+    corner_yielding: Floats  # (B, n, 2) see Fineness
     corners: Floats  # (k, 3) m, see ToolSet, of all bodies one after the other
     corner_start: Longs  # (B + 1,)
     padding: Floats  # (B,) m
@@ -49,10 +56,10 @@ class Tables(NamedTuple):
     between: Floats  # (B,)
 
 
-class Room(NamedTuple):
+class SearchMemory(NamedTuple):
     """Working memory of a contact search; each thread has its own."""
 
-    near: Near
+    near: NearTriangles
     low: Floats  # (3,) m, box of the surface
     high: Floats
     box_low: Floats  # (3,) m, box of a body
@@ -60,15 +67,15 @@ class Room(NamedTuple):
     matrix: Floats  # (9,)
     normal: Floats  # (n, 3)
     seen: Longs  # (n,)
-    points: Found
+    points: FoundPoints
     found: ContactSet  # the contact set
 
 
-class Course(NamedTuple):
-    """How far each of n copies has come, and what is left to do."""
+class CopyProgress(NamedTuple):
+    """Progress of n copies, and the remaining ticks."""
 
     ticks_a_set: int
-    left: Longs  # (n,) ticks to do
+    left: Longs  # (n,) remaining ticks
     ticks: Longs  # (n,) ticks since its reset
     sequence: Longs  # (n,) number of its newest pose or contact set
     is_found: Longs  # (n,) 1 where the contact set of the coming tick was found by Python
@@ -77,7 +84,7 @@ class Course(NamedTuple):
 
 
 def tables_of(finder: ContactFinder) -> Tables:
-    """Return a handle of what a finder knows about its organ and tools.
+    """Return a handle of a finder's tables of its organ and tools.
 
     Parameters
     ----------
@@ -94,8 +101,8 @@ def tables_of(finder: ContactFinder) -> Tables:
             rest=finder.rest,
             lattices=finder.lattices,
             parts=np.array([one.parts for one in finenesses], dtype=np.int64).reshape(bodies, triangles),
-            give=np.array([one.give for one in finenesses]).reshape(bodies, triangles, 2),
-            corner_give=np.array([one.corner_give for one in finenesses]).reshape(bodies, n, 2),
+            yielding=np.array([one.yielding for one in finenesses]).reshape(bodies, triangles, 2),
+            corner_yielding=np.array([one.corner_yielding for one in finenesses]).reshape(bodies, n, 2),
             corners=np.concatenate([np.zeros((0, 3)), *tools.corners]),
             corner_start=_starts(tools.corners),
             padding=np.array(tools.padding, dtype=np.float64),
@@ -112,7 +119,7 @@ def _starts(parts: Sequence[Floats]) -> Longs:
     return np.cumsum([0, *map(len, parts)]).astype(np.int64)
 
 
-def room_for(finder: ContactFinder) -> Room:
+def search_memory(finder: ContactFinder) -> SearchMemory:
     """Return a handle of working memory for one thread.
 
     Parameters
@@ -125,13 +132,13 @@ def room_for(finder: ContactFinder) -> Room:
     def longs(*shape: int) -> Longs:
         return np.zeros(shape, dtype=np.int64)
 
-    # Where more points are found than a contact set has room for, Python selects from them.
-    body, triangle, corners = longs(MOST_POINTS), longs(MOST_POINTS), longs(MOST_POINTS, 3)
-    weight, normal, give = (np.zeros((MOST_POINTS, columns)) for columns in (3, 3, 2))
-    points = Found(body, triangle, corners, weight, normal, give)
+    # If more points are found than fit into a contact set, Python selects from them.
+    body, triangle, corners = longs(MAX_CONTACT_POINTS), longs(MAX_CONTACT_POINTS), longs(MAX_CONTACT_POINTS, 3)
+    weight, normal, yielding = (np.zeros((MAX_CONTACT_POINTS, columns)) for columns in (3, 3, 2))
+    points = FoundPoints(body, triangle, corners, weight, normal, yielding)
     return handle(
-        Room(
-            near=Near(longs(triangles, 3), longs(triangles)),
+        SearchMemory(
+            near=NearTriangles(longs(triangles, 3), longs(triangles)),
             low=np.zeros(3),
             high=np.zeros(3),
             box_low=np.zeros(3),
@@ -146,7 +153,7 @@ def room_for(finder: ContactFinder) -> Room:
 
 
 @kernel
-def take_poses(worlds: Sequence[World], copies: Longs, poses: Floats, course: Course) -> None:
+def take_poses(worlds: Sequence[World], copies: Longs, poses: Floats, course: CopyProgress) -> None:
     """Give the bodies of some copies new poses.
 
     Parameters
@@ -157,7 +164,7 @@ def take_poses(worlds: Sequence[World], copies: Longs, poses: Floats, course: Co
         Which copies.
     poses : Floats, shape (k, B, 7), m and unit quaternions xyzw
         The poses.
-    course : Course
+    course : CopyProgress
         Course of the copies; updated.
     """
     for index in range(len(copies)):
@@ -170,18 +177,20 @@ def take_poses(worlds: Sequence[World], copies: Longs, poses: Floats, course: Co
 
 
 @kernel
-def advance_copies(worlds: Sequence[World], course: Course, tables: Tables, room: Room, copies: Longs) -> int:
-    """Advance copies one after the other by the ticks that are left of each.
+def advance_copies(
+    worlds: Sequence[World], course: CopyProgress, tables: Tables, room: SearchMemory, copies: Longs
+) -> int:
+    """Advance copies one after the other by their remaining ticks.
 
     Parameters
     ----------
     worlds : Sequence[World]
         Row of the copies' worlds; updated.
-    course : Course
+    course : CopyProgress
         Course of the copies; updated.
     tables : Tables
         Tables of the organ and the bodies.
-    room : Room
+    room : SearchMemory
         Working memory of this thread.
     copies : Longs, shape (k,)
         Which copies.
@@ -189,7 +198,7 @@ def advance_copies(worlds: Sequence[World], course: Course, tables: Tables, room
     Returns
     -------
     int
-        The copy whose contacts Python has to find before it goes on; NO_COPY when all is done.
+        The copy whose contacts Python must find before it can continue; NO_COPY if all are done.
     """
     for index in range(len(copies)):
         copy = copies[index]
@@ -208,11 +217,12 @@ def advance_copies(worlds: Sequence[World], course: Course, tables: Tables, room
 
 
 @kernel
-def _search(world: World, course: Course, copy: int, tables: Tables, room: Room) -> bool:
-    """Write the contact set of a copy to room.found; return False where a body needs what only the finder can do.
+def _search(world: World, course: CopyProgress, copy: int, tables: Tables, room: SearchMemory) -> bool:
+    """Write the contact set of a copy to room.found; return False if a body needs the finder in Python.
 
-    That is the way out for a body that has slipped in, the nearest points of triangles too coarse for a body, the
-    surface under a tip that pushes, and a selection among too many points. FCL isn't asked: it only saves time.
+    That is for the way out of a body that has slipped in, the nearest points of triangles that are too coarse for a
+    body, the surface under a tip that pushes, and a selection among too many points. FCL isn't used, as it only saves
+    time.
     """
     state, shapes, found = world.state, world.shapes, room.found
     surface_box(state.position, tables.n_surface, room.low, room.high)
@@ -223,7 +233,7 @@ def _search(world: World, course: Course, copy: int, tables: Tables, room: Room)
             return False
         margin = _margin(state, shapes, course, copy, body)
         reach, before = MARGIN + margin, count
-        found.reach[body] = reach - TISSUE_WAY
+        found.reach[body] = reach - TISSUE_MOTION
         is_fresh = status.age >= 0 and not status.released
         if is_fresh:
             rotation_matrix(pose[3:], room.matrix)
@@ -238,11 +248,11 @@ def _search(world: World, course: Course, copy: int, tables: Tables, room: Room)
                 )
             if some == 0:
                 apart = boxes_apart(room.box_low, room.box_high, room.low, room.high)
-                found.reach[body] = max(found.reach[body], reach + apart - TISSUE_WAY)
+                found.reach[body] = max(found.reach[body], reach + apart - TISSUE_MOTION)
             elif tables.is_fine[body] == 1:
                 return False
             else:
-                fineness = Fineness(tables.parts[body], tables.give[body], tables.corner_give[body])
+                fineness = Fineness(tables.parts[body], tables.yielding[body], tables.corner_yielding[body])
                 search = Search(
                     state.position, shapes, body, tables.lattices, fineness, pose[:3], room.matrix, reach, room.normal
                 )
@@ -255,7 +265,7 @@ def _search(world: World, course: Course, copy: int, tables: Tables, room: Room)
             found.place[body, c] = pose[c]
         for c in range(POINT_NODES):
             found.tip_node[body, c], found.tip_weight[body, c] = -1, 0.0
-    if count > MOST_POINTS:
+    if count > MAX_CONTACT_POINTS:
         return False
     for body in range(len(state.bodies)):
         for c in range(7):
@@ -266,18 +276,18 @@ def _search(world: World, course: Course, copy: int, tables: Tables, room: Room)
 
 
 @kernel
-def _margin(state: State, shapes: Shapes, course: Course, copy: int, body: int) -> float:
-    """Return what `reach_margins` does for a body, m."""
+def _margin(state: State, shapes: Shapes, course: CopyProgress, copy: int, body: int) -> float:
+    """Return the margin of a body, m, as `reach_margins` does."""
     goal = state.body_goal[body]
     covered = distance_along_path(state.body_pose[body], goal, shapes.extent[body])
     if course.ticks_a_set > 1 and course.has_goal[copy] == 1:
         covered += 2.0 * distance_along_path(course.goal[copy, body], goal, shapes.extent[body])
-    return 1e-3 * math.ceil(1e3 * min(max(covered - 0.5 * MARGIN, 0.0), MOST_MARGIN))
+    return 1e-3 * math.ceil(1e3 * min(max(covered - 0.5 * MARGIN, 0.0), MAX_MARGIN))
 
 
 @kernel
-def _fill(found: ContactSet, points: Found, count: int, tables: Tables) -> None:
-    """Write the first points that were found to a contact set."""
+def _fill(found: ContactSet, points: FoundPoints, count: int, tables: Tables) -> None:
+    """Write the first `count` points that were found to a contact set."""
     found.header.points, found.header.dropped = count, 0
     for point in range(count):
         found.body[point] = points.body[point]
@@ -285,13 +295,13 @@ def _fill(found: ContactSet, points: Found, count: int, tables: Tables) -> None:
             found.node[point, c] = points.node[point, c]
             found.weight[point, c] = points.weight[point, c]
             found.normal[point, c] = points.normal[point, c]
-        found.node[point, 3], found.weight[point, 3] = points.node[point, 0], 0.0  # of a surface without cuts
-    set_compliance(found, points.node, points.weight, points.give, tables.compliance, tables.between)
+        found.node[point, 3], found.weight[point, 3] = points.node[point, 0], 0.0  # the surface has no cuts
+    set_compliance(found, points.node, points.weight, points.yielding, tables.compliance, tables.between)
 
 
 @kernel
-def _is_swallowed(position: Floats, pose: Floats, body: int, tables: Tables, room: Room) -> bool:
-    """Return whether one of a body's centre points lies inside the surface; the body's matrix is in room."""
+def _is_swallowed(position: Floats, pose: Floats, body: int, tables: Tables, room: SearchMemory) -> bool:
+    """Return whether one of a body's centre points lies inside the surface; room holds the body's matrix."""
     m = room.matrix
     for index in range(tables.middle_start[body], tables.middle_start[body + 1]):
         x, y, z = tables.middle[index, 0], tables.middle[index, 1], tables.middle[index, 2]
@@ -309,7 +319,7 @@ def _is_swallowed(position: Floats, pose: Floats, body: int, tables: Tables, roo
 
 @kernel
 def read_surfaces(worlds: Sequence[World], found: Floats) -> None:
-    """Read where the surfaces of all copies are, carried by the breath.
+    """Write the surface positions of all copies, with the displacement by the breath.
 
     Parameters
     ----------
@@ -327,14 +337,14 @@ def read_surfaces(worlds: Sequence[World], found: Floats) -> None:
 
 @kernel
 def read_tools(worlds: Sequence[World], poses: Floats, wrenches: Floats) -> None:
-    """Read where the bodies of all copies are, and what they feel.
+    """Write the poses and wrenches of the bodies of all copies.
 
     Parameters
     ----------
     worlds : Sequence[World]
         Row of the copies' worlds.
     poses : Floats, shape (n, B, 7), m and quaternion xyzw
-        Their poses, carried by the breath; updated.
+        Their poses, with the displacement by the breath; updated.
     wrenches : Floats, shape (n, B, 6), N and N m
         Their wrenches; updated.
     """

@@ -1,4 +1,4 @@
-"""Organ that tools may touch: its simulation, and its contact sets."""
+"""Organ that tools may touch: its simulation and its contact sets."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.blade_cuts import BladeCuts
-from tissue_sim.contact.finder import ContactFinder, Sought
+from tissue_sim.contact.finder import ContactFinder, ContactQuery
 from tissue_sim.contact.reach_margins import reach_margins
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.model.data.contact_set import ContactSet, Engaged
@@ -23,7 +23,7 @@ class ContactOrgan:
     tools : ToolSet
         The tools.
     ticks_a_set : int
-        Ticks per contact set.
+        Number of ticks for which a contact set is used.
     simulation : Simulation
         The simulation.
     """
@@ -37,7 +37,7 @@ class ContactOrgan:
         self.set_goal: Floats | None = None  # the bodies' poses at the last contact set
 
     def with_simulation(self, simulation: Simulation) -> ContactOrgan:
-        """Return an organ that shares the finder with this one, which has no cuts, and has another simulation.
+        """Return an organ with another simulation that shares the finder of this one, which has no cuts.
 
         Parameters
         ----------
@@ -50,7 +50,7 @@ class ContactOrgan:
         return made
 
     def exchange(self, simulation: Simulation) -> None:
-        """Go on with a simulation of the same organ, after a cut, and with its surface.
+        """Continue with a simulation of the same organ after a cut, and with its surface.
 
         Parameters
         ----------
@@ -72,13 +72,13 @@ class ContactOrgan:
         return True
 
     def reset(self) -> None:
-        """Return to rest, untouched; the settings stay."""
+        """Return to rest, untouched; the settings don't change."""
         self.simulation.reset()
         self.contacts = self.set_goal = None
         self.blade_cuts.forget()
 
     def find(self, sequence: int) -> None:
-        """Find what the bodies may touch at present, and apply it.
+        """Find the points that the bodies may touch at present, and apply them.
 
         Parameters
         ----------
@@ -90,12 +90,12 @@ class ContactOrgan:
         fresh[(fresh > 0) & state.bodies.cutting] = Engaged.CUTS
         pushing = (state.bodies.force_age >= 0).astype(np.int64)
         goal, places = state.body_goal.copy(), state.body_pose.copy()
-        # A set before every tick holds everything on a tool's path; otherwise also what it may reach until the next
-        # one.
+        # A set before every tick contains all points on a tool's path; otherwise also those that it may reach until the
+        # next set.
         fraction, last = (0.0, goal) if self._ticks_a_set == 1 or self.set_goal is None else (2.0, self.set_goal)
         margins = reach_margins(places, goal, last, fraction, self.finder.tools.shapes.extent)
         self.set_goal = goal
         releases = state.bodies.releases.copy()
-        found = self.finder.find(self.simulation.positions, Sought(places, margins, fresh, pushing, releases))
+        found = self.finder.find(self.simulation.positions, ContactQuery(places, margins, fresh, pushing, releases))
         self.simulation.take_contacts(found, sequence)
         self.contacts = found

@@ -1,4 +1,4 @@
-"""Contact points of triangles near a tool: corners and points of lattices within its reach, and their compliance."""
+"""Contact points of triangles near a tool: corners and lattice points within its reach, and their compliance."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ class Lattices(NamedTuple):
     """Contact points on a triangle whose edges are divided into a number of parts, besides its corners."""
 
     weight: Floats  # (k, 3) barycentric
-    edge: Longs  # (k,) corner opposite to the edge that a point is on, -1 for none
+    edge: Longs  # (k,) corner opposite to the edge on which a point lies, -1 for none
     start: Longs  # (m + 2,) first point for each number of parts, up to m
 
 
 class Fineness(NamedTuple):
     """Spacing of a body's contact points."""
 
-    parts: Longs  # (t,) in how many parts the edges of each triangle are divided
-    give: Floats  # (t, 2) how many times as far as its nodes' compliance has it its points give way; how far at most, m
-    corner_give: Floats  # (n, 2) the same of the corners
+    parts: Longs  # (t,) number of parts of the edges of each triangle
+    yielding: Floats  # (t, 2) factor on the nodes' compliance for its points; their largest yielding, m
+    corner_yielding: Floats  # (n, 2) the same for the corners
 
 
 class Search(NamedTuple):
@@ -42,7 +42,7 @@ class Search(NamedTuple):
     normal: Floats  # (n, 3) buffer
 
 
-class Found(NamedTuple):
+class FoundPoints(NamedTuple):
     """Buffers for contact points."""
 
     body: Longs  # (c,)
@@ -50,11 +50,11 @@ class Found(NamedTuple):
     node: Longs  # (c, 3)
     weight: Floats  # (c, 3) barycentric
     normal: Floats  # (c, 3) outward unit normals of the tissue
-    give: Floats  # (c, 2) see Fineness
+    yielding: Floats  # (c, 2) see Fineness
 
 
 @kernel
-def points_near(near: Longs, number: Longs, search: Search, seen: Longs, found: Found, count: int) -> int:
+def points_near(near: Longs, number: Longs, search: Search, seen: Longs, found: FoundPoints, count: int) -> int:
     """Find the points of triangles that lie within reach of a body: corners, and those of their lattices.
 
     Parameters
@@ -67,7 +67,7 @@ def points_near(near: Longs, number: Longs, search: Search, seen: Longs, found: 
         The query, with the positions of the nodes, (n, 3) m.
     seen : Longs, shape (n,)
         Buffer, zero outside this function.
-    found : Found
+    found : FoundPoints
         Receives the points after the first `count`, as far as there is room.
     count : int
         Number of points found before.
@@ -89,14 +89,14 @@ def points_near(near: Longs, number: Longs, search: Search, seen: Longs, found: 
             node = nodes[c]
             if seen[node] == 0:
                 seen[node] = 1
-                give = fineness.corner_give[node]
-                count = _add_point((node, node, node, -1), (1.0, 0.0, 0.0), give, search, found, count)
-        parts, give = fineness.parts[number[t]], fineness.give[number[t]]
+                yielding = fineness.corner_yielding[node]
+                count = _add_point((node, node, node, -1), (1.0, 0.0, 0.0), yielding, search, found, count)
+        parts, yielding = fineness.parts[number[t]], fineness.yielding[number[t]]
         for point in range(lattices.start[parts], lattices.start[parts + 1]):
             edge, weight = lattices.edge[point], lattices.weight[point]
-            # A point on an edge belongs to two triangles; it is taken from the one that runs along it.
+            # A point on an edge belongs to two triangles; it is added for the one with the edge's direction.
             if edge < 0 or nodes[(edge + 1) % 3] < nodes[(edge + 2) % 3]:
-                count = _add_point(nodes, (weight[0], weight[1], weight[2]), give, search, found, count)
+                count = _add_point(nodes, (weight[0], weight[1], weight[2]), yielding, search, found, count)
     for t in range(len(near)):
         for c in range(3):
             seen[near[t, c]] = 0
@@ -107,12 +107,12 @@ def points_near(near: Longs, number: Longs, search: Search, seen: Longs, found: 
 def _add_point(
     nodes: tuple[int, int, int, int],
     weight: tuple[float, float, float],
-    give: Floats,
+    yielding: Floats,
     search: Search,
-    found: Found,
+    found: FoundPoints,
     count: int,
 ) -> int:
-    """Add a point where it is near the body; return how many there are then. The triangle follows its nodes."""
+    """Add a point if it is near the body; return the new count. The triangle's index follows its nodes."""
     x = y = z = nx = ny = nz = 0.0
     for c in range(3):
         at, normal = search.position[nodes[c]], search.normal[nodes[c]]
@@ -124,7 +124,7 @@ def _add_point(
     if signed_distance(search.shapes, search.body, lx, ly, lz)[0] > search.reach:
         return count
     if count < len(found.node):
-        found.body[count], found.give[count, 0], found.give[count, 1] = search.body, give[0], give[1]
+        found.body[count], found.yielding[count, 0], found.yielding[count, 1] = search.body, yielding[0], yielding[1]
         found.triangle[count] = nodes[3]
         for c in range(3):
             found.node[count, c] = nodes[c]
@@ -141,7 +141,7 @@ def _unit(x: float, y: float, z: float, target: Floats) -> None:
 
 @kernel
 def set_compliance(
-    found: ContactSet, corners: Longs, weight: Floats, give: Floats, compliance: Floats, between: Floats
+    found: ContactSet, corners: Longs, weight: Floats, yielding: Floats, compliance: Floats, between: Floats
 ) -> None:
     """Compute the compliance of a contact set's points from that of their triangles' corners.
 
@@ -153,24 +153,24 @@ def set_compliance(
         Points that are the triangles' corners.
     weight : Floats, shape (c, 3)
         Barycentric weights of these.
-    give : Floats, shape (c, 2)
+    yielding : Floats, shape (c, 2)
         See Fineness, of each point.
     compliance : Floats, shape (B, p, 2), m/N
         Compliance of the tissue around each corner, along a body's normal and across it.
     between : Floats, shape (B,)
-        By what fraction a point in the middle of three nodes yields more, times 3/2.
+        Fraction by which a point in the middle of three nodes yields more, times 3/2.
     """
     for point in range(found.header.points):
         body, square = found.body[point], 0.0
         for c in range(found.weight.shape[1]):
             square += found.weight[point, c] * found.weight[point, c]
-        more = (1.0 + between[body] * (1.0 - square)) * give[point, 0]
+        more = (1.0 + between[body] * (1.0 - square)) * yielding[point, 0]
         for axis in range(2):
             total = 0.0
             for c in range(3):
                 total += more * weight[point, c] * compliance[body, corners[point, c], axis]
             found.compliance[point, axis] = total
-        found.most_give[point] = give[point, 1]
+        found.most_give[point] = yielding[point, 1]
 
 
 @kernel

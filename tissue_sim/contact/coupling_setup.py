@@ -1,4 +1,4 @@
-"""Connection of the organs of a scene: attachments, breathing, and contact with each other."""
+"""Coupling of the organs of a scene: attachments, breathing, and contact with each other."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def join(
     breathes: Sequence[float] = (),
     friction: float = 0.0,
 ) -> Joined:
-    """Join simulations.
+    """Return coupled simulations.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Test whether a point lies inside a closed surface, by the triangles that a ray from it crosses."""
+"""Test whether a point lies inside a closed surface, by the triangles that a ray from the point crosses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ TRACE = 1e-300  # m^2
 
 @kernel
 def crossings_above(position: Floats, triangles: Ints | Longs, x: float, y: float, z: float) -> int:
-    """Return how many triangles the ray from a point along z leaves through, less those that it enters through.
+    """Return the number of triangles through which the ray from a point along z leaves, minus those where it enters.
 
     That is the surface's winding number about the point: 1 inside. Where the ray meets an edge, one of its two
     triangles is crossed: `_side` is the same number for both, with the other sign. Surfaces whose triangles share no
@@ -52,8 +52,8 @@ def crossings_above(position: Floats, triangles: Ints | Longs, x: float, y: floa
 def _side(position: Floats, i: int, j: int, x: float, y: float) -> float:
     """Return on which side of the edge from node i to node j a point lies, seen along z; never 0.
 
-    A point on the edge counts as one that lies a trace further along y, and much less along x: the same one for all
-    edges, so that also above a node one triangle is crossed (Edelsbrunner and Muecke 1990: Simulation of simplicity).
+    A point on the edge is shifted by a tiny distance along y, and a much smaller one along x, the same for all edges,
+    so that above a node one triangle is crossed, too (Edelsbrunner and Muecke 1990: Simulation of simplicity).
     """
     low, high = min(i, j), max(i, j)
     a, b = position[low], position[high]

@@ -1,4 +1,4 @@
-"""Drawn parts of a scene: surfaces of its organs, with the walls of cuts, and the bodies of its tools."""
+"""Parts of a scene that are drawn: surfaces of its organs, with the walls of cuts, and the bodies of its tools."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.rendering.primitives import ball, capsule
 
 
-class SeenSurface(NamedTuple):
+class DrawnSurface(NamedTuple):
     """Surface of an organ."""
 
     name: str
-    points: Floats  # (p, 3) m, where they are
+    points: Floats  # (p, 3) m, present positions
     rest: Floats  # (p, 3) m
     triangles: Ints  # (t, 3); the same array until the organ is cut or healed
 
 
-def surfaces_of(simulations: Sequence[Simulation], names: Sequence[str]) -> list[SeenSurface]:
-    """Return the surfaces of organs, carried by the breath.
+def surfaces_of(simulations: Sequence[Simulation], names: Sequence[str]) -> list[DrawnSurface]:
+    """Return the surfaces of organs, with the displacement by the breath.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def surfaces_of(simulations: Sequence[Simulation], names: Sequence[str]) -> list
         else:
             rest, triangles = cut.surface.at(one.organ.rest_positions), cut.surface.triangles
             points = cut.surface.at(one.positions)
-        found.append(SeenSurface(name, points + carried, rest, triangles))
+        found.append(DrawnSurface(name, points + carried, rest, triangles))
     return found
 
 
@@ -68,7 +68,7 @@ def body_poses(simulation: Simulation) -> list[Floats | None]:
     Parameters
     ----------
     simulation : Simulation
-        The first organ, whose breath carries the frame of the poses.
+        Simulation of the first organ, with whose clamp the frame of the poses moves.
     """
     state, found = simulation.state, list[Floats | None]()
     for body in range(len(state.bodies)):

@@ -1,4 +1,4 @@
-"""Contact search: from tool poses and a surface to a contact set, by broad phase, FCL, and points under tips."""
+"""Contact search: finds a contact set for tool poses and a surface, by broad phase, FCL, and points under tips."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.broad_phase import (
-    Near,
-    Placed,
+    NearTriangles,
+    PlacedBody,
     body_box,
     boxes_apart,
     boxes_meet,
@@ -22,51 +22,51 @@ from tissue_sim.contact.broad_phase import (
     triangles_in_box,
 )
 from tissue_sim.contact.contact_lattice import (
-    COARSEST,
-    LEAST_DIVISIONS,
-    MOST_DIVISIONS,
+    MAX_DIVISIONS,
+    MAX_SPACING,
+    MIN_DIVISIONS,
     divisions_of,
     fineness_of,
     lattices,
 )
-from tissue_sim.contact.contact_points import Fineness, Found, Search, points_near, set_compliance
+from tissue_sim.contact.contact_points import Fineness, FoundPoints, Search, points_near, set_compliance
 from tissue_sim.contact.crossings import crossings_above
-from tissue_sim.contact.local_compliance import OF_BALLS, OF_OTHERS, extra_compliance_between_nodes, most_give
+from tissue_sim.contact.local_compliance import OF_BALLS, OF_OTHERS, extra_compliance_between_nodes, max_yielding
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.contact.triangles import nearest_among, nearest_weights
 from tissue_sim.model.contact.shapes import rotation_matrix
 from tissue_sim.model.cutting.cut import CutOrgan
-from tissue_sim.model.data.contact_set import MOST_POINTS, POINT_NODES, ContactSet, Engaged, contact_set
+from tissue_sim.model.data.contact_set import MAX_CONTACT_POINTS, POINT_NODES, ContactSet, Engaged, contact_set
 from tissue_sim.model.data.shapes import CONVEX, GRID, SPHERE
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
 
-TISSUE_WAY = 0.001  # m that tissue may come nearer to a tool before the next set, for which the reach leaves room
-AJAR = 1e-4  # m, width of a cut from which a tool that has slipped in is put into it
-TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
-MOST_FOUND = 8 * MOST_POINTS  # points, per body
+TISSUE_MOTION = 0.001  # m by which tissue may approach a tool before the next set; subtracted from the reach
+OPEN_WIDTH = 1e-4  # m, least width of a cut into which a tool that has slipped is put back
+TIP_REACH = 0.02  # m, largest distance from the tip at which an external force acts on the tissue
+MAX_FOUND = 8 * MAX_CONTACT_POINTS  # points, per body
 _ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
 _ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
 
 
-class Sought(NamedTuple):
+class ContactQuery(NamedTuple):
     """Query for a contact set of T bodies."""
 
     poses: Floats  # (T, 7) m and unit quaternions xyzw, present poses
-    margins: Floats  # (T,) m beyond MARGIN that moving bodies need
-    engaged: Longs  # (T,) Engaged: points are found for those that may touch
+    margins: Floats  # (T,) m in addition to MARGIN that moving bodies need
+    engaged: Longs  # (T,) Engaged: points are searched for bodies that may touch
     pushing: Longs  # (T,) 1 for those whose external force needs the surface point under the tip
     releases: Longs  # (T,) number of releases so far
 
 
 @dataclass
 class FinderCounters:
-    """Counts of what the finder did and what it could leave out."""
+    """Counts of searches, and of those that the finder could skip."""
 
     sets: int = 0
-    far_skips: int = 0  # tools whose box missed the organ's: nothing computed
+    far_skips: int = 0  # tools whose box didn't overlap the organ's, so that nothing was computed
     narrow_phases: int = 0  # number of queries to FCL
 
 
@@ -85,7 +85,7 @@ class ContactFinder:
     Parameters
     ----------
     touched : Organ | TouchedSurface
-        What is touched: an organ without cuts, or the surface of any.
+        Organ without cuts, or the surface of any organ.
     tools : ToolSet
         Tools of the scene.
     """
@@ -102,39 +102,39 @@ class ContactFinder:
         self._low, self._high = np.zeros(3), np.zeros(3)  # of the surface
         self._matrix, self._box_low, self._box_high = np.zeros(9), np.zeros(3), np.zeros(3)  # of a body
         self._normal, self._seen = np.zeros((self.n_points, 3)), np.zeros(self.n_points, dtype=np.int64)
-        most = MOST_FOUND * len(tools.grown)
+        most = MAX_FOUND * len(tools.grown)
         body, triangle = np.zeros((2, most), dtype=np.int64)
         corners, weight, normal = np.zeros((most, 3), dtype=np.int64), np.zeros((most, 3)), np.zeros((most, 3))
-        self._points = Found(body, triangle, corners, weight, normal, np.zeros((most, 2)))
+        self._points = FoundPoints(body, triangle, corners, weight, normal, np.zeros((most, 2)))
         self.rest = surface.rest
         self._model = fcl.CollisionObject(_fcl_model(self.rest, self.triangles))
-        # Made once: python-fcl keeps 32 bytes of every one that goes.
+        # Made once, as python-fcl leaks 32 bytes of every object that is deleted.
         self._grown = [fcl.CollisionObject(shape, fcl.Transform()) for shape in tools.grown]
         corner = self.rest[self.triangles]
         edges = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)  # the longest of each triangle
         longest = float(edges.max())
         usual = float(edges[surface.is_old].max())
-        self.is_fine = [longest > MOST_DIVISIONS * COARSEST * size for size in tools.smallest]
-        gives = [OF_BALLS if kind == SPHERE else OF_OTHERS for kind in tools.shapes.kind.tolist()]
+        self.is_fine = [longest > MAX_DIVISIONS * MAX_SPACING * size for size in tools.smallest]
+        limits_of_bodies = [OF_BALLS if kind == SPHERE else OF_OTHERS for kind in tools.shapes.kind.tolist()]
         self.lattices = lattices()
         order = np.argsort(self.triangles.ravel(), kind="stable")
         self._node_triangle = order // 3
         self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(self.n_points + 1))
         self.finenesses: list[Fineness] = []
         compliance = []
-        for give, size, kind, is_fine in zip(
-            gives, tools.smallest, tools.shapes.kind.tolist(), self.is_fine, strict=True
+        for limits, size, kind, is_fine in zip(
+            limits_of_bodies, tools.smallest, tools.shapes.kind.tolist(), self.is_fine, strict=True
         ):
-            # The face of a jaw lies on many triangles at once: as many points on each as the longest needs would
-            # take most of a tick.
+            # The face of a jaw touches many triangles at once: with as many points on each as the longest needs, they
+            # would take most of a tick.
             each = edges if kind in (CONVEX, GRID) and not is_fine else np.where(surface.is_old, usual, edges)
-            parts = np.array([divisions_of(edge / (give.spacing * size)) for edge in each])
-            # What a cut has made smaller needs fewer points to have as many on an area.
-            parts[~surface.is_old & (edges <= usual / LEAST_DIVISIONS) & (parts == LEAST_DIVISIONS)] = 1
+            parts = np.array([divisions_of(edge / (limits.spacing * size)) for edge in each])
+            # Smaller triangles at a cut need fewer points for the same number per area.
+            parts[~surface.is_old & (edges <= usual / MIN_DIVISIONS) & (parts == MIN_DIVISIONS)] = 1
             parts[surface.is_loose] = 1
-            # A nearest point is another one each time, with no force that it could have given way to.
-            room = np.zeros(len(each)) if is_fine else most_give(give, organ, size, each / parts)
-            # A point has one part in the square of its parts of a node's area.
+            # A nearest point is a new one each time, without a force to which it could have yielded.
+            room = np.zeros(len(each)) if is_fine else max_yielding(limits, organ, size, each / parts)
+            # The area of a point is that of a node over the square of its number of parts.
             whole = parts[0] ** 2
             fraction = np.square(parts.astype(np.float64)) / whole
             self.finenesses.append(fineness_of(surface, parts, np.stack([fraction, room], axis=1)))
@@ -142,14 +142,14 @@ class ContactFinder:
         self.compliance = np.reshape(compliance, (len(compliance), self.n_points, 2))
         self.between = np.array(
             [
-                extra_compliance_between_nodes(give, organ, size)
-                for give, size in zip(gives, tools.smallest, strict=True)
+                extra_compliance_between_nodes(limits, organ, size)
+                for limits, size in zip(limits_of_bodies, tools.smallest, strict=True)
             ]
         )
 
     @classmethod
     def of(cls, touched: Organ | CutOrgan | Simulation, tools: ToolSet) -> ContactFinder:
-        """Return a finder on the surface that an organ has now: after a cut, in place of the one before.
+        """Return a finder for the present surface of an organ, which changes after a cut.
 
         Parameters
         ----------
@@ -160,68 +160,68 @@ class ContactFinder:
         """
         return cls(TouchedSurface.of(touched), tools)
 
-    def find(self, position: Floats, sought: Sought) -> ContactSet:
+    def find(self, position: Floats, query: ContactQuery) -> ContactSet:
         """Return the contact set of bodies on a surface: the surface's points near them.
 
         Parameters
         ----------
         position : Floats, shape (n, 3), m
             Positions of the nodes, surface first.
-        sought : Sought
+        query : ContactQuery
             The query.
         """
-        n_bodies, poses, engaged = len(self.tools.grown), sought.poses.copy(), sought.engaged.copy()
+        n_bodies, poses, engaged = len(self.tools.grown), query.poses.copy(), query.engaged.copy()
         self.counters.sets += 1
         position = self.surface.at(position)
         surface_box(position, self.n_points, self._low, self._high)
         count, counts = 0, np.zeros(n_bodies, dtype=np.int64)
-        reach = MARGIN + sought.margins - TISSUE_WAY
+        reach = MARGIN + query.margins - TISSUE_MOTION
         for body in np.flatnonzero(engaged == Engaged.YES).tolist():
             way_out = self._way_out(body, position, poses[body])
             if way_out is not None:
                 poses[body, :3] += way_out
                 engaged[body] = Engaged.SLIPPED
             before = count
-            count, apart = self._add(body, position, poses[body], sought.margins[body], count)
+            count, apart = self._add(body, position, poses[body], query.margins[body], count)
             counts[body], reach[body] = count - before, max(reach[body], apart)
         points = self._points
         kept = slice(0, min(count, len(points.body)))
         chosen: slice | Longs = kept
-        if count > MOST_POINTS:
+        if count > MAX_CONTACT_POINTS:
             places = np.einsum("ij,ijk->ik", points.weight[kept], position[points.node[kept]])
             distance = np.linalg.norm(places - poses[points.body[kept], :3], axis=1)
-            chosen = np.sort(np.argsort(distance, kind="stable")[:MOST_POINTS])
-            reach = np.minimum(reach, MARGIN - TISSUE_WAY)  # the farthest are those that are dropped
-        found = contact_set(n_bodies, min(count, MOST_POINTS))
-        found.header.points, found.header.dropped = len(found.body), max(0, count - MOST_POINTS)
+            chosen = np.sort(np.argsort(distance, kind="stable")[:MAX_CONTACT_POINTS])
+            reach = np.minimum(reach, MARGIN - TISSUE_MOTION)  # the farthest points are the ones that are dropped
+        found = contact_set(n_bodies, min(count, MAX_CONTACT_POINTS))
+        found.header.points, found.header.dropped = len(found.body), max(0, count - MAX_CONTACT_POINTS)
         corners, weight = points.node[chosen], points.weight[chosen]
         found.body[:], found.normal[:] = points.body[chosen], points.normal[chosen]
         found.node[:], found.weight[:] = self.surface.between(points.triangle[chosen], corners, weight)
-        set_compliance(found, corners, weight, points.give[chosen], self.compliance, self.between)
+        set_compliance(found, corners, weight, points.yielding[chosen], self.compliance, self.between)
         found.engaged[:], found.place[:], found.reach[:] = engaged, poses, reach
-        found.n_points[:], found.releases[:] = counts, sought.releases
+        found.n_points[:], found.releases[:] = counts, query.releases
         found.tip_node[:] = -1
-        for pushed in np.flatnonzero(sought.pushing):
+        for pushed in np.flatnonzero(query.pushing):
             found.tip_node[pushed], found.tip_weight[pushed] = self._under_tip(position, poses[pushed, :3])
         return found
 
     def _add(self, body: int, position: Floats, pose: Floats, margin: float, count: int) -> tuple[int, float]:
-        """Add points near a body after the `count` that were found; return how many there are now.
+        """Add points near a body after the first `count`; return the new count and a distance.
 
-        Beside that, a lower bound on the distance of the body from the organ, m, from their boxes.
+        The distance is a lower bound on that of the body from the organ, m, from their boxes.
         """
         origin, reach = pose[:3], MARGIN + margin
         self._place(body, pose, reach)
         low, high, some, moved = self._box_low, self._box_high, 0, 0.0
         if boxes_meet(low, high, self._low, self._high):
-            room = Near(self._found, self._number)
+            room = NearTriangles(self._found, self._number)
             some, moved = triangles_in_box(position, self.rest, self.triangles, low, high, room)
-        # FCL has the surface at rest, as building its model takes longer than everything else here. Where the
-        # triangles near the body have moved by SLACK, it isn't used.
+        # FCL uses the surface at rest, as building its model takes longer than everything else here. It isn't used if
+        # the triangles near the body have moved by SLACK.
         is_asked = margin == 0.0 and moved < SLACK / math.sqrt(3.0)
         if some == 0 or (is_asked and not self._comes_near(body, origin)):
             self.counters.far_skips += 1
-            return count, reach + boxes_apart(low, high, self._low, self._high) - TISSUE_WAY
+            return count, reach + boxes_apart(low, high, self._low, self._high) - TISSUE_MOTION
         near = self._found[:some]
         fineness = self.finenesses[body]
         search = Search(
@@ -231,7 +231,7 @@ class ContactFinder:
         return self._add_nearest(body, position, some, origin, count) if self.is_fine[body] else count, 0.0
 
     def warm_up(self, position: Floats) -> None:
-        """Compile what a contact needs, so that the first one doesn't wait for it.
+        """Compile the kernels of a contact, so that the first one doesn't wait for them.
 
         Parameters
         ----------
@@ -241,7 +241,7 @@ class ContactFinder:
         n_bodies = len(self.tools.grown)
         poses = np.tile(np.append(position[0], [0.0, 0.0, 0.0, 1.0]), (n_bodies, 1))
         everything, none = np.ones(n_bodies, dtype=np.int64), np.zeros(n_bodies, dtype=np.int64)
-        self.find(position, Sought(poses, np.zeros(n_bodies), everything, everything, none))
+        self.find(position, ContactQuery(poses, np.zeros(n_bodies), everything, everything, none))
         for body in range(n_bodies):
             self.is_inside(body, position, poses[body])
         self.counters = FinderCounters()
@@ -264,29 +264,29 @@ class ContactFinder:
         position = self.surface.at(position)
         self._place(body, pose, 0.0)
         origin, low, high = pose[:3], self._box_low, self._box_high
-        if holds_node(position, self.n_points, Placed(self.tools.shapes, body, origin, self._matrix, low, high)):
+        if holds_node(position, self.n_points, PlacedBody(self.tools.shapes, body, origin, self._matrix, low, high)):
             return True
         surface_box(position, self.n_points, self._low, self._high)
         return self._swallowed(body, position, origin) is not None
 
     def _way_out(self, body: int, position: Floats, pose: Floats) -> Floats | None:
-        """Return the displacement (3,) m that takes a body that has slipped in out of the organ; None for others.
+        """Return the displacement (3,) m that moves a body that has slipped inside out of the organ; None for others.
 
         Tissue yields to a tool by less than its radius, so that its centre, or the centres of a capsule's caps, are
-        never inside while it is resisted. The displacement leads to the nearest point of the surface, and on until the
-        body is beside it.
+        never inside while it is resisted. The displacement leads to the nearest point of the surface, and beyond it
+        until the body is outside.
         """
         self._place(body, pose, 0.0)
         point = self._swallowed(body, position, pose[:3])
         if point is None:
             return None
-        beyond = self.tools.clearance[body] + TISSUE_WAY
+        beyond = self.tools.clearance[body] + TISSUE_MOTION
         triangle, weight, _ = self._nearest(position, point)
         way = weight @ position[self.triangles[triangle]] - point
         if not self.surface.is_cut:
             return _longer(way, beyond)
-        # Beside a wall there may be no room but for its middle, and where the cut is shut there is the other lip.
-        for more in (beyond, AJAR):
+        # Beside a wall there may be room for the body's middle only, and in a closed cut there is the other lip.
+        for more in (beyond, OPEN_WIDTH):
             if not inside((point + _longer(way, more))[None], position, self.triangles)[0]:
                 return _longer(way, more)
         outer = position[self.triangles[self.surface.is_outer]]
@@ -294,9 +294,9 @@ class ContactFinder:
         return _longer(weights[0] @ outer[number[0]] - point, beyond)
 
     def _swallowed(self, body: int, position: Floats, origin: Floats) -> Floats | None:
-        """Return the first of a body's centre points (3,) m that lies inside the organ, None where none does.
+        """Return the first of a body's centre points (3,) m that lies inside the organ, None if none does.
 
-        The body has been placed, and the surface's box computed.
+        Call it after the body has been placed, and the surface's box computed.
         """
         points = self.tools.middle[body] @ self._matrix.reshape(3, 3).T + origin
         near = points[~np.any((points < self._low) | (points > self._high), axis=1)]
@@ -307,13 +307,13 @@ class ContactFinder:
         return next((point for point in near if crossings_above(position, triangles, *point.tolist()) > 0), None)
 
     def _place(self, body: int, pose: Floats, margin: float) -> None:
-        """Write the rotation matrix of a body, and its box grown by a margin."""
+        """Write the rotation matrix of a body, and its box enlarged by a margin."""
         rotation_matrix(pose[3:], self._matrix)
         padding = self.tools.padding[body] + margin
         body_box(self.tools.corners[body], padding, self._matrix, pose[:3], self._box_low, self._box_high)
 
     def _comes_near(self, body: int, origin: Floats) -> bool:
-        """Return FCL's answer whether a body comes within MARGIN of the surface; it may be true too often."""
+        """Return whether a body may be within MARGIN of the surface, by FCL; True for some larger distances, too."""
         self.counters.narrow_phases += 1
         return bool(fcl.collide(self._model, self._placed(body, origin), _ANY, fcl.CollisionResult()))
 
@@ -325,8 +325,8 @@ class ContactFinder:
     def _add_nearest(self, body: int, position: Floats, some: int, origin: Floats, count: int) -> int:
         """Add the point nearest to a body, by FCL, of each triangle that is too coarse for its lattice.
 
-        The points of a lattice stay where they are on the tissue, while the nearest one moves, and the force may
-        step with it. But a needle would slip between those of the lattice.
+        The points of a lattice are fixed on the tissue, while the nearest one moves, and the force may change suddenly
+        with it. But a needle would slip between the points of a lattice.
         """
         result, near = fcl.CollisionResult(), self._found[:some]
         fcl.collide(fcl.CollisionObject(_fcl_model(position, near)), self._placed(body, origin), _ALL, result)
@@ -343,7 +343,7 @@ class ContactFinder:
         self._points.body[room], self._points.node[room] = body, corners[:taken]
         self._points.triangle[room] = self._number[touched][:taken]
         self._points.weight[room], self._points.normal[room] = weights[:taken], normal[:taken]
-        self._points.give[room] = 1.0, 0.0
+        self._points.yielding[room] = 1.0, 0.0
         return count + len(touched)
 
     def _under_tip(self, position: Floats, tip: Floats) -> tuple[Longs, Floats]:

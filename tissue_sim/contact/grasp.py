@@ -12,9 +12,9 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.gripper import Jaws
 
 DEPTH = 0.022  # m from the tip of the pole to the tips of the jaws
-WITHIN = 0.4  # fraction of a gripper's length between the jaws that tissue may fill: the hinge stays outside
-COMPRESSED = 0.5  # fraction of the width that the closed jaws leave
-CLEARANCE = 0.010  # m that the open jaws have beyond the width
+WITHIN = 0.4  # fraction of the jaws' length that tissue may fill, so that the hinge stays outside
+COMPRESSED = 0.5  # distance of the closed jaws relative to the width
+CLEARANCE = 0.010  # m by which the open jaws are wider than the tissue
 
 
 class Grasp(NamedTuple):
@@ -71,12 +71,12 @@ def at_lower_pole(
     scale : float, optional
         Factor of the depth, for organs smaller than a kidney.
     out : Floats | None, optional, shape (3,)
-        Unit direction from which the gripper comes, in place of that axis; the others are turned with it.
+        Unit direction from which the gripper approaches, instead of that axis; the other axes are rotated with it.
 
     Raises
     ------
     ValueError
-        Where the jaws can't take hold, with the reason.
+        If the jaws can't grasp it, with the reason.
     """
     axes = lower_pole(vertices)
     if out is not None:

@@ -10,7 +10,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.triangles import closest_points
 from tissue_sim.model.data.shapes import Grid
 
-FINEST, MOST_POINTS = 2e-4, 200_000  # m between points; points of a grid: 54 x 54 x 14 mm at 0.6 mm
+MIN_SPACING, MAX_POINTS = 2e-4, 200_000  # m between points; points of a grid: 54 x 54 x 14 mm at 0.6 mm
 _CANDIDATES = 12  # pieces among which the nearest is searched
 _CHUNK = 50_000
 _SAME = 1e-9  # m: distances that differ by less are equal
@@ -27,24 +27,24 @@ def distance_grid(mesh: trimesh.Trimesh, margin: float) -> Grid:
         Distance by which the box is grown.
     """
     low, high = mesh.bounds[0] - margin, mesh.bounds[1] + margin
-    spacing = max(FINEST, float(np.prod(high - low) / MOST_POINTS) ** (1.0 / 3.0))
+    spacing = max(MIN_SPACING, float(np.prod(high - low) / MAX_POINTS) ** (1.0 / 3.0))
     counts = np.ceil((high - low) / spacing).astype(int) + 1
     axes = [low[c] + spacing * np.arange(counts[c]) for c in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    # Pieces have similar sizes, so that the nearest one is among those with the nearest centres.
+    # Triangles have similar sizes, so that the nearest one is among those with the nearest centres.
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=2.0 * spacing, max_iter=20)
     pieces = vertices[faces]
     tree = cKDTree(pieces.mean(axis=1))
     found = [_distance(pieces, tree, points[at : at + _CHUNK]) for at in range(0, len(points), _CHUNK)]
     signed = np.concatenate(found)
-    # Inside or outside changes only where the surface is nearer than a cell's diagonal: elsewhere a neighbour tells.
+    # The sign changes only where the surface is nearer than a cell's diagonal: elsewhere it is that of a neighbour.
     near = np.abs(signed) <= 1.01 * np.sqrt(3.0) * spacing
     signed = _spread(signed.reshape(counts), near.reshape(counts))
     return Grid(np.ascontiguousarray(signed), low, spacing)
 
 
 def distances_to(mesh: trimesh.Trimesh, points: Floats) -> Floats:
-    """Return how far points are from a mesh's surface, inside or outside.
+    """Return the distances of points from a mesh's surface, inside or outside.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def distances_to(mesh: trimesh.Trimesh, points: Floats) -> Floats:
 def _distance(pieces: Floats, tree: cKDTree, points: Floats) -> Floats:
     """Return distances (p,) m of points (p, 3) to outward triangles (t, 3, 3), negative inside.
 
-    The tree holds the triangles' centres. Where several are equally near, at an edge or corner, the one whose normal is
+    The tree contains the triangles' centres. If several are equally near, at an edge or corner, the one whose normal is
     closest to the direction of the point determines the side.
     """
     count = min(_CANDIDATES, len(pieces))
@@ -85,7 +85,7 @@ def _distance(pieces: Floats, tree: cKDTree, points: Floats) -> Floats:
 
 
 def _spread(signed: Floats, known: np.ndarray) -> Floats:
-    """Return distances with signs away from the surface: regions between known points are all inside or all outside."""
+    """Return distances with signs also far from the surface: a region between known points has a single sign."""
     from scipy.ndimage import label
 
     regions, count = label(~known)

@@ -10,7 +10,7 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.quaternions import multiply, rotate
 
-WIDEST = 2.5  # rad; an angle beyond it is in another unit
+WIDEST = 2.5  # rad; a larger angle must be in another unit
 
 
 class Jaws(NamedTuple):
@@ -48,7 +48,7 @@ class Jaws(NamedTuple):
         Raises
         ------
         ValueError
-            Where they don't open so wide.
+            If the jaws don't open that wide.
         """
         if not 0.0 <= gap <= self.gap(WIDEST):
             raise ValueError(f"the tips open to {1e3 * self.gap(WIDEST):.3g} mm at most")

@@ -1,4 +1,4 @@
-"""Search for contact of organs with each other or themselves, now or before the next search: nodes near triangles."""
+"""Search for contact of organs with each other or themselves until the next search: nodes near triangles."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs, Mask
-from tissue_sim.contact.broad_phase import Near, approach, surface_box, triangles_in_box
+from tissue_sim.contact.broad_phase import NearTriangles, approach, surface_box, triangles_in_box
 from tissue_sim.contact.self_contact_finder import SelfFinder
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.contact.triangles import nearest_among
-from tissue_sim.model.stepping.contact_pairs import MOST_CUT_POINTS, MOST_PAIRS, OrganContactSet, organ_contact_set
+from tissue_sim.model.stepping.contact_pairs import MAX_CUT_POINTS, MAX_PAIRS, OrganContactSet, organ_contact_set
 from tissue_sim.organ.organ import Organ
 
 MARGIN = 0.003  # m from a surface within which a node is examined
-DEEPEST = 0.01  # m that a node may lie inside
+DEEPEST = 0.01  # m, largest depth of a node inside
 STALE = 0.002  # m of approach after which all nodes are examined again
-OPEN = 5e-4  # m between the walls of a cut at a triangle's corner, from which it is touched
+OPEN = 5e-4  # m, least distance between the walls of a cut at a triangle's corner at which it is touched
 
 
 @dataclass
 class PairCounters:
-    """Counts of searches, and of what could be left out."""
+    """Counts of searches, and of those that could be skipped."""
 
     searches: int = 0
-    far_skips: int = 0  # pairs of organs whose boxes miss each other
-    apart_skips: int = 0  # and those that have come together by less than they were apart at the last search
-    dropped: int = 0  # pairs of nodes and triangles that there was no room for
+    far_skips: int = 0  # pairs of organs whose boxes don't overlap
+    apart_skips: int = 0  # pairs of organs that have approached by less than their distance at the last search
+    dropped: int = 0  # pairs of nodes and triangles that didn't fit into the set
 
 
 class _Apart(NamedTuple):
@@ -48,10 +48,10 @@ class _Touched(NamedTuple):
 
 
 class OrganContactFinder:
-    """Finder of contacts between k organs, given where they lie at rest.
+    """Finder of contacts between k organs, given in their places at rest.
 
-    Lips of a cut are touched like the rest of the surface, and walls where the cut is open: where it is shut, they lie
-    on each other inside the organ.
+    Lips of a cut are touched like the rest of the surface, and walls where the cut is open: where it is closed, they
+    coincide inside the organ.
     """
 
     def __init__(self, organs: Sequence[Organ | TouchedSurface]) -> None:
@@ -73,7 +73,7 @@ class OrganContactFinder:
         return self._versions
 
     def exchange(self, organ: int, touched: Organ | TouchedSurface, version: int) -> None:
-        """Take up the surface that an organ has now, after a cut.
+        """Use the new surface of an organ after a cut.
 
         Parameters
         ----------
@@ -92,7 +92,7 @@ class OrganContactFinder:
         self._apart = {pair: found for pair, found in self._apart.items() if organ not in pair}
 
     def forget(self) -> None:
-        """Note that organs have jumped."""
+        """Discard earlier searches after organs have jumped."""
         for one in self._own:
             one.forget()
 
@@ -133,7 +133,7 @@ class OrganContactFinder:
         return found
 
     def _touched(self, organ: int, points: Floats) -> _Touched:
-        """Return what is touched of a surface, given its points now: all but walls of a shut cut."""
+        """Return the triangles of a surface that are touched, from its points: all but walls of a closed cut."""
         surface, triangles = self._surfaces[organ], self._triangles[organ]
         if not surface.is_cut:
             return _Touched(triangles, surface.is_loose)
@@ -142,7 +142,7 @@ class OrganContactFinder:
         return _Touched(np.ascontiguousarray(triangles[open_there]), surface.is_loose[open_there])
 
     def _name_points(self, organ: int, surface: TouchedSurface) -> None:
-        """Give cut points of an organ, which pairs have by their numbers in its surface, a place in the set."""
+        """Add the cut points of an organ to the set, to which pairs refer by their numbers in its surface."""
         found = self._found
         count, start = int(found.found[0]), int(found.points[0])
         node = found.node[:count]
@@ -150,7 +150,7 @@ class OrganContactFinder:
         made[:, :1] = found.organ[:count, :1] == organ
         made[:, 1:] = found.organ[:count, 1:] == organ
         made &= node >= surface.n_surface
-        numbers = np.unique(node[made])[: MOST_CUT_POINTS - start]
+        numbers = np.unique(node[made])[: MAX_CUT_POINTS - start]
         rows = slice(start, start + len(numbers))
         found.point_organ[rows], found.point_version[rows] = organ, self._versions[organ]
         found.point_number[rows] = numbers
@@ -166,9 +166,9 @@ class OrganContactFinder:
             found.found[0] = len(kept)
 
     def _add(self, first: int, second: int, points: Sequence[Floats]) -> None:
-        """Add pairs of a node of one surface and a triangle of the other; of a cut one, point numbers stand for nodes.
+        """Add pairs of a node of one surface and a triangle of the other; of a cut surface, points replace nodes.
 
-        Which walls are touched changes while cuts open. So nothing is left out where a surface is a cut one.
+        The touched walls change while cuts open, so nothing is skipped if a surface has cuts.
         """
         nodes, surface = points[first], points[second]
         changes = self._surfaces[first].is_cut or self._surfaces[second].is_cut
@@ -192,9 +192,9 @@ class OrganContactFinder:
             every[near] = room
             self._apart[first, second] = _Apart(every, nodes.copy(), surface.copy())
         kept = np.flatnonzero(room < 0.0)
-        if len(kept) > MOST_PAIRS:  # the nearest ones
-            self.counters.dropped += len(kept) - MOST_PAIRS
-            kept = np.sort(kept[np.argsort(distance[kept], kind="stable")[:MOST_PAIRS]])
+        if len(kept) > MAX_PAIRS:  # the nearest ones
+            self.counters.dropped += len(kept) - MAX_PAIRS
+            kept = np.sort(kept[np.argsort(distance[kept], kind="stable")[:MAX_PAIRS]])
         self._put(first, second, np.column_stack([near[kept], triangles[kept]]), weights[kept])
 
     def _nearest(self, second: int, nodes: Floats, surface: Floats) -> tuple[Longs, Floats, Floats]:
@@ -205,21 +205,21 @@ class OrganContactFinder:
         triangles, count = self._near[second], 0
         if len(nodes):
             low, high = nodes.min(axis=0) - DEEPEST, nodes.max(axis=0) + DEEPEST
-            room = Near(triangles, self._numbers[second])
+            room = NearTriangles(triangles, self._numbers[second])
             count, _ = triangles_in_box(surface, surface, self._now[second].triangles, low, high, room)
         if count == 0:
             return np.zeros((len(nodes), 3), dtype=np.int64), np.zeros((len(nodes), 3)), np.full(len(nodes), DEEPEST)
         chosen, weights, distance = nearest_among(surface[triangles[:count]], nodes)
-        if self._surfaces[second].is_cut:  # what lies under a loose triangle is too much to bear between
+        if self._surfaces[second].is_cut:  # too many nodes lie under a loose triangle to share a force
             loose = np.flatnonzero(self._now[second].loose[self._numbers[second][chosen]])
             weights[loose] = np.eye(3)[np.argmax(weights[loose], axis=1)]
         return triangles[chosen], weights, distance
 
     def _put(self, first: int, second: int, nodes: Longs, weights: Floats) -> None:
-        """Add pairs of two organs, nodes (p, 4), weights (p, 3), as far as there is room."""
+        """Add pairs of two organs, nodes (p, 4), weights (p, 3), as far as they fit."""
         found = self._found
         start = int(found.found[0])
-        count = min(len(nodes), MOST_PAIRS - start)
+        count = min(len(nodes), MAX_PAIRS - start)
         self.counters.dropped += len(nodes) - count
         rows = slice(start, start + count)
         found.organ[rows], found.node[rows], found.weight[rows] = (first, second), nodes[:count], weights[:count]
@@ -227,5 +227,5 @@ class OrganContactFinder:
 
 
 def _normals(corners: Floats) -> Floats:
-    """Return the outward normals (k, 3) of triangles (k, 3, 3), not of length 1."""
+    """Return the outward normals (k, 3) of triangles (k, 3, 3), not normalised."""
     return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))

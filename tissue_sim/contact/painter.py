@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tissue_sim.array_types import Floats, Ints, Pixels
-from tissue_sim.contact.drawn_scene import SeenSurface, body_shapes
+from tissue_sim.contact.drawn_scene import DrawnSurface, body_shapes
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.rendering.appearance import tissue_colour
@@ -16,7 +16,7 @@ from tissue_sim.rendering.pinhole import Pinhole, framing
 
 
 class Painter:
-    """Draws organs and tools; serves one thread.
+    """Draws organs and tools; for use in one thread.
 
     Parameters
     ----------
@@ -25,12 +25,12 @@ class Painter:
     lens : Pinhole
         The camera.
     samples : int, optional
-        Samples of a pixel that smooth edges: 1, 2 or 4.
+        Samples per pixel, which smooth edges: 1, 2 or 4.
 
     Raises
     ------
     UserError
-        Where nothing can be drawn.
+        If drawing is impossible.
     """
 
     def __init__(self, tools: ToolSet, lens: Pinhole, samples: int = 4) -> None:
@@ -41,17 +41,17 @@ class Painter:
             raise UserError(f"pictures need {error.name}: pip install 'tissue_sim[camera]'") from None
         self.lens, self._look = lens, Look
         self._drawn = Offscreen(lens, samples=samples)
-        self._shapes: dict[str, Ints] = {}  # triangles that each organ was drawn with
+        self._shapes: dict[str, Ints] = {}  # triangles with which each organ was drawn
         self._tools = [f"tool/{body}" for body in range(len(tools.meshes))]
         for name, shape in zip(self._tools, body_shapes(tools), strict=True):
             self._drawn.add(name, *shape, METAL)
 
-    def draw(self, surfaces: Sequence[SeenSurface], poses: Sequence[Floats | None]) -> None:
-        """Draw what is there now.
+    def draw(self, surfaces: Sequence[DrawnSurface], poses: Sequence[Floats | None]) -> None:
+        """Draw the present state of the scene.
 
         Parameters
         ----------
-        surfaces : Sequence[SeenSurface]
+        surfaces : Sequence[DrawnSurface]
             Surfaces of the organs.
         poses : Sequence[Floats | None], shape (7,) each, m and quaternion xyzw
             Poses of the tools' bodies; None for one that isn't seen.
@@ -77,6 +77,6 @@ class Painter:
         self._drawn.close()
 
 
-def whole_view(surfaces: Sequence[SeenSurface], lens: Pinhole) -> Floats:
-    """Return the pose (7,) of a camera in front of organs at rest, which has all of them in its picture."""
+def whole_view(surfaces: Sequence[DrawnSurface], lens: Pinhole) -> Floats:
+    """Return the pose (7,) of a camera in front of organs at rest that shows all of them, m and quaternion xyzw."""
     return framing(np.concatenate([one.rest for one in surfaces]), lens)

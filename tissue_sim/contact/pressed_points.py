@@ -1,4 +1,4 @@
-"""Contact points that press on the tissue now: where they are, and the normals of the tools there."""
+"""Contact points that press on the tissue at present: their places, and the normals of the tools there."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class PressedPoints(NamedTuple):
     """Points of k contacts that press on the tissue."""
 
     entries: Longs  # (k,) of the contact set
-    bodies: Longs  # (k,) that they touch
+    bodies: Longs  # (k,) bodies that they touch
     places: Floats  # (k, 3) m
     normals: Floats  # (k, 3) of the bodies, outward
 
@@ -43,7 +43,7 @@ def pressed_points(state: State, shapes: Shapes) -> PressedPoints:
 
 
 def warm_up(shapes: Shapes) -> None:
-    """Compile the kernels for tools of these shapes, which are the same for any.
+    """Compile the kernels, which are the same for all shapes.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Unit quaternions xyzw of plain floats, with the same additions and products on every processor.
 
-Small arrays would be slower, and SciPy's rotations differ in the last bits between processors, which a replay must not.
+Small arrays would be slower, and SciPy's rotations differ in the last bits between processors, unlike a replay.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How much farther than a tool's surface its contact points are searched, since it moves until the next search."""
+"""Distance from a tool's surface up to which contact points are searched, since it moves until the next search."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import MARGIN
 from tissue_sim.model.contact.poses import distance_along_path
 
-MOST_MARGIN = 0.01  # m: a tool that is farther from its goal moves there in steps, with a contact set for each
+MAX_MARGIN = 0.01  # m; a tool that is farther from its goal moves there in steps, with a contact set for each
 
 
 def reach_margins(places: Floats, goals: Floats, last: Floats, fraction: float, extents: Floats) -> Floats:
     """Return the margins beyond MARGIN for bodies that move towards goals.
 
-    A margin covers the distance to the goal, and a possible motion until the next set, `fraction` times the motion
-    since the last one, beyond half of MARGIN; in whole mm, so that a journal can hold it.
+    A margin covers the distance to the goal, and the possible motion until the next set, which is `fraction` times the
+    motion since the last one, as far as both exceed half of MARGIN; it is in whole mm, so that a journal can store it.
 
     Parameters
     ----------
@@ -35,12 +35,12 @@ def reach_margins(places: Floats, goals: Floats, last: Floats, fraction: float, 
     Floats, shape (T,), m
         Margins.
     """
-    covered = ways(places, goals, extents) + fraction * ways(last, goals, extents)
-    return 1e-3 * np.ceil(1e3 * np.clip(covered - 0.5 * MARGIN, 0.0, MOST_MARGIN))
+    covered = pose_distances(places, goals, extents) + fraction * pose_distances(last, goals, extents)
+    return 1e-3 * np.ceil(1e3 * np.clip(covered - 0.5 * MARGIN, 0.0, MAX_MARGIN))
 
 
-def ways(poses: Floats, others: Floats, extents: Floats) -> Floats:
-    """Return bounds on how far points of bodies lie apart in two poses each.
+def pose_distances(poses: Floats, others: Floats, extents: Floats) -> Floats:
+    """Return bounds on the distances between the same points of bodies in two poses each.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Scene of organs and tools in one thread: poses in, ticks, wrenches out; for tests, benches and scripts."""
+"""Scene of organs and tools in one thread: poses in, ticks, wrenches out; for tests, benchmarks and scripts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tissue_sim.contact.coupling_setup import join
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.gripper import about
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
-from tissue_sim.contact.pictured import Pictured
+from tissue_sim.contact.scene_views import SceneViews
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.cut import CutReport
@@ -25,18 +25,18 @@ from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
-TICKS_A_CUT = 10  # after which it is seen whether blades have cut
+TICKS_A_CUT = 10  # after which the scene checks whether blades have cut
 
 
-class Scene(Pictured):
-    """Organs whose contact sets are found anew before each tick, or every few ticks as beside the node's loop.
+class Scene(SceneViews):
+    """Organs whose contact sets are found before each tick, or every few ticks as in the node.
 
-    A tool moves in space and touches all organs; each yields to it independently, and the haptic output is the sum.
+    A tool moves in space and can touch all organs; each yields independently, and the haptic output is the sum.
 
     Parameters
     ----------
     organ : Organ | Sequence[Organ]
-        One organ, or several, where they lie.
+        One organ, or several, in their places.
     tools : list[Tool]
         Rigid tools.
     model : str, optional
@@ -46,11 +46,11 @@ class Scene(Pictured):
     local_region : str, optional
         As in Simulation.
     ticks_a_set : int, optional
-        Ticks per contact set.
+        Number of ticks for which a contact set is used.
     integrator : str, optional
         As in Simulation.
     stiffness : Sequence[float], shape (k,), optional
-        Factors of each organ's stiffness.
+        Factors on each organ's stiffness.
     attachments : Sequence[Attachment], optional
         Attachments between organs, or to points.
     breathing : Breathing | None, optional
@@ -82,7 +82,7 @@ class Scene(Pictured):
         self.tools = ToolSet(tools)
         organs = [organ] if isinstance(organ, Organ) else list(organ)
         if not organs:
-            raise UserError("a scene wants at least one organ")
+            raise UserError("a scene needs at least one organ")
         self.names = [one.name for one in organs]
         self.organs = [
             ContactOrgan(
@@ -105,8 +105,8 @@ class Scene(Pictured):
                 one.settings.stiffness_scale = factor
                 one.set_substeps()
         self.sequence, self.ticks_a_set, self.ticks = 0, ticks_a_set, 0
-        self.origins = np.zeros((len(tools), 3))  # m, where each tool was moved to
-        # Each has one body, about whose origin it is moved: that of an instrument's part lies beside it.
+        self.origins = np.zeros((len(tools), 3))  # m, place to which each tool was moved
+        # Whether each tool has one body with the same origin: the origin of an instrument's part is elsewhere.
         self._has_own_origins = all(one.n_bodies == 1 and one.shape != "urdf" for one in tools)
         if len(organs) > 1 or attachments or breathing is not None or self_contact:
             self.joined = join(self.simulations, attachments, breathing, breathes, organ_friction)
@@ -115,7 +115,7 @@ class Scene(Pictured):
         may_meet = len(organs) > 1 or self_contact
         self.pairs_finder = OrganContactFinder(organs) if may_meet else None
         self._own = [self_contact] * len(organs)
-        self.found_at = self.offsets  # when pairs were last looked for
+        self.found_at = self.offsets  # when pairs were last searched
 
     def __repr__(self) -> str:
         tools = ", ".join(f"{tool.name} ({tool.shape})" for tool in self.tools.tools) or "no tools"
@@ -124,7 +124,7 @@ class Scene(Pictured):
 
     @property
     def time(self) -> float:
-        """Return the simulated seconds."""
+        """Return the simulated time, s."""
         return self.simulation.time
 
     @property
@@ -153,7 +153,7 @@ class Scene(Pictured):
         return np.array([one.state.carried for one in self.simulations])
 
     def reset(self) -> None:
-        """Return to rest, breathed out, uncut, without tools; the settings stay."""
+        """Return to rest, exhaled, uncut, without tools; the settings don't change."""
         for number, one in enumerate(self.organs):
             if one.heal():
                 self._take_up(number)
@@ -165,7 +165,7 @@ class Scene(Pictured):
         self.origins[:] = 0.0
 
     def cut(self, organ: int | str, polyline: ArrayLike, direction: ArrayLike, depth: float) -> CutReport:
-        """Cut an organ, in which tools then touch both lips and walls; `reset` heals it.
+        """Cut an organ, whose lips and walls tools can then touch; `reset` heals it.
 
         The cut is given in the organ's rest coordinates; see Simulation.cut.
 
@@ -176,14 +176,14 @@ class Scene(Pictured):
         polyline : ArrayLike, shape (m, 3), m
             The blade's edge where it touches the surface, or above it: two points or more.
         direction : ArrayLike, shape (3,)
-            Where it is moved; of any length.
+            Direction in which it is moved; of any length.
         depth : float, m
-            How far it is moved.
+            Distance by which it is moved.
 
         Raises
         ------
         UserError
-            For an organ that the scene doesn't have, and what `Simulation.cut` refuses.
+            For an organ that the scene doesn't have, and for cuts that `Simulation.cut` refuses.
         """
         number = number_of(organ, self.names, "organ")
         one = self.organs[number]
@@ -193,7 +193,7 @@ class Scene(Pictured):
         return one.simulation.cuts[-1]
 
     def _take_up(self, number: int) -> None:
-        """Join an organ whose simulation was exchanged."""
+        """Couple an organ whose simulation was replaced."""
         one = self.organs[number]
         plan = self.joined.plan_exchange(number, one.simulation)
         self.joined.exchange(number, one.simulation, plan)
@@ -221,7 +221,7 @@ class Scene(Pictured):
     def wrenches(self) -> Floats:
         """Haptic output of each tool about its origin, (T, 6) N and N m.
 
-        The live array of an organ alone, unless a tool has more than one body, or a URDF.
+        For a single organ it is the live array, unless a tool has more than one body, or a URDF.
         """
         felt, poses = self.joined.wrench, self.simulation.state.body_pose[:, :3]
         if self._has_own_origins:
@@ -230,7 +230,7 @@ class Scene(Pictured):
         return np.array([about(at, felt[own], poses[own]) for at, own in zip(origins, self.tools.bodies, strict=True)])
 
     def wrench(self, tool: int | str) -> Floats:
-        """Return the force and torque that a tool's hand should feel.
+        """Return the haptic output of a tool.
 
         Parameters
         ----------
@@ -250,7 +250,7 @@ class Scene(Pictured):
         return self.wrenches[self.tools.index(tool)].copy()
 
     def surface_positions(self, organ: int | str = 0) -> Floats:
-        """Return where the surface nodes of an organ are, carried by the breath.
+        """Return the positions of an organ's surface nodes, with the displacement by the breath.
 
         Parameters
         ----------
@@ -288,7 +288,7 @@ class Scene(Pictured):
         angle: float = 0.0,
         stamp: int = 0,
     ) -> None:
-        """Give a tool a new pose, which it takes up in the next tick.
+        """Set a new pose of a tool, which takes effect in the next tick.
 
         Parameters
         ----------
@@ -301,7 +301,7 @@ class Scene(Pictured):
         angle
             rad, between a gripper's jaws.
         stamp
-            ns, when the tool was there; 0: it came as fast as it moved.
+            ns, time at which the tool was there; 0: the time of arrival.
 
         Raises
         ------
@@ -324,7 +324,7 @@ class Scene(Pictured):
                 simulation.take_pose(body, carried, self.sequence, stamp)
 
     def push(self, tool: int | str, force: ArrayLike) -> None:
-        """Give the external force (3,) N on the tissue at a tool's tip.
+        """Set the external force (3,) N on the tissue at a tool's tip.
 
         Raises
         ------
@@ -339,7 +339,7 @@ class Scene(Pictured):
             simulation.take_force(body, given, self.sequence)
 
     def step(self, ticks: int = 1) -> None:
-        """Advance by some ticks of 1/rate seconds; contacts are found when it is time."""
+        """Advance by some ticks of 1/rate seconds; contacts are found every `ticks_a_set` ticks."""
         for _ in range(ticks):
             if self.ticks % self.ticks_a_set == 0:
                 self.find()
@@ -349,7 +349,7 @@ class Scene(Pictured):
                 self.open_cuts()
 
     def open_cuts(self) -> None:
-        """Open what blades have cut since the last time; `step` does so every few ticks."""
+        """Open the cuts that blades have made since the last call; `step` calls this every few ticks."""
         for number, one in enumerate(self.organs):
             if not one.blade_cuts:
                 continue
@@ -369,14 +369,14 @@ class Scene(Pictured):
                 self._take_up(number)
 
     def find(self) -> None:
-        """Find what tools and organs may touch at present, and apply it."""
+        """Find contacts of tools and organs at present, and apply them."""
         self.sequence += 1
         for one in self.organs:
             one.find(self.sequence)
         self._find_pairs()
 
     def _find_pairs(self) -> None:
-        """Find where organs touch each other, unless all of them sleep and the breath has not moved them since."""
+        """Find contacts between organs, unless all sleep and the breath has not moved them since the last search."""
         if self.pairs_finder is None:
             return
         offsets = self.offsets
@@ -390,7 +390,7 @@ class Scene(Pictured):
 
 
 def _factors(stiffness: Sequence[float], count: int) -> list[float]:
-    """Return factors on the stiffness of each organ's tissue: 1 where none are given."""
+    """Return the factors on the stiffness of each organ's tissue: 1 if none are given."""
     if not len(stiffness):
         return [1.0] * count
     factors = finite(stiffness, count, "stiffness")

@@ -1,4 +1,4 @@
-"""Many copies of a scene that are stepped together on all cores: for learning, sweeps and statistics."""
+"""Many copies of a scene, stepped together on all cores, for learning, sweeps and statistics."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from tissue_sim.contact.scene_copy import copied_scene, memory_of
 from tissue_sim.errors import UserError
 from tissue_sim.handles import row
 
-TAKEN = 0.5  # part of a thread's equal share of what is left that it takes at once
+TAKEN = 0.5  # of a thread's equal part of the remaining copies, which it takes at once
 
 
 class SceneBatch:
-    """n copies of a scene; each does what the scene would do alone, to the last bit, for any number of threads.
+    """n copies of a scene, each with the same results as the scene alone, to the last bit, for any number of threads.
 
     Parameters
     ----------
     scene : Scene
-        The scene, which stays as it is; the copies begin in its present state, and take its options.
+        The scene, which isn't changed; the copies start from its present state, with its options.
     n : int
-        How many copies.
+        Number of copies.
     threads : int, optional
-        How many threads step them; 0 for one on each core that this process may use.
+        Number of threads that step them; 0 for one on each core that this process may use.
 
     Raises
     ------
@@ -48,7 +48,7 @@ class SceneBatch:
             raise UserError("a batch copies scenes without cuts; reset the scene, which heals it, and copy that")
         if scene.simulation.shapes.blades.body.size:
             raise UserError(
-                "a batch takes no blades: a cut gives each copy other nodes; step copies of the scene one by one"
+                "a batch supports no blades, as a cut changes the nodes of a copy; step copies of the scene one by one"
             )
         self.names, self.tools, self.rate = scene.names, scene.tools, scene.simulation.rate
         self.threads = min(n, threads or len(os.sched_getaffinity(0)))
@@ -59,7 +59,7 @@ class SceneBatch:
         self._is_alone = scene.joined.alone
         self._copies = CompiledCopies(self._scenes, self.threads) if self._is_alone else JoinedCopies(self._scenes)
         self._pool = ThreadPoolExecutor(self.threads - 1, "batch") if self.threads > 1 else None  # and the caller's
-        self._given = np.zeros((n, len(self.tools.tools), 7))  # the poses that tools were given last
+        self._given = np.zeros((n, len(self.tools.tools), 7))  # the last poses that were set for the tools
         self._given[..., 6] = 1.0
         self._angles = np.zeros((n, len(self.tools.tools)))
 
@@ -77,7 +77,7 @@ class SceneBatch:
         Parameters
         ----------
         ticks : int, optional
-            How many.
+            Number of ticks.
 
         Raises
         ------
@@ -93,18 +93,18 @@ class SceneBatch:
         parts = iter(np.split(every, np.cumsum(pieces(len(self), self.threads))[:-1]))
 
         def work() -> None:
-            for part in parts:  # whichever thread is done takes the next one
+            for part in parts:  # the next thread that is done takes the next part
                 self._copies.advance(part, ticks)
 
         others = [self._pool.submit(work) for _ in range(self.threads - 1)]
         try:
-            work()  # a caller that only waits would be woken by the others, and cost a tenth of their time
+            work()  # a caller that only waits would be woken by the others, which costs a tenth of their time
         finally:
             for one in others:
                 one.result()
 
     def move(self, poses: ArrayLike, angles: ArrayLike = 0.0, copies: ArrayLike | None = None) -> None:
-        """Give the tools new poses, which they take up in the next tick.
+        """Set new poses of the tools, which take effect in the next tick.
 
         Parameters
         ----------
@@ -131,7 +131,7 @@ class SceneBatch:
         self._copies.move(chosen, given, wide)
 
     def reset(self, copies: ArrayLike | None = None) -> None:
-        """Return copies to rest, breathed out, without tools; settings stay.
+        """Return copies to rest, exhaled, without tools; the settings don't change.
 
         Parameters
         ----------
@@ -147,12 +147,12 @@ class SceneBatch:
             self._copies.reset(copy)
 
     def set_stiffness(self, factors: ArrayLike, copies: ArrayLike | None = None) -> None:
-        """Set how stiff the organs of copies are.
+        """Set the stiffness of the organs of copies.
 
         Parameters
         ----------
         factors : ArrayLike, shape (k, organs) or what NumPy broadcasts to it
-            Factors of each organ's stiffness, greater than 0.
+            Factors on each organ's stiffness, greater than 0.
         copies : ArrayLike | None, optional
             Mask (n,) or numbers (k,) of the copies that are meant; None for all.
 
@@ -171,7 +171,7 @@ class SceneBatch:
             self._scenes[copy].set_substeps()
 
     def surface_positions(self, organ: int | str = 0) -> Floats:
-        """Return where the surface nodes of an organ are in every copy, carried by the breath, (n, n_surface, 3) m.
+        """Return the positions of an organ's surface nodes in every copy, with the breath, (n, n_surface, 3) m.
 
         Parameters
         ----------
@@ -202,9 +202,9 @@ class SceneBatch:
 
     @property
     def poses(self) -> Floats:
-        """Poses of the tools where contact lets them be, (n, tools, 7) m and quaternion xyzw.
+        """Poses of the tools as constrained by contact, (n, tools, 7) m and quaternion xyzw.
 
-        A gripper has the orientation that it was given.
+        The orientation of a gripper is the one that was set.
         """
         bodies, found = self._bodies()[0], self._given.copy()
         for tool, own in enumerate(self.tools.bodies):
@@ -223,12 +223,12 @@ class SceneBatch:
 
     @property
     def times(self) -> Floats:
-        """Simulated seconds of each copy, (n,)."""
+        """Simulated time of each copy, (n,) s."""
         return np.array([one.time for one in self._scenes])
 
     @property
     def bytes_a_copy(self) -> int:
-        """Memory that belongs to one copy alone, bytes; models, tools and tables are shared by all."""
+        """Memory of one copy, bytes; models, tools and tables are shared by all."""
         scene = self._scenes[0]
         parts = [one.nbytes for one in memory_of(scene)]
         for simulation in scene.simulations:
@@ -238,7 +238,7 @@ class SceneBatch:
         return int(sum(parts))
 
     def save(self, copies: ArrayLike | None = None) -> Longs:
-        """Return the whole state of copies, with their settings, from which they go on to the last bit.
+        """Return the whole state of copies, with their settings, from which they continue bit for bit.
 
         Parameters
         ----------
@@ -260,7 +260,7 @@ class SceneBatch:
     def restore(self, states: ArrayLike, copies: ArrayLike | None = None) -> None:
         """Continue from states that `save` has returned.
 
-        Where organs may touch themselves, a wall that was passed is found again.
+        If organs may touch themselves, a node that had passed a wall counts as in front of it again.
 
         Parameters
         ----------
@@ -292,7 +292,7 @@ class SceneBatch:
                 simulation.forget_scratch()
 
     def _memory(self, copy: int) -> list[Longs]:
-        """Return the words of a copy's state: views, and last a copy of what counts beside them."""
+        """Return the words of a copy's state: views, and last a copy of its counters."""
         scene = self._scenes[copy]
         given = [scene.origins, self._given[copy], self._angles[copy]]
         own = [part.reshape(-1).view(np.int64) for part in given]
@@ -331,9 +331,9 @@ class SceneBatch:
 
 
 def pieces(count: int, threads: int) -> list[int]:
-    """Return the sizes of pieces of work for threads, which take the next one whenever they are done.
+    """Return the sizes of parts of the work, of which each thread takes the next one whenever it is done.
 
-    Pieces become smaller towards the end (guided self-scheduling, Polychronopoulos and Kuck 1987): copies that sleep
+    The parts become smaller towards the end (guided self-scheduling, Polychronopoulos and Kuck 1987): copies that sleep
     are done sooner than others, and a thread that is done waits for one copy at most.
 
     Parameters
@@ -351,7 +351,7 @@ def pieces(count: int, threads: int) -> list[int]:
 
 
 def _spread(given: ArrayLike, shape: Sequence[int], name: str) -> Floats:
-    """Return finite numbers in a shape. Raises UserError, with their name, for others."""
+    """Return finite numbers, broadcast to a shape. Raises UserError, with their name, for others."""
     values = floats_of(given)
     try:
         spread = np.broadcast_to(values, tuple(shape)).copy()

@@ -1,4 +1,4 @@
-"""Copies of a scene, which share everything that never changes: models, tools, and what the contact search knows."""
+"""Copies of a scene, which share everything that never changes: models, tools, and tables of the contact search."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tissue_sim.model.stepping.scratch import make_scratch
 
 
 def copied_scene(scene: Scene) -> Scene:
-    """Return a scene in the same state that goes its own way.
+    """Return an independent scene in the same state.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def copied_scene(scene: Scene) -> Scene:
     Returns
     -------
     Scene
-        The copy. It shares the contact finders' buffers, so that only one of all copies may search at a time.
+        The copy. All copies share the contact finders' buffers, so that only one may search at a time.
     """
     made = copy.copy(scene)
     made._painter = None
@@ -48,7 +48,7 @@ def _copied_organ(organ: ContactOrgan) -> ContactOrgan:
 
 
 def copied_simulation(simulation: Simulation) -> Simulation:
-    """Return a simulation in the same state that goes its own way; both share the model's constants.
+    """Return an independent simulation in the same state; both share the model's constants.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def _own_arrays(values: Any) -> Any:
 
 
 def memory_of(scene: Scene) -> list[Longs]:
-    """Return the words of everything about a scene that changes while it is stepped, as arrays that view them.
+    """Return all words of a scene that change while it is stepped, as arrays that view them.
 
     Parameters
     ----------

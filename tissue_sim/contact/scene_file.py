@@ -1,4 +1,4 @@
-"""Scene as a YAML file: organs and where they lie, their attachments, and the breathing that moves them."""
+"""Scene as a YAML file: organs and their places, their attachments, and the breathing that moves them."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from tissue_sim.json_types import JsonObject
 from tissue_sim.model.elasticity.gravity import MOST_GRAVITY
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.stepping.contact_pairs import MOST_ORGANS
+from tissue_sim.model.stepping.contact_pairs import MAX_ORGANS
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.placement import placed
 
 FORMAT = 1
 # Keys of a scene, an organ in it, its breathing, an attachment.
-OF_SCENE = "format", "organs", "attachments", "breathing", "friction", "gravity"
-_OF_ORGAN = "name", "file", "position", "quaternion", "stiffness", "breathes"
-_OF_BREATHING = "rate", "way"
-_OF_ATTACHMENT = "between", "of", "point", "moves", "within", "nodes", "stiffness", "damping", "slack"
+SCENE_KEYS = "format", "organs", "attachments", "breathing", "friction", "gravity"
+_ORGAN_KEYS = "name", "file", "position", "quaternion", "stiffness", "breathes"
+_BREATHING_KEYS = "rate", "way"
+_ATTACHMENT_KEYS = "between", "of", "point", "moves", "within", "nodes", "stiffness", "damping", "slack"
 
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Content of a scene's file, with its organs where they lie.
+    """Content of a scene's file, with its organs in their places.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class SceneFile:
     organs : tuple[Organ, ...], shape (k,)
         The organs.
     stiffness : tuple[float, ...], shape (k,)
-        Factors of their tissue's stiffness.
+        Factors on their tissue's stiffness.
     breathes : tuple[float, ...], shape (k,)
         Motion of their clamps with the breath, as a factor.
     attachments : tuple[Attachment, ...]
@@ -90,21 +90,21 @@ class SceneFile:
         if content is None:
             raise UserError(f"scene {path} is empty; 'tissue_sim abdomen' makes one")
         try:
-            return cls._parsed(path, _object(content, "the scene", OF_SCENE))
-        except _Wrong as error:
+            return cls._parsed(path, _object(content, "the scene", SCENE_KEYS))
+        except _InvalidEntry as error:
             raise UserError(f"scene {path}: {error}") from None
 
     @classmethod
     def _parsed(cls, path: Path, said: JsonObject) -> SceneFile:
         if said.get("format") != FORMAT:
-            raise _Wrong(f"format is {shown(repr(said.get('format')))}, this package reads {FORMAT}")
+            raise _InvalidEntry(f"format is {shown(repr(said.get('format')))}, this package reads {FORMAT}")
         entries = _list(said.get("organs"), "organs")
-        if not 1 <= len(entries) <= MOST_ORGANS:
-            raise _Wrong(f"organs has {len(entries)} entries, expected: 1 to {MOST_ORGANS}")
+        if not 1 <= len(entries) <= MAX_ORGANS:
+            raise _InvalidEntry(f"organs has {len(entries)} entries, expected: 1 to {MAX_ORGANS}")
         rows = [_organ(path, entry, f"organs[{number}]") for number, entry in enumerate(entries)]
         names = [name for name, *_ in rows]
         if twice := [name for name in names if names.count(name) > 1]:
-            raise _Wrong(f"two organs have the name '{twice[0]}'")
+            raise _InvalidEntry(f"two organs have the name '{twice[0]}'")
         _, organs, stiffness, breathes = zip(*rows, strict=True)
         attached = _list(said.get("attachments", []), "attachments")
         breathing = said.get("breathing")
@@ -120,7 +120,7 @@ class SceneFile:
         )
 
     def join(self, simulations: Sequence[Simulation]) -> Joined:
-        """Return the joined simulations of its organs.
+        """Return the coupled simulations of its organs.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ def load_scene(path: str | os.PathLike[str], tools: Sequence[Tool] = (), **optio
     Returns
     -------
     Scene
-        At rest, its organs called as in the file.
+        The scene at rest; its organs have the names of the file.
 
     Raises
     ------
@@ -190,44 +190,48 @@ def load_scene(path: str | os.PathLike[str], tools: Sequence[Tool] = (), **optio
     return SceneFile.read(Path(path)).scene(list(tools), **options)
 
 
-class _Wrong(Exception):
-    """Error about an entry, with which the message begins."""
+class _InvalidEntry(Exception):
+    """Error in an entry; its message begins with the name of the entry."""
 
 
 def _organ(path: Path, entry: object, where: str) -> tuple[str, Organ, float, float]:
-    said = _object(entry, where, _OF_ORGAN)
+    said = _object(entry, where, _ORGAN_KEYS)
     name = said.get("name")
     if not (isinstance(name, str) and name.isidentifier() and name.isascii()):
-        raise _Wrong(
+        raise _InvalidEntry(
             f"{where}.name is {shown(repr(name))}; expected: letters, digits and _, not beginning with a digit"
         )
     file = said.get("file")
     if not isinstance(file, str) or not file:
-        raise _Wrong(f"{where}.file is {shown(repr(file))}; expected: an organ file, next to the scene")
+        raise _InvalidEntry(f"{where}.file is {shown(repr(file))}; expected: an organ file, next to the scene")
     organ = Organ.load(path.parent / file)
     position = _numbers(said.get("position", [0.0, 0.0, 0.0]), f"{where}.position", 3, 10.0)
     quaternion = _numbers(said.get("quaternion", [0.0, 0.0, 0.0, 1.0]), f"{where}.quaternion", 4, 1.0 + 1e-6)
     try:
         there = placed(organ, position, quaternion)
     except UserError as error:
-        raise _Wrong(f"{where}: {error}") from None
+        raise _InvalidEntry(f"{where}: {error}") from None
     stiffness = _number(said.get("stiffness", 1.0), f"{where}.stiffness", 0.01, 100.0)
     return name, there, stiffness, _number(said.get("breathes", 0.0), f"{where}.breathes", -1.0, 1.0)
 
 
 def _attachment(entry: object, names: Sequence[str], where: str) -> Attachment:
-    said = _object(entry, where, _OF_ATTACHMENT)
+    said = _object(entry, where, _ATTACHMENT_KEYS)
     if ("between" in said) == ("of" in said):
-        raise _Wrong(f"{where} needs either 'between' with two organs, or 'of' with one and a 'point'")
+        raise _InvalidEntry(f"{where} needs either 'between' with two organs, or 'of' with one and a 'point'")
     ends = [said["of"]] if "of" in said else _list(said["between"], f"{where}.between")
     if len(ends) != (1 if "of" in said else 2) or not all(isinstance(name, str) for name in ends):
-        raise _Wrong(f"{where}.{'of' if 'of' in said else 'between'} is {shown(repr(ends))}; expected: names of organs")
+        raise _InvalidEntry(
+            f"{where}.{'of' if 'of' in said else 'between'} is {shown(repr(ends))}; expected: names of organs"
+        )
     if unknown := [name for name in ends if name not in names]:
-        raise _Wrong(f"{where} names organ '{shown(unknown[0])}', which doesn't exist; there are {', '.join(names)}")
+        raise _InvalidEntry(
+            f"{where} names organ '{shown(unknown[0])}', which doesn't exist; there are {', '.join(names)}"
+        )
     if ("of" in said) != ("point" in said):
-        raise _Wrong(f"{where}: 'of' needs a 'point', and 'between' has none")
+        raise _InvalidEntry(f"{where}: 'of' needs a 'point', and 'between' has none")
     if ("within" in said) == ("nodes" in said):
-        raise _Wrong(f"{where} needs either 'within', m, or 'nodes'")
+        raise _InvalidEntry(f"{where} needs either 'within', m, or 'nodes'")
     number = names.index(ends[0]), names.index(ends[1]) if len(ends) == 2 else None
     return Attachment(
         number,
@@ -242,7 +246,7 @@ def _attachment(entry: object, names: Sequence[str], where: str) -> Attachment:
 
 
 def _breathing(entry: object) -> Breathing:
-    said = _object(entry, "breathing", _OF_BREATHING)
+    said = _object(entry, "breathing", _BREATHING_KEYS)
     rate = _number(said["rate"], "breathing.rate", 1.0, 120.0) if "rate" in said else 0.0
     return Breathing(rate, _numbers(said.get("way"), "breathing.way", 3, 0.2))
 
@@ -252,30 +256,30 @@ def _breathing(entry: object) -> Breathing:
 
 def _object(value: object, where: str, keys: Sequence[str]) -> JsonObject:
     if not isinstance(value, dict):
-        raise _Wrong(f"{where} is {shown(repr(value))}; expected: {', '.join(keys)}")
+        raise _InvalidEntry(f"{where} is {shown(repr(value))}; expected: {', '.join(keys)}")
     for key in value:
         if key not in keys:
             near = difflib.get_close_matches(str(key), keys, 1)
             hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(keys)}"
-            raise _Wrong(f"{where} has '{shown(str(key))}', which is unknown; {hint}")
+            raise _InvalidEntry(f"{where} has '{shown(str(key))}', which is unknown; {hint}")
     return value
 
 
 def _list(value: object, where: str) -> list[Any]:
     if not isinstance(value, list):
-        raise _Wrong(f"{where} is {shown(repr(value))}; expected: a list")
+        raise _InvalidEntry(f"{where} is {shown(repr(value))}; expected: a list")
     return value
 
 
 def _number(value: object, where: str, low: float, high: float) -> float:
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:  # nor NaN
-        raise _Wrong(f"{where} is {shown(repr(value))}; expected: a number in {low:g}..{high:g}")
+        raise _InvalidEntry(f"{where} is {shown(repr(value))}; expected: a number in {low:g}..{high:g}")
     return float(value)
 
 
 def _numbers(value: object, where: str, count: int, most: float) -> list[float]:
     if not isinstance(value, list) or len(value) != count:
-        raise _Wrong(f"{where} is {shown(repr(value))}; expected: {count} numbers")
+        raise _InvalidEntry(f"{where} is {shown(repr(value))}; expected: {count} numbers")
     return [_number(one, f"{where}[{place}]", -most, most) for place, one in enumerate(value)]
 
 
@@ -285,5 +289,5 @@ def _nodes(value: object, where: str, ends: int) -> list[Any]:
     flat = rows if ends == 1 else [node for row in rows for node in (row if isinstance(row, list) else [None])]
     right = all(type(node) is int and 0 <= node < 2**31 for node in flat)
     if not rows or not right or (ends == 2 and any(len(row) != 2 for row in rows)):
-        raise _Wrong(f"{where} is {shown(repr(value))}; expected: {wanted}")
+        raise _InvalidEntry(f"{where} is {shown(repr(value))}; expected: {wanted}")
     return rows

@@ -1,4 +1,4 @@
-"""A scene on a page in the browser, or in a notebook, without ROS."""
+"""Page that shows a scene in the browser, or in a notebook, without ROS."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
-from tissue_sim.contact.drawn_scene import SeenSurface, body_shapes
+from tissue_sim.contact.drawn_scene import DrawnSurface, body_shapes
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.ports import free_port
 from tissue_sim.rendering.organ_view import FIELD_OF_VIEW, OrganView, camera_for, light
@@ -18,16 +18,16 @@ from tissue_sim.rendering.page_server import LOOPBACK, NOTEBOOKS, started, stopp
 FRAME_TIME = 1.0 / 30.0  # s between two pictures
 METAL = (150, 155, 165)
 HEIGHT = 480  # pixels in a notebook
-Seen = tuple[list[SeenSurface], list[Floats | None]]  # surfaces, and poses of the tools' bodies
+DrawnParts = tuple[list[DrawnSurface], list[Floats | None]]  # surfaces, and poses of the tools' bodies
 
 
 class ScenePage:
-    """A page that shows a scene; `update` brings it up to date, `close` ends it. In a notebook it shows itself.
+    """Page that shows a scene; `update` shows the present state, `close` ends it. A notebook displays it.
 
     Parameters
     ----------
-    look : Callable[[], Seen]
-        Returns what is there now.
+    look : Callable[[], DrawnParts]
+        Returns the present surfaces and poses.
     tools : ToolSet
         The tools.
     port : int, optional
@@ -36,10 +36,10 @@ class ScenePage:
     Raises
     ------
     UserError
-        Where the port is taken.
+        If the port is in use.
     """
 
-    def __init__(self, look: Callable[[], Seen], tools: ToolSet, port: int = 0) -> None:
+    def __init__(self, look: Callable[[], DrawnParts], tools: ToolSet, port: int = 0) -> None:
         self.port = port or free_port()
         self._look = look
         self._server = started(LOOPBACK, self.port, None, NOTEBOOKS)
@@ -54,7 +54,7 @@ class ScenePage:
             for body, shape in enumerate(body_shapes(tools))
         ]
         self._server.initial_camera.fov, self._server.initial_camera.near = FIELD_OF_VIEW, 0.02
-        self._newest: Seen | None = look()
+        self._newest: DrawnParts | None = look()
         points = np.concatenate([one.rest for one in self._newest[0]])
         self._server.initial_camera.position, self._server.initial_camera.look_at = camera_for(points)
         self._ended = threading.Event()
@@ -67,7 +67,7 @@ class ScenePage:
         return f"http://{LOOPBACK}:{self.port}"
 
     def update(self) -> None:
-        """Show the scene as it is now; costs a copy of its surfaces, and doesn't wait for the page."""
+        """Show the present state of the scene; copies its surfaces, and doesn't wait for the page."""
         self._newest = self._look()
 
     def close(self) -> None:
@@ -91,7 +91,7 @@ class ScenePage:
         return f'<iframe src="{self.address}" width="100%" height="{HEIGHT}" style="border: 0"></iframe>'
 
     def _draw(self) -> None:
-        """Show what is new until the page is closed."""
+        """Show new states until the page is closed."""
         while not self._ended.is_set():
             newest, self._newest = self._newest, None
             with self._server.atomic():
@@ -101,7 +101,7 @@ class ScenePage:
                     view.turn()
             time.sleep(FRAME_TIME)
 
-    def _show(self, surfaces: list[SeenSurface], poses: list[Floats | None]) -> None:
+    def _show(self, surfaces: list[DrawnSurface], poses: list[Floats | None]) -> None:
         for one in surfaces:
             name = one.name if len(surfaces) > 1 else ""
             triangles, view = self._views.get(one.name, (None, None))

@@ -1,4 +1,4 @@
-"""Search for self-contact: the walls of a fold that closes."""
+"""Search for self-contact between the walls of a fold that closes."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from tissue_sim.contact.triangles import nearest_of_face
 from tissue_sim.jit import kernel
 from tissue_sim.organ.organ import Organ
 
-FACING = -0.2  # cosine between the outward normals of two nodes, below which they face each other or face away
+FACING = -0.2  # cosine between the outward normals of two nodes, below which they face towards or away from each other
 BEHIND = 0.3  # sine of the angle by which a node may be behind another one's plane and still face it
 MARGIN = 0.002  # m in front of a wall within which a node is examined
 STALE = 0.002  # m of approach of a surface to itself, after which all nodes are examined again
-DEEPEST = 0.004  # m that a node may lie behind a wall that it was in front of before
+DEEPEST = 0.004  # m, largest distance of a node behind a wall if it was in front of it before
 
 
 class SelfFinder:
     """Finder of pairs of nodes and triangles of one surface that face each other.
 
-    A node may be behind a triangle only where it was in front of that wall at the last search: the far wall of a thin
-    organ is behind, too, and always was. Triangles that a cut has split count as neighbours only: lips have contact of
-    their own (model.contact.lips).
+    A node counts as behind a wall only if it was in front of that wall at the last search: of a thin organ, a node is
+    always behind the far wall. Triangles that a cut has split are used as neighbours only: lips have contact of their
+    own (model.contact.lips).
     """
 
     def __init__(self, touched: Organ | TouchedSurface) -> None:
@@ -37,9 +37,9 @@ class SelfFinder:
         n = organ.n_surface
         corner = organ.surface_positions[every]
         longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
-        self._reach = MARGIN + 0.6 * longest  # m between nodes; no place on a triangle is farther from all its corners
+        self._reach = MARGIN + 0.6 * longest  # m between nodes; a triangle has no place farther from all corners
         self._order = np.argsort(organ.surface_positions[:, 0]).astype(np.int64)
-        # Approach of each node to nodes that aren't its neighbours, m, before it is within reach of one.
+        # Distance by which each node may approach nodes that aren't its neighbours before it is within reach of one, m.
         self._room: Floats = np.zeros(n)
         self._before: Floats | None = None  # the surface at that time
         self._facing = _Facing(np.zeros((n, 3)), np.zeros(n, dtype=np.int64), np.zeros(n))
@@ -54,11 +54,11 @@ class SelfFinder:
         self._around = _Lists.of(owner + edges @ owner)
 
     def forget(self) -> None:
-        """Note that the organ has jumped: no node counts as in front of a wall."""
+        """Discard the last search after the organ has jumped: no node counts as in front of a wall."""
         self._walls.before[:] = -1
 
     def find(self, surface: Floats) -> tuple[Longs, Floats]:
-        """Return the pairs on a surface: nodes (p, 4), one and a triangle's three, and weights (p, 3).
+        """Return the pairs on a surface: nodes (p, 4), a node and a triangle's three, and weights (p, 3).
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class SelfFinder:
         return np.column_stack([found, self._triangles[walls.triangle[found]]]), walls.weight[found]
 
     def _within_reach(self, surface: Floats) -> Longs:
-        """Return nodes that may have come within reach of others, sorted by their first coordinate then."""
+        """Return nodes that may be within reach of others, sorted by their first coordinate at the last search."""
         before = self._before
         nearer = STALE if before is None else approach(surface, before, surface, before)
         if nearer >= STALE:
@@ -119,7 +119,7 @@ class _Facing(NamedTuple):
 
 
 class _Walls(NamedTuple):
-    """Triangle that each of n nodes is in front of, or behind since it was in front of it."""
+    """Triangle in front of which each of n nodes is, or was before it came behind it."""
 
     before: Longs  # (n,) the one found at the last search, or -1
     triangle: Longs  # (n,) the one found now, or -1
@@ -132,7 +132,7 @@ def facing_walls(
 ) -> int:
     """Find the walls of nodes from those that face them; return how many nodes have one.
 
-    near: neighbours of each node; around: triangles near each node; corners (4, 3) is room.
+    near: neighbours of each node; around: triangles near each node; corners (4, 3): buffer.
     """
     position, triangles = surface
     count = 0
@@ -181,7 +181,7 @@ def is_beside(triangle: Longs, near: _Lists, node: int) -> bool:
 
 @kernel
 def reach_triangle(position: Floats, triangle: Longs, point: Floats, corners: Floats) -> float:
-    """Return the squared distance of a triangle from a point, m^2; the weights of the place go to corners[3]."""
+    """Return the squared distance of a triangle from a point, m^2; write the weights of the place to corners[3]."""
     for corner in range(3):
         for axis in range(3):
             corners[corner, axis] = position[triangle[corner], axis]
@@ -195,7 +195,7 @@ def reach_triangle(position: Floats, triangle: Longs, point: Floats, corners: Fl
 
 @kernel
 def stand(position: Floats, triangle: Longs, point: Floats, outward: Floats) -> tuple[float, float]:
-    """Return how far a point is in front of a triangle's plane, and how its normal agrees with it; neither to scale."""
+    """Return the distance of a point in front of a triangle's plane, and the cosine to its normal, both unscaled."""
     a, b, c = position[triangle[0]], position[triangle[1]], position[triangle[2]]
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -206,10 +206,10 @@ def stand(position: Floats, triangle: Longs, point: Floats, outward: Floats) -> 
 
 @kernel
 def facing_nodes(surface: _Surface, order: Longs, near: _Lists, before: Longs, reach: float, facing: _Facing) -> int:
-    """Find of each node the nearest one that faces it within reach, m; return how many have one.
+    """Find for each node the nearest one that faces it within reach, m; return how many have one.
 
-    Those that turn their backs on each other, through the organ, count where they did before: before (n,) >= 0, see
-    _Walls. order (k,): those that may be, see put_in_order; near: what is no partner of each node.
+    Nodes that face away from each other, through the organ, count only if they faced each other before: before (n,) >=
+    0, see _Walls. order (k,): candidates, see put_in_order; near: nodes that are no partners of each node.
     """
     position, triangles = surface
     normal, partner, apart = facing
@@ -288,7 +288,7 @@ def find_rooms(position: Floats, order: Longs, near: _Lists, reach: float, most:
 
 @kernel
 def is_near(near: _Lists, node: int, other: int) -> bool:
-    """Return whether one of two nodes is in the other's list, which is sorted."""
+    """Return whether a node is in another one's sorted list."""
     low, high = near.start[node], near.start[node + 1]
     while low < high:
         middle = (low + high) // 2

@@ -1,4 +1,4 @@
-"""Rigid tools: their shape for FCL, for the kernels and for the broad phase."""
+"""Rigid tools: their shapes for FCL, for the kernels and for the broad phase."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     import trimesh
 
 SHAPE_NAMES = ("sphere", "capsule", "gripper", "mesh", "urdf", "blade", "scissors")
-MOST_PLANES = 256
-MOST_FACES = 2000  # of a part of an instrument; more are decimated
-MOST_MOVED = 2e-4  # m by which that may move its surface
+MAX_PLANES = 256
+MAX_FACES = 2000  # of a part of an instrument; a mesh with more is decimated
+MAX_DECIMATION_ERROR = 2e-4  # m by which decimation may move its surface
 MARGIN = 0.003  # m around a tool: distance that it may cover before the next contact set
-SLACK = 0.003  # m that the surface may have moved from rest where FCL is used
+SLACK = 0.003  # m, largest displacement of the surface from rest with which FCL is used
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,11 @@ class Tool:
         Length, m, of capsules between the centres of their caps, from the origin along -z; or from a gripper's tips to
         its hinge, or of an edge.
     mesh : str
-        Mesh file in m, a closed surface where it is not convex; config/jaws/flat.obj comes with the package. Of an
-        instrument its URDF.
+        Mesh file in m, convex or a closed surface; config/jaws/flat.obj comes with the package. For an instrument, its
+        URDF.
     smoothing : float
-        Fraction of the time between two poses in which the tool moves to the newer one. 1: it moves evenly, and arrives
-        as the next pose is due; 0: it arrives within a tick.
+        Fraction of the time between two poses in which the tool moves to the newer one. 1: it moves at constant speed,
+        and arrives when the next pose is due; 0: it arrives within a tick.
     links : Sequence[str]
         Links of a URDF whose collision elements are the tool's bodies; none for all.
     tip_link : str
@@ -63,11 +63,11 @@ class Tool:
     height : float
         Height, m, of a blade behind its edge.
     cautery_speed : float
-        Speed, m/s, at which a blade parts tissue without force, as a cautery hook does; 0: it cuts by force.
+        Speed, m/s, at which a blade cuts tissue without force, as a cautery hook does; 0: it cuts by force.
     cautery_stiffening : float
         Factor by which its heat stiffens the tissue at the walls of its cut; 1: not at all.
     cautery_spread : float
-        Distance, m, from its cut that this heat reaches.
+        Distance, m, from its cut up to which the tissue is stiffened.
     """
 
     name: str
@@ -96,12 +96,12 @@ class Tool:
 
     @property
     def instrument(self) -> Instrument:
-        """What its URDF describes.
+        """Instrument that its URDF describes.
 
         Raises
         ------
         UserError
-            Where that can't be used; the message names the tool.
+            If the URDF can't be used; the message names the tool.
         """
         links = tuple(link for link in self.links if link)
         try:
@@ -111,7 +111,7 @@ class Tool:
 
     @property
     def is_round(self) -> bool:
-        """Whether `radius` is that of its bodies: of spheres, capsules, and jaws that are capsules."""
+        """Whether its bodies have the radius `radius`: spheres, capsules, and jaws that are capsules."""
         return self.shape in ("sphere", "capsule", "blade", "scissors") or (self.shape == "gripper" and not self.mesh)
 
     @property
@@ -134,7 +134,7 @@ class Tool:
 
 
 class ToolSet:
-    """Tools of a scene in all the forms that are needed, body by body: a gripper has two, other tools one.
+    """Tools of a scene, with all representations of their bodies: a gripper has two bodies, most other tools one.
 
     Parameters
     ----------
@@ -158,20 +158,21 @@ class ToolSet:
             made = _bodies(tool)
             self.bodies.append(list(range(len(bodies), len(bodies) + len(made))))
             bodies += made
-        self.grown = [_grown(body) for body in bodies]  # FCL geometry of each body, MARGIN and SLACK larger
+        self.grown = [_grown(body) for body in bodies]  # FCL geometry of each body, enlarged by MARGIN and SLACK
         # Centre of FCL's geometry in the body's frame, m: FCL's capsules have theirs in the middle.
         self.grown_centre = [np.array([0.0, 0.0, -0.5 * body.size[1]]) for body in bodies]
-        self.corners = [body.corners for body in bodies]  # points whose hull, grown by `padding`, holds the body
+        self.corners = [body.corners for body in bodies]  # points whose hull, enlarged by `padding`, contains the body
         self.padding = [body.size[0] for body in bodies]
         centres = [0.5 * (body.corners.min(axis=0) + body.corners.max(axis=0)) for body in bodies]  # m
-        # Points that lie inside no tissue that resists: the middles of a capsule's caps and length, or what is deepest.
+        # Points that are never inside tissue that resists: the centres of a capsule and its caps, or the innermost
+        # point.
         self.middle = [
             np.vstack([body.corners, centre])
             if body.kind in (SPHERE, CAPSULE)
             else (centre if body.grid is None else _deepest(body.grid))[None]
             for body, centre in zip(bodies, centres, strict=True)
         ]
-        self.clearance = [  # m, from there to the farthest point of the body's surface
+        self.clearance = [  # m, from these to the farthest point of the body's surface
             body.size[0] or float(np.linalg.norm(body.corners - middle[0], axis=1).max())
             for body, middle in zip(bodies, self.middle, strict=True)
         ]
@@ -195,7 +196,7 @@ class ToolSet:
         return [tool.coagulation for tool in self.tools]
 
     def index(self, tool: int | str) -> int:
-        """Return the number of a tool that is given by its name or its number; negative ones count from the last.
+        """Return the number of a tool that is given by its name or number; negative numbers count from the last.
 
         Raises
         ------
@@ -232,7 +233,7 @@ class ToolSet:
 
 @dataclass(frozen=True)
 class _Body:
-    """Rigid body: its kind and size as in Shapes, and what a mesh has besides."""
+    """Rigid body: its kind and size as in Shapes, and the data of a mesh."""
 
     kind: int
     size: tuple[float, float]
@@ -277,7 +278,7 @@ def _part_body(tool: Tool, part: Part) -> _Body:
     import trimesh
 
     if min(part.size) <= 0.0:
-        raise UserError(f"tool '{tool.name}': link '{part.link}' has a {part.kind} of size {part.size}; give it more")
+        raise UserError(f"tool '{tool.name}': link '{part.link}' has a {part.kind} of size {part.size}; make it larger")
     if part.kind == "sphere":
         return _Body(SPHERE, (part.size[0], 0.0), np.zeros((2, 3)), part.size[0])
     if part.kind == "box":
@@ -291,7 +292,7 @@ def _part_body(tool: Tool, part: Part) -> _Body:
 
 
 def simplified(mesh: trimesh.Trimesh, name: str) -> trimesh.Trimesh:
-    """Return a mesh that is decimated towards MOST_FACES faces, where it has more.
+    """Return a mesh, decimated towards MAX_FACES faces if it has more.
 
     Parameters
     ----------
@@ -303,26 +304,26 @@ def simplified(mesh: trimesh.Trimesh, name: str) -> trimesh.Trimesh:
     Returns
     -------
     trimesh.Trimesh
-        The mesh itself, or one whose surface is at most MOST_MOVED from that of the first.
+        The mesh itself, or one whose surface deviates by at most MAX_DECIMATION_ERROR.
 
     Raises
     ------
     UserError
-        Where that can't be done.
+        If that is impossible.
     """
-    if len(mesh.faces) <= MOST_FACES:
+    if len(mesh.faces) <= MAX_FACES:
         return mesh
     try:
-        made = mesh.simplify_quadric_decimation(face_count=MOST_FACES, aggression=1)
+        made = mesh.simplify_quadric_decimation(face_count=MAX_FACES, aggression=1)
     except ImportError:
         raise UserError(
-            f"{name} has {len(mesh.faces)} faces, and decimating them to {MOST_FACES} needs fast-simplification:"
+            f"{name} has {len(mesh.faces)} faces, and decimating them to {MAX_FACES} needs fast-simplification:"
             " pip install fast-simplification"
         ) from None
     from tissue_sim.contact.grid import distances_to
 
     moved = float(distances_to(made, mesh.vertices).max())
-    if moved > MOST_MOVED or (mesh.is_watertight and not made.is_watertight):
+    if moved > MAX_DECIMATION_ERROR or (mesh.is_watertight and not made.is_watertight):
         raise UserError(
             f"{name} has {len(mesh.faces)} faces; {len(made.faces)} would move its surface by {1e3 * moved:.2g} mm:"
             " simplify it by hand"
@@ -335,7 +336,7 @@ def _mesh_body(tool: Tool) -> _Body:
 
 
 def _loaded(tool: Tool, file: str) -> trimesh.Trimesh:
-    import trimesh  # takes a fifth of a node's start, and few nodes have tools of a mesh
+    import trimesh  # takes a fifth of a node's start, and few nodes have tools with a mesh
 
     path = Path(file) if Path(file).is_file() else shipped_file(file)
     if path is None:
@@ -349,9 +350,9 @@ def _loaded(tool: Tool, file: str) -> trimesh.Trimesh:
 
 
 def _body_of(tool: Tool, file: str, mesh: trimesh.Trimesh, may_be_round: bool = False) -> _Body:
-    """Return the body of a mesh; one that may be round has distances instead of planes where these would be many."""
+    """Return the body of a mesh; one that may be round has distances instead of planes if it would have too many."""
     try:
-        with np.errstate(invalid="ignore"):  # a flat one has no centre of mass; it is refused below
+        with np.errstate(invalid="ignore"):  # a flat mesh has no centre of mass; it is refused below
             hull = mesh.convex_hull
     except Exception as error:  # a mesh library's own errors are of many kinds
         raise UserError(f"tool '{tool.name}': cannot read mesh file '{file}': {error}") from None
@@ -360,7 +361,7 @@ def _body_of(tool: Tool, file: str, mesh: trimesh.Trimesh, may_be_round: bool = 
     if hull.extents.min() < 1e-5:
         raise UserError(f"tool '{tool.name}': mesh '{file}' is flat; give it a thickness")
     corners, smallest = np.array(hull.vertices), 0.5 * float(hull.extents.min())
-    if mesh.is_convex and not (may_be_round and len(hull.faces) > MOST_PLANES):
+    if mesh.is_convex and not (may_be_round and len(hull.faces) > MAX_PLANES):
         return _Body(CONVEX, (0.0, 0.0), corners, smallest, planes=_planes(tool, file, hull), mesh=hull)
     if not mesh.is_watertight:
         raise UserError(
@@ -374,7 +375,7 @@ def _body_of(tool: Tool, file: str, mesh: trimesh.Trimesh, may_be_round: bool = 
 
 
 def _deepest(grid: Grid) -> Floats:
-    """Return the point (3,) m farthest inside a mesh: that of a ring lies in the ring, not in its hole."""
+    """Return the innermost point (3,) m of a mesh: for a ring it lies in the ring, not in its hole."""
     at = np.unravel_index(np.argmin(grid.distance), grid.distance.shape)
     return np.asarray(grid.origin + grid.spacing * np.array(at))
 
@@ -383,9 +384,9 @@ def _planes(tool: Tool, file: str, hull: trimesh.Trimesh) -> Floats:
     normals = np.asarray(hull.face_normals)
     offsets = np.einsum("ij,ij->i", normals, hull.triangles[:, 0])
     planes = np.unique(np.round(np.column_stack([normals, offsets]), 9), axis=0)
-    if len(planes) > MOST_PLANES:
+    if len(planes) > MAX_PLANES:
         raise UserError(
-            f"tool '{tool.name}': the convex hull of '{file}' has {len(planes)} faces; simplify it to {MOST_PLANES}"
+            f"tool '{tool.name}': the convex hull of '{file}' has {len(planes)} faces; simplify it to {MAX_PLANES}"
         )
     return planes
 
@@ -401,11 +402,11 @@ def _grown(body: _Body) -> fcl.CollisionGeometry:
 
     assert body.mesh is not None
     if body.kind == GRID:
-        # A box around it: what lies within its arms is left to the distances.
+        # A box around it: for points in its concavities, the distances decide.
         low, high = body.mesh.bounds[0] - grow, body.mesh.bounds[1] + grow
         grown = trimesh.creation.box(bounds=[low, high])
     else:
-        # The planes moved out, so that every point within the margin of a face is inside.
+        # The planes are moved outward, so that every point within the margin of a face is inside.
         halfspaces = np.column_stack([body.planes[:, :3], -(body.planes[:, 3] + grow)])
         corners = HalfspaceIntersection(halfspaces, body.mesh.vertices.mean(axis=0)).intersections
         grown = trimesh.convex.convex_hull(corners)

@@ -1,4 +1,4 @@
-"""The surface that tools touch: that of an organ, whose points are its nodes, or that of a cut one, with its walls."""
+"""The surface that tools touch: of an organ, with its nodes as points, or of a cut organ, with its walls."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from tissue_sim.organ.normals import triangle_area
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
 
-NEIGHBOURS = 3  # nodes of the uncut surface, the nearest ones, from which a new point has its compliance
-LEAST_FACTOR, MOST_FACTOR = 0.25, 25.0  # of a new point's compliance, for the area around it
+NEIGHBOURS = 3  # nearest nodes of the uncut surface, from which the compliance of a new point is computed
+MIN_FACTOR, MAX_FACTOR = 0.25, 25.0  # limits of the factor on a new point's compliance for its area
 
 
 class TouchedSurface:
-    """Points that tools touch, and the nodes that these lie between.
+    """Points that tools touch, and the nodes between which they lie.
 
-    Contact points lie in triangles, and forces act on nodes. Those of an uncut organ are the triangles' corners. At a
-    cut, corners lie on edges of cells, those of a triangle on edges of one cell, whose nodes a point lies between.
+    Contact points lie in triangles, and forces act on nodes. In an uncut organ these are the triangles' corners. At a
+    cut, corners lie on edges of cells, those of a triangle on edges of one cell, between whose nodes a point lies.
 
     Parameters
     ----------
@@ -42,21 +42,21 @@ class TouchedSurface:
         self.triangles = np.ascontiguousarray(cut.triangles)
         self.n_points = len(cut.nodes)
         self.is_outer: Mask = cut.wall == 0  # (t,)
-        # (t,) whether a triangle is one of the uncut surface; what a cut has made has edges and an area of its own.
+        # (t,) whether a triangle is one of the uncut surface; new ones at a cut have other edges and areas.
         self.is_old: Mask = self.is_outer & (self.triangles < organ.n_surface).all(axis=1)
         self._nodes, self._weights = cut.nodes, cut.weights
         self.partner: Longs = cut.partner  # (p,) the point on the other side of a cut, or itself
         self._cell, self._fraction = np.zeros((0, POINT_NODES), dtype=np.int64), np.zeros((0, 3, POINT_NODES))
-        # (t,) triangles with more than one cell under them, where flat cells were left out: only corners are touched.
+        # (t,) triangles over more than one cell, where the mesh lacks flat cells: only their corners are touched.
         self.is_loose: Mask = np.zeros(len(self.triangles), dtype=bool)
         if self.is_cut:
             self._cell, self._fraction, self.is_loose = _cells_under(self.triangles, cut)
         self._points = np.zeros((self.n_points, 3))
-        self.rest: Floats = self.at(organ.rest_positions).copy()  # (p, 3) m, or of all nodes where these are the points
+        self.rest: Floats = self.at(organ.rest_positions).copy()  # (p, 3) m; (n, 3) if all nodes are the points
 
     @classmethod
     def of(cls, touched: Organ | CutOrgan | Simulation | TouchedSurface) -> TouchedSurface:
-        """Return the surface of an organ as it is now.
+        """Return the present surface of an organ.
 
         Parameters
         ----------
@@ -71,11 +71,11 @@ class TouchedSurface:
 
     @property
     def old_triangles(self) -> Longs:
-        """Triangles (k, 3) between nodes, which no cut has split."""
+        """Triangles (k, 3) of nodes that no cut has split."""
         return np.ascontiguousarray(self.triangles[self.is_old], dtype=np.int64)
 
     def at(self, position: Floats) -> Floats:
-        """Return where the points are; the next call overwrites them.
+        """Return the positions of the points; the next call overwrites them.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class TouchedSurface:
         Returns
         -------
         Floats, shape (p, 3), m
-            The points; of an uncut organ the nodes themselves.
+            The points; for an uncut organ the nodes themselves.
         """
         if not self.is_cut:
             return position
@@ -93,7 +93,7 @@ class TouchedSurface:
         return self._points
 
     def nodes_of(self, points: Longs) -> tuple[Longs, Floats]:
-        """Return the nodes that points of a cut surface lie between, and their weights, shape (k, POINT_NODES) each.
+        """Return the nodes between which points of a cut surface lie, and their weights, shape (k, POINT_NODES) each.
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ class TouchedSurface:
         return self._nodes[points], self._weights[points]
 
     def between(self, triangle: Longs, corners: Longs, weight: Floats) -> tuple[Longs, Floats]:
-        """Return the nodes that places in triangles lie between.
+        """Return the nodes between which places in triangles lie.
 
         Parameters
         ----------
@@ -140,13 +140,13 @@ class TouchedSurface:
     def compliance(self, smallest: float) -> Floats:
         """Return the compliance of the area of each point, along the normal and across it; see local_compliance.
 
-        A new point has that of the uncut surface's nearest nodes, for the stiffness of the tissue where it is; by how
-        much its area differs from theirs is a factor of its own, see area_factors.
+        A new point has the compliance of the nearest nodes of the uncut surface, due to the stiffness of the tissue
+        there; the ratio of its area to theirs is a separate factor, see area_factors.
 
         Parameters
         ----------
         smallest : float, m
-            Smallest radius about the tool.
+            Smallest radius of the tool.
 
         Returns
         -------
@@ -162,10 +162,10 @@ class TouchedSurface:
         return np.concatenate([found, more])
 
     def area_factors(self) -> tuple[Floats, Floats]:
-        """Return by what the compliance in triangles, (t,), and at points, (p,), exceeds that of the uncut surface.
+        """Return the factors on the compliance in triangles, (t,), and at points, (p,), relative to the uncut surface.
 
-        Where a cut has made triangles, these are smaller than those of the uncut surface, and as many contact points
-        bear what is on a smaller area. Elsewhere it is 1.
+        Triangles at a cut are smaller than those of the uncut surface, so that the same number of contact points bears
+        the force on a smaller area. Elsewhere the factors are 1.
         """
         triangle, point = np.ones(len(self.triangles)), np.ones(self.n_points)
         if not self.is_cut:
@@ -176,14 +176,14 @@ class TouchedSurface:
         new = ~self.is_old
         own = node_area(self.rest, self.triangles)
         area = triangle_area(self.rest, self.triangles[new])
-        # Of equilateral triangles, each has half of a node's area.
+        # The area of an equilateral triangle is half of a node's.
         triangle[new] = usual[self.triangles[new]].mean(axis=1) / np.maximum(2.0 * area, least)
         touched = np.unique(self.triangles[new])
         point[touched] = usual[touched] / np.maximum(own[touched], least)
-        return triangle.clip(LEAST_FACTOR, MOST_FACTOR), point.clip(LEAST_FACTOR, MOST_FACTOR)
+        return triangle.clip(MIN_FACTOR, MAX_FACTOR), point.clip(MIN_FACTOR, MAX_FACTOR)
 
     def _from_nodes(self, values: Floats) -> Floats:
-        """Return values (n_surface, m) of the uncut surface's nodes at the new points, by their distances."""
+        """Return values (n_surface, m) at the uncut surface's nodes, interpolated at the new points."""
         apart, node = cKDTree(self.organ.surface_positions).query(self.rest[self.n_surface :], k=NEIGHBOURS)
         fraction = 1.0 / np.maximum(apart, 1e-6)
         fraction /= fraction.sum(axis=1, keepdims=True)
@@ -200,7 +200,7 @@ def _of_nodes(organ: Organ) -> CutSurface:
 
 
 def _cells_under(triangles: Ints, cut: CutSurface) -> tuple[Longs, Floats, Mask]:
-    """Return the nodes (t, POINT_NODES) under triangles (t, 3), their corners' weights, and which have more nodes."""
+    """Return the nodes (t, POINT_NODES) under triangles (t, 3), their corners' weights, and which need more nodes."""
     count = len(triangles)
     nodes, weights = np.zeros((count, POINT_NODES), dtype=np.int64), np.zeros((count, 3, POINT_NODES))
     loose = np.zeros(count, dtype=bool)
@@ -219,7 +219,7 @@ def _cells_under(triangles: Ints, cut: CutSurface) -> tuple[Longs, Floats, Mask]
 
 @kernel
 def _place(position: Floats, nodes: Longs, weights: Floats, own: int, points: Floats) -> None:
-    """Write where points (p, 3) m are, of which the first `own` are nodes."""
+    """Write the positions of points (p, 3) m, of which the first `own` are nodes."""
     for point in range(own):
         for axis in range(3):
             points[point, axis] = position[point, axis]

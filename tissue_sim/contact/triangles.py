@@ -11,7 +11,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 
 TIED = 1e-9  # of a squared distance
-FLAT = 1e-7  # height over edge below which only a triangle's edges count
+FLAT = 1e-7  # ratio of height to edge below which only a triangle's edges count
 
 
 def closest_points(corners: Floats, points: Floats) -> Floats:
@@ -68,10 +68,10 @@ def _find_nearest(corners: Floats, points: Floats, weights: Floats, distances: F
 
 
 def nearest_among(corners: Floats, points: Floats) -> tuple[Longs, Floats, Floats]:
-    """Return the triangle that comes nearest to each point.
+    """Return the triangle nearest to each point.
 
-    Of triangles that share the nearest place it is the one whose normal is closest to the point's direction, so that
-    this normal tells inside from outside.
+    If triangles share the nearest place, it is the one whose normal is closest to the direction of the point, so that
+    this normal distinguishes inside from outside.
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ def nearest_among(corners: Floats, points: Floats) -> tuple[Longs, Floats, Float
 
 
 class _Nearest(NamedTuple):
-    """Room for the places that are nearest to points."""
+    """Buffers for the places nearest to points."""
 
-    number: Longs  # (k,) of the triangles that they are on
+    number: Longs  # (k,) indices of the triangles on which they lie
     weights: Floats  # (k, 3) barycentric
     distances: Floats  # (k,) m
 
@@ -150,7 +150,7 @@ def _survey(corner: Floats, about: Floats) -> None:
 
 @kernel
 def nearest_of_face(corner: Floats, point: Floats, weight: Floats) -> None:
-    """Compute the barycentric weights of the place under the point, or of the nearest place of the edges.
+    """Compute the barycentric weights of the point's projection, or of the nearest place on the edges.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def nearest_of_face(corner: Floats, point: Floats, weight: Floats) -> None:
 
 @kernel
 def _nearest_of_edge(start: Floats, end: Floats, point: Floats) -> tuple[float, float]:
-    """Return the fraction from start to end (3,) m where an edge is nearest to a point, and the distance, m^2."""
+    """Return the fraction from start to end (3,) where an edge is nearest to a point, and the squared distance, m^2."""
     along = length = 0.0
     for c in range(3):
         along += (end[c] - start[c]) * (point[c] - start[c])

@@ -1,6 +1,6 @@
-"""Instruments from a URDF: collision bodies of named links, and where a jaw's joint puts them.
+"""Instruments from a URDF: collision bodies of named links, and their places for a position of the jaw's joint.
 
-Plain XML: of the format's elements only links' collisions and joints are needed, and xacro is expanded beforehand
+The file is read as plain XML: only the links' collisions and the joints are needed, and xacro is expanded beforehand
 (`xacro instrument.urdf.xacro`). Poses are computed by plain sums, so that a replay repeats them on every processor.
 """
 
@@ -19,7 +19,7 @@ from tissue_sim.errors import UserError, shown
 from tissue_sim.organ.shipped import shipped_file
 
 MOVING = ("revolute", "continuous", "prismatic")
-MOST_PARTS = 8  # bodies of an instrument, each of which takes part in every tick
+MAX_PARTS = 8  # largest number of bodies of an instrument, each of which takes time in every tick
 NOWHERE: Vector = (0.0, 0.0, 0.0)
 UNTURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
@@ -31,12 +31,12 @@ class Place(NamedTuple):
     turn: Quaternion = UNTURNED
 
     def after(self, first: Place) -> Place:
-        """Return this transform after another one."""
+        """Return the composition of another transform followed by this one."""
         x, y, z = rotate(self.turn, first.at)
         return Place((self.at[0] + x, self.at[1] + y, self.at[2] + z), multiply(self.turn, first.turn))
 
     def inverse(self) -> Place:
-        """Return the transform back."""
+        """Return the inverse transform."""
         x, y, z, w = self.turn
         back = (-x, -y, -z, w)
         px, py, pz = rotate(back, self.at)
@@ -53,9 +53,10 @@ class Part(NamedTuple):
     kind : str
         box, cylinder, sphere or mesh.
     size : tuple[float, ...], m
-        Sides of a box, radius and length of a cylinder, radius of a sphere; of a mesh factors, which are not lengths.
+        Sides of a box, radius and length of a cylinder, or radius of a sphere; for a mesh its scale factors, not
+        lengths.
     place : Place
-        Where it is on its link.
+        Its place on the link.
     file : str
         File of a mesh.
     """
@@ -75,15 +76,15 @@ class Joint(NamedTuple):
     name : str
         Its name.
     kind : str
-        fixed, revolute, continuous, prismatic, or another one, which does not move.
+        fixed, revolute, continuous, prismatic, or another kind, which does not move.
     parent, child : str
         The links that it joins.
     place : Place
-        Where it is on its parent.
+        Its place on the parent.
     axis : Vector
         Unit vector about or along which it moves.
     bounds : tuple[float, float], rad or m
-        Of its position.
+        Limits of its position.
     mimics : tuple[str, float, float]
         The joint that it follows, the factor and the offset; an empty name: none.
     """
@@ -98,7 +99,7 @@ class Joint(NamedTuple):
     mimics: tuple[str, float, float]
 
     def moved(self, position: float) -> Place:
-        """Return its child's place on its parent at a position, rad or m."""
+        """Return the place of the child on the parent at a position of the joint, rad or m."""
         if self.kind == "prismatic":
             x, y, z = self.axis
             return self.place.after(Place((position * x, position * y, position * z)))
@@ -130,7 +131,7 @@ class Instrument:
         self._places = functools.lru_cache(maxsize=4)(self._placed)
 
     def places(self, angle: float) -> list[Place]:
-        """Return where its parts are on the tool.
+        """Return the places of its parts on the tool.
 
         Parameters
         ----------
@@ -156,7 +157,7 @@ class Instrument:
         return place
 
     def _position(self, joint: Joint, angle: float) -> float:
-        """Return a joint's position; those that don't follow the jaw stay at 0, or at the bound next to it."""
+        """Return a joint's position; joints that don't follow the jaw stay at 0, or at the limit nearest to it."""
         led, factor, offset = joint.mimics
         if led:
             (other,) = (one for one in self._joints.values() if one.name == led)
@@ -183,7 +184,7 @@ def read_instrument(path: str, links: tuple[str, ...], tip: str, jaw: str) -> In
     Raises
     ------
     UserError
-        Where the file can't be used, or has no such link or joint; the message names it.
+        If the file can't be used, or has no such link or joint; the message names it.
     """
     file = Path(path) if Path(path).is_file() else shipped_file(path)
     if file is None:
@@ -209,9 +210,9 @@ def read_instrument(path: str, links: tuple[str, ...], tip: str, jaw: str) -> In
     chosen = [part for link in (links or tuple(parts)) for part in parts[link]]
     if empty := [link for link in links if not parts[link]]:
         raise UserError(f"URDF '{path}': link '{empty[0]}' has no collision element; name another one in links")
-    if not 1 <= len(chosen) <= MOST_PARTS:
+    if not 1 <= len(chosen) <= MAX_PARTS:
         raise UserError(
-            f"URDF '{path}': the links have {len(chosen)} collision elements; name links with 1 to {MOST_PARTS}"
+            f"URDF '{path}': the links have {len(chosen)} collision elements; name links with 1 to {MAX_PARTS}"
         )
     moved = {joint.child for joint in joints}
     base = next(link for link in parts if link not in moved)
@@ -219,7 +220,7 @@ def read_instrument(path: str, links: tuple[str, ...], tip: str, jaw: str) -> In
 
 
 def _check(path: str, joints: Sequence[Joint], links: set[str]) -> None:
-    """Raise UserError where joints and links are not a tree, or a joint follows one that isn't there, or itself."""
+    """Raise UserError if joints and links are not a tree, or a joint follows itself or one that doesn't exist."""
     names, parents = {joint.name: joint for joint in joints}, {joint.child: joint.parent for joint in joints}
     for joint in joints:
         if not {joint.parent, joint.child} <= links:
@@ -316,7 +317,7 @@ def _vector(text: str) -> Vector:
 
 
 def _resolved(name: str, urdf: Path) -> str:
-    """Return the path of a mesh: beside the URDF, or in a package of ROS's, or in a folder of its name around that."""
+    """Return the path of a mesh: beside the URDF, in a ROS package, or in a parent folder with the package's name."""
     if name.startswith("package://"):
         package, _, inside = name.removeprefix("package://").partition("/")
         prefixes = [prefix for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]

@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 
 from tissue_sim.array_types import Pixels, Singles
-from tissue_sim.contact.drawn_scene import SeenSurface
+from tissue_sim.contact.drawn_scene import DrawnSurface
 from tissue_sim.contact.painter import Painter
 from tissue_sim.environments.copies import TaskCopies
 from tissue_sim.errors import UserError
@@ -96,7 +96,7 @@ class Camera:
         surfaces, bodies = copies.batch.surface_positions(), copies.batch.body_poses
         found: Pixels = np.empty((len(surfaces), self._size, self._size, 3), dtype=np.uint8)
         for copy, points in enumerate(surfaces):
-            seen = SeenSurface(organ.name, points, organ.surface_positions, organ.surface_triangles)
+            seen = DrawnSurface(organ.name, points, organ.surface_positions, organ.surface_triangles)
             self._painter.draw([seen], list(bodies[copy]))
             found[copy] = self._painter.picture(copies.inside(copy, self._pose))
         return found

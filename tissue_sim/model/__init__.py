@@ -1,4 +1,4 @@
-"""Model of how an organ deforms: no files, no ROS."""
+"""Deformable model of an organ, without files and ROS."""
 
 from tissue_sim.model.simulation import Simulation
 

@@ -1,4 +1,4 @@
-"""The object that scenes touch: simulations that are advanced together, and what couples them."""
+"""Simulations of the organs of a scene, which are advanced together, and their coupling."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath, moves_with_frame
 from tissue_sim.model.stepping.coarse_steps import coarse_masses, no_coarse
 from tissue_sim.model.stepping.contact_pairs import (
-    MOST_ORGANS,
+    MAX_ORGANS,
     OrganContacts,
     OrganContactSet,
     make_organ_contacts,
@@ -27,12 +27,12 @@ from tissue_sim.model.stepping.contact_pairs import (
     take_pairs,
 )
 from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled, uncouple
-from tissue_sim.model.stepping.ligament_links import least_substeps, weight_link_ends
+from tissue_sim.model.stepping.ligament_links import compute_link_bounds, least_substeps
 from tissue_sim.model.stepping.wake_threshold import WAKE_DISPLACEMENT, wake_threshold_of
 
 
 class ExchangePlan(NamedTuple):
-    """What changes for all organs of a scene when one goes on with another simulation; l links."""
+    """Changes for all organs of a scene when one organ continues with another simulation; l links."""
 
     coarse_square: float  # (rad/s)^2, squared largest frequency of its coarse steps; 0: it takes none
     lightness: Floats  # (l,) see Links
@@ -43,12 +43,12 @@ class ExchangePlan(NamedTuple):
 class Joined:
     """Simulations that are advanced together: one, or several.
 
-    links between them; pairs where they touch, found by others; breath, and how far each goes with it, (k,), or nothing
-    where none does. wake_displacement: m that an organ may lack of what links and the breath do to it, see
-    `wake_threshold`; 0: nothing. Raises UserError where simulations don't fit together. worlds and handle are what
-    `tick_coupled` takes.
+    links: links between them; pairs: pairs where they touch, found by others; breath, moves: breathing, and the
+    fraction of its displacement for each organ, (k,), or nothing without any. wake_displacement: m, largest
+    displacement by loads of links and the breath that are left out, see `wake_threshold`; 0: none are. Raises UserError
+    if simulations don't fit together. worlds and handle are the arguments of `tick_coupled`.
 
-    alone: one organ, and nothing to join it. Then handle is None, and kernels are compiled without all of this.
+    alone: a single organ without coupling. Then handle is None, and kernels are compiled without coupling.
     """
 
     def __init__(
@@ -65,8 +65,8 @@ class Joined:
         self.links = make_links(0) if links is None else links
         self.pairs = make_organ_contacts() if pairs is None else pairs
         breath = Breath.new() if breath is None else breath
-        if len(self.simulations) > MOST_ORGANS:
-            raise UserError(f"{len(self.simulations)} organs are joined; expected: at most {MOST_ORGANS}")
+        if len(self.simulations) > MAX_ORGANS:
+            raise UserError(f"{len(self.simulations)} organs are joined; expected: at most {MAX_ORGANS}")
         if len({(one.rate, one.variant, one.local_region, one.integrator) for one in simulations}) > 1:
             raise UserError("the organs of a scene must have the same rate, model, local region and integrator")
         moves = list(moves) or [0.0] * len(self.simulations)
@@ -92,10 +92,10 @@ class Joined:
                 self.coarse.square[organ] = frequency**2
 
     def plan_exchange(self, organ: int, made: Simulation) -> ExchangePlan:
-        """Return what changes for all organs when one goes on with another simulation, after a cut.
+        """Return the changes for all organs when one continues with another simulation, after a cut.
 
-        Nodes keep their numbers, so that links stay where they are, and so does contact with other organs, except at
-        the walls and lips of cuts.
+        Nodes keep their indices, so that links don't change, nor does contact with other organs, except at the walls
+        and lips of cuts.
 
         Parameters
         ----------
@@ -107,7 +107,7 @@ class Joined:
         links, square = self.links._replace(lightness=self.links.lightness.copy(), added=self.links.added.copy()), 0.0
         if len(links.slack):
             each = [*self.simulations[:organ], made, *self.simulations[organ + 1 :]]
-            weight_link_ends(links, [one.model.inverse_mass for one in each])
+            compute_link_bounds(links, [one.model.inverse_mass for one in each])
         if self.coarse.square[organ] > 0.0:
             factor, frequency = coarse_masses(made.model, made.settings, float(links.added[0]))
             made.scratch.coarse[:] = factor
@@ -115,7 +115,7 @@ class Joined:
         return ExchangePlan(square, links.lightness, float(links.added[0]), int(self.pairs.version[organ]) + 1)
 
     def exchange(self, organ: int, made: Simulation, plan: ExchangePlan) -> None:
-        """Go on with another simulation of an organ, after a cut; the substeps stay as they are.
+        """Continue with another simulation of an organ, after a cut; the number of substeps doesn't change.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class Joined:
         made : Simulation
             The simulation.
         plan : ExchangePlan
-            What `plan_exchange` returned.
+            Result of `plan_exchange`.
         """
         self.coarse.square[organ] = plan.coarse_square
         self.links.lightness[:], self.links.added[0] = plan.lightness, plan.added
@@ -141,9 +141,9 @@ class Joined:
 
     @property
     def wrench(self) -> Floats:
-        """What every body of the tools feels of all organs, (b, 6) N and N m about its origin.
+        """Haptic output of every body of the tools, summed over all organs, (b, 6) N and N m about its origin.
 
-        The live array of an organ alone.
+        For a single organ it is the live array.
         """
         if self.alone:
             return np.asarray(self.simulations[0].state.wrench)
@@ -152,7 +152,7 @@ class Joined:
         return wrench
 
     def set_substeps(self) -> None:
-        """Compute the substeps of each, and those that links require, after stiffness, damping or the rate changed."""
+        """Compute the substeps of all organs and those required by links, after stiffness, damping or rate changed."""
         for one in self.simulations:
             one.set_substeps()
         least = least_substeps(self.links, fastest(self.simulations), float(self.simulations[0].settings.tick_time))
@@ -160,7 +160,7 @@ class Joined:
             one.settings.least_substeps = least
 
     def take_pairs(self, found: OrganContactSet) -> None:
-        """Apply where organs touch each other.
+        """Apply a set of pairs where organs touch each other.
 
         Parameters
         ----------
@@ -170,7 +170,7 @@ class Joined:
         take_pairs(self.pairs, found)
 
     def take_settings(self, organ: int, settings: Settings) -> None:
-        """Apply settings of an organ that were computed before, with its gravity less the breath's part.
+        """Apply settings of an organ that were computed before; their gravity doesn't include the breath's part.
 
         Parameters
         ----------
@@ -183,22 +183,22 @@ class Joined:
         self.carried.gravity[organ] = gravity_of(settings)
 
     def note_gravity(self) -> None:
-        """Read the gravity of the simulations as the one without breath."""
+        """Store the gravity of the simulations as that without breath."""
         for one, gravity in zip(self.simulations, self.carried.gravity, strict=True):
             gravity[:] = gravity_of(one.settings)
 
     def set_breathing(self, fraction: float) -> None:
-        """Set where a breath that follows a signal is to be.
+        """Set the target of a breath that follows a signal.
 
         Parameters
         ----------
         fraction : float
-            Fraction of its way.
+            Fraction of its displacement.
         """
         self.carried.breath.target = fraction
 
     def restore(self, breath: Breath, found: OrganContactSet, pressed: Floats, held: Floats) -> None:
-        """Continue from a breath and from pairs with their forces.
+        """Restore a breath, and pairs with their forces.
 
         Parameters
         ----------
@@ -218,7 +218,7 @@ class Joined:
         words_of(self.carried.breath)[:] = words_of(breath)
 
     def reset(self) -> None:
-        """Return to the breathed-out state without contact between organs; simulations are reset by themselves."""
+        """Return to the exhaled state without contact between organs; simulations are reset separately."""
         if not self.alone:
             uncouple(self.worlds, self.handle)
 
@@ -229,5 +229,5 @@ def gravity_of(settings: Settings) -> tuple[float, float, float]:
 
 
 def fastest(simulations: Sequence[Simulation]) -> float:
-    """Return the largest angular frequency of any, rad/s."""
+    """Return the largest angular frequency of all simulations, rad/s."""
     return max(one.frequency * math.sqrt(one.settings.stiffness_scale) for one in simulations)

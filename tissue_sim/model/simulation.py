@@ -1,4 +1,4 @@
-"""The object that users see: an organ, a model variant, and `step()`."""
+"""Simulation of an organ with one variant of the model, advanced by `step()`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.handles import handle
 from tissue_sim.model.cutting.carry import NO_PLAN, CarryPlan, carry, carry_plan
-from tissue_sim.model.cutting.cut import CutOrgan, CutReport, cut_again, not_cut
+from tissue_sim.model.cutting.cut import CutOrgan, CutReport, cut_again, without_cuts
 from tissue_sim.model.cutting.cut_cells import Sides, cut_cells_of, sides_of
 from tissue_sim.model.cutting.cut_surface import CutSurface
 from tissue_sim.model.cutting.lips import lips_of
@@ -33,9 +33,9 @@ from tissue_sim.model.elasticity.energy import Energy, energy_of
 from tissue_sim.model.elasticity.frequency import largest_frequency
 from tissue_sim.model.elasticity.gravity import acceleration_of
 from tissue_sim.model.regions.region_tables import possible_region, with_region_tables
-from tissue_sim.model.stepping.critical_step import REGION_STEP, SAFETY, model_step, step_with, substeps_for
+from tissue_sim.model.stepping.critical_step import REGION_STEP, SAFETY, longest_step_with, model_step, substeps_for
 from tissue_sim.model.stepping.equilibrium import residuals, settle
-from tissue_sim.model.stepping.relaxation import stiffest
+from tissue_sim.model.stepping.relaxation import unrelaxed_factor
 from tissue_sim.model.stepping.scratch import make_scratch
 from tissue_sim.model.stepping.state_check import check_state
 from tissue_sim.model.stepping.tick import tick
@@ -46,8 +46,8 @@ from tissue_sim.model.stepping.world import (
     prescribe_world,
     push_world,
     reset_world,
-    show_world,
     touch_world,
+    update_hidden_nodes,
 )
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
@@ -61,25 +61,26 @@ class Simulation:
     organ : Organ
         The organ.
     model : str, optional
-        surface, volume or hybrid, as in the paper, or cells; auto takes cells where the organ has them, or else hybrid.
+        surface, volume or hybrid, as in the paper, or cells; auto selects cells if the organ has them, otherwise
+        hybrid.
     rate : float, Hz, optional
         Ticks per second.
     local_region : str, optional
-        off; frozen (the paper's: two layers around a small load move alone; of springs only); modal (a layer or two
+        off; frozen (the paper's: only two layers around a small load move; for springs only); modal (one or two layers
         move by their springs or cells, the rest as a linear body; below 200 Hz the whole organ moves); or auto (modal
-        while the load is small and hardly bends its surroundings, else the whole model; off where that takes little
-        time, which is up to region_tables.MOST_WHOLE cells).
+        while the load is small and hardly bends its surroundings, otherwise the whole model; always the whole model for
+        organs of up to region_tables.MAX_WHOLE_CELLS cells).
     shapes : Shapes, optional
         The rigid tools that may touch it.
     integrator : str, optional
         symplectic (Euler with implicit nodal damping) or explicit (the paper's forward Euler: short steps).
     substeps : int | None, optional
-        Number in a tick, instead of the one from the critical step.
+        Number of substeps in a tick, instead of the one from the critical step.
     gravity : ArrayLike, shape (3,), m/s^2, optional
         Gravity in the organ's frame.
     shape_gravity : ArrayLike | None, shape (3,), m/s^2, optional
-        Gravity under which the organ has its shape; by default the same, so that it rests as it is. Cells get the shape
-        that they have without it.
+        Gravity under which the organ has its shape; by default `gravity`, so that it rests in that shape. The unloaded
+        shape of cells is computed from it.
 
     Raises
     ------
@@ -117,8 +118,8 @@ class Simulation:
             )
         self.organ = organ
         self.cut_organ: CutOrgan | None = None  # its cuts and its surface, after `cut`
-        self.carry_plan: CarryPlan = NO_PLAN  # how it continues the simulation that it was cut from
-        self.origin: Longs = np.zeros(0, dtype=np.int64)  # (n,) the node there whose place each node takes
+        self.carry_plan: CarryPlan = NO_PLAN  # how it continues the simulation from which it was cut
+        self.origin: Longs = np.zeros(0, dtype=np.int64)  # (n,) node of that simulation which each node replaces
         self.local_region = local_region
         self.variant = model
         self.rate = float(rate)
@@ -131,13 +132,13 @@ class Simulation:
         assembled = assemble(organ, model, borne)
         self.model: Model = with_region_tables(assembled, local_region)
         self.set_gravity(pulled)
-        # Nothing that a tool can do moves tissue by more than the organ's own size.
+        # No tool can move tissue farther than the organ's own size.
         self.settings.runaway_span = float(np.linalg.norm(np.ptp(self.model.rest, axis=0)))
         n_bodies, n_modes = len(shapes.kind), len(self.model.reduction.frequency)
         relaxes = len(self.model.relaxation) > 0
         sizes = n_modes, len(self.model.cells), len(shapes.blades.body)
         self.state: State = make_state(organ.n_nodes, n_bodies, *sizes, relaxes)
-        self.frequency = largest_frequency(self.model) * math.sqrt(stiffest(self.model))
+        self.frequency = largest_frequency(self.model) * math.sqrt(unrelaxed_factor(self.model))
         self.set_substeps()
         self.scratch = make_scratch(self.model, n_bodies, len(shapes.blades.body))
         if len(shapes.blades.body) and not organ.n_virtual:  # those of a cut organ come by open_cuts
@@ -150,10 +151,10 @@ class Simulation:
         return f"<Simulation of '{self.organ.name}': {self.variant}, {self.rate:g} Hz, {self.time:.3f} s, {state}>"
 
     def refer(self) -> None:
-        """Hand the arrays to the kernels, at the start and whenever `model` was replaced."""
+        """Make new handles of the arrays for the kernels, at the start and whenever `model` was replaced."""
         self.world = handle(make_world(self.model, self.state, self.shapes, self.settings, self.scratch))
 
-    # what users read ---------------------------------------------------------------------------
+    # results -----------------------------------------------------------------------------------
     @property
     def positions(self) -> Floats:
         """Nodes' positions (n, 3) m: surface nodes, medial atoms, interior nodes; the live array, not a copy.
@@ -162,7 +163,7 @@ class Simulation:
         """
         status = self.state.status
         if status.region == Region.MODAL and status.shown != status.tick and not self.asleep:
-            show_world(self.world)
+            update_hidden_nodes(self.world)
         return self.state.position
 
     @property
@@ -187,7 +188,7 @@ class Simulation:
 
     @property
     def asleep(self) -> bool:
-        """Whether the organ rests untouched and ticks cost nothing."""
+        """Whether the organ is at rest and untouched, so that ticks cost nothing."""
         return bool(self.state.status.asleep)
 
     @property
@@ -195,7 +196,7 @@ class Simulation:
         """Return the report of each cut, in order."""
         return self.cut_organ.reports if self.cut_organ else ()
 
-    # what users do -----------------------------------------------------------------------------
+    # actions -----------------------------------------------------------------------------------
     def cut(self, polyline: ArrayLike, direction: ArrayLike, depth: float) -> Simulation:
         """Return a simulation that continues this one with a cut in the organ; this one remains as it is.
 
@@ -206,9 +207,9 @@ class Simulation:
         polyline : ArrayLike, shape (m, 3), m
             The blade's edge where it touches the surface, or above it: two points or more.
         direction : ArrayLike, shape (3,)
-            Where it is moved; of any length.
+            Direction in which the edge is moved; of any length.
         depth : float, m
-            How far it is moved.
+            Distance by which it is moved.
 
         Returns
         -------
@@ -233,9 +234,9 @@ class Simulation:
         polyline : ArrayLike, shape (m, 3), m
             The blade's edge, as in `cut`.
         direction : ArrayLike, shape (3,)
-            Where it is moved.
+            Direction in which it is moved.
         depth : float, m
-            How far it is moved.
+            Distance by which it is moved.
 
         Returns
         -------
@@ -276,7 +277,7 @@ class Simulation:
             raise UserError(f"model {self.variant} can't be cut; use model cells, which a calibrated organ has")
         if self.local_region != "off" or self.model.shape_gravity.any():
             raise UserError("a cut needs local_region off, and shape_gravity [0, 0, 0] where there is gravity")
-        before = self.cut_organ or not_cut(self.organ)
+        before = self.cut_organ or without_cuts(self.organ)
         after = cut_again(before, sheet)
         made = Simulation(
             after.organ,
@@ -288,11 +289,11 @@ class Simulation:
         )
         made.open_cuts(after.surface, sides_of(after))
         made.take_settings(self.settings)
-        made.frequency = max(made.frequency, fastest_mode(after.organ) * math.sqrt(stiffest(made.model)))
+        made.frequency = max(made.frequency, fastest_mode(after.organ) * math.sqrt(unrelaxed_factor(made.model)))
         made.set_substeps()
         made.plan_from(self, after.origin(before))
-        # That of an organ that was cut before is Lanczos' already.
-        own = before.frequency * math.sqrt(stiffest(self.model))
+        # The frequency of an organ that was cut before was already computed by Lanczos' method.
+        own = before.frequency * math.sqrt(unrelaxed_factor(self.model))
         frequency = self.frequency if self.cut_organ else max(self.frequency, own)
         report = after.reports[-1]._replace(
             critical_step_before=self._critical_step(frequency),
@@ -318,7 +319,7 @@ class Simulation:
         self.refer()
 
     def return_from(self, cut: Simulation) -> None:
-        """Begin anew, with the settings of a simulation that was cut from this one, and plan how to continue that one.
+        """Reset, with the settings of a simulation that was cut from this one, and plan how to continue that one.
 
         Parameters
         ----------
@@ -330,7 +331,7 @@ class Simulation:
         self.plan_from(cut, np.arange(self.organ.n_nodes))
 
     def _renew(self) -> None:
-        """Begin anew, as if just made: with a state and working memory of its own, which nothing has used."""
+        """Reset to the initial state, with new state and working memory, to which nothing else refers."""
         self.state = state_like(self.state)
         self.scratch = make_scratch(self.model, len(self.shapes.kind), len(self.shapes.blades.body))
         if self.model.tissue is not None:
@@ -347,14 +348,14 @@ class Simulation:
         before : Simulation
             That simulation, which may be running.
         origin : Longs, shape (n,)
-            The node there whose place each node takes.
+            Node of that simulation which each node replaces.
         """
         self.origin = origin
         own = min(self.organ.n_uncut, before.organ.n_uncut)
         self.carry_plan = carry_plan(before.state, self.state, origin, own, self.organ.mass)
 
     def continue_from(self, before: Simulation) -> None:
-        """Take over the state of the simulation that this one was cut from; loads on its virtual nodes are left out.
+        """Continue from the state of the simulation from which this one was cut, without loads on its virtual nodes.
 
         Parameters
         ----------
@@ -370,7 +371,7 @@ class Simulation:
         self.forget_scratch()
 
     def forget_scratch(self) -> None:
-        """Note that the working memory is about another state."""
+        """Invalidate working memory that belongs to another state."""
         self.scratch.stale[0] = 1
         self.scratch.mobility_key[:] = 0.0  # the state may prescribe other nodes, as often
 
@@ -417,9 +418,9 @@ class Simulation:
         nodes : ArrayLike, shape (k,)
             Indices of the nodes.
         positions : ArrayLike, shape (k, 3), m
-            Where each goes.
+            Final position of each node.
         ticks : int, optional
-            Number of ticks that this takes.
+            Number of ticks after which they arrive.
 
         Raises
         ------
@@ -438,7 +439,7 @@ class Simulation:
     def reactions(self) -> Floats:
         """Return the forces that hold prescribed and fixed nodes against the elastic and external forces on them.
 
-        Inertia is left out, so they hold for an organ at rest, or nearly so; they are 0 at all other nodes.
+        Inertia is neglected, so they are valid for an organ at rest, or nearly so; they are 0 at all other nodes.
 
         Returns
         -------
@@ -515,7 +516,7 @@ class Simulation:
             tick(self.world)
 
     def reset(self) -> None:
-        """Return to the rest shape, asleep, without tools; the counters go on."""
+        """Return to the rest shape, asleep, without tools; the counters continue."""
         reset_world(self.world)
 
     @property
@@ -530,7 +531,7 @@ class Simulation:
 
     @property
     def energy(self) -> Energy:
-        """Kinetic and elastic energy, J, the latter with what forces that relax have received."""
+        """Kinetic and elastic energy, J; the latter includes the energy of unrelaxed forces."""
         energy, scale = energy_of(self.model, self.positions, self.velocities), float(self.settings.stiffness_scale)
         return energy._replace(elastic=energy.elastic * scale + float(self.state.relaxing.energy.sum()))
 
@@ -549,11 +550,11 @@ class Simulation:
 
     @property
     def longest_step(self) -> float:
-        """Longest substep allowed, s: the critical step, or what these tools allow however soft the organ is."""
-        return min(self.critical_step, step_with(self.shapes, self.variant == "cells") / SAFETY)
+        """Longest substep allowed, s: the critical step, or the limit by the tools for a softer organ."""
+        return min(self.critical_step, longest_step_with(self.shapes, self.variant == "cells") / SAFETY)
 
     def take_settings(self, settings: Settings) -> None:
-        """Apply settings that were computed before, by a run that is repeated.
+        """Apply settings of an earlier run, which is repeated.
 
         Parameters
         ----------
@@ -591,22 +592,22 @@ class Simulation:
     def settle(
         self, forces: Floats, tolerance: float = 1e-3, longest: float = 20.0, ramp: float = 0.0
     ) -> tuple[Floats, bool]:
-        """Return the displacements at rest under surface forces, and whether the organ settled; see settling.settle.
+        """Return the displacements at rest under surface forces, and whether the organ settled; see equilibrium.settle.
 
         Parameters
         ----------
         forces : Floats, shape (n_surface, 3), N
             Force on each surface node.
         tolerance : float, optional
-            Relative change at which the organ counts as settled.
+            Residual force over load at which the organ counts as settled.
         longest : float, s, optional
-            Simulated time after which it is given up.
+            Simulated time after which settling is abandoned.
         ramp : float, s, optional
             Time in which the forces grow to their value.
 
         Returns
         -------
         tuple[Floats, bool]
-            displacements (n_surface, 3), m, and True when it settled
+            Displacements, shape (n_surface, 3), m, and True if it settled.
         """
         return settle(self, forces, tolerance, longest, ramp)

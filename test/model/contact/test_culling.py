@@ -10,7 +10,7 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.handles import handle
 from tissue_sim.model.contact.culling import FAST, cull_contacts
 from tissue_sim.model.contact.poses import set_frame
-from tissue_sim.model.contact.tool_motion import FASTEST
+from tissue_sim.model.contact.tool_motion import MAX_CATCH_UP_SPEED
 
 RADIUS, HALF = 0.004, 0.01  # m, of a capsule
 ORGAN = ball(3)
@@ -47,7 +47,7 @@ def naive_watch(state, goal, tick_time, coupling):
     local, gap = in_capsule(state, entries, pose), capsule_gap(state, entries, pose)
     moved = np.linalg.norm(goal[:3] - pose[:3]) * min(1.0, coupling)
     turned = np.linalg.norm(end.as_matrix() - turn.as_matrix())
-    most = FASTEST * tick_time if coupling == 1.0 else np.inf
+    most = MAX_CATCH_UP_SPEED * tick_time if coupling == 1.0 else np.inf
     reach = np.minimum(most, moved + turned * np.linalg.norm(local, axis=1)) + FAST * tick_time
     return np.flatnonzero((state.contact_pressed[0, : header.points] > 0.0) | (gap < reach))
 
@@ -66,7 +66,7 @@ def test_what_may_touch_is_watched_and_the_rest_forgotten(gap, stiffness, led, w
     expected = naive_watch(state, goal, settings.tick_time, led)
     state.contact_held[0] = 1.0
     cull_contacts(handle(state), handle(simulation.shapes), settings, handle(scratch))
-    count = int(scratch.watching[0])
+    count = int(scratch.n_candidates[0])
     points = int(state.contacts.header.points)
     assert 0 < count < points
     np.testing.assert_array_equal(scratch.candidates[:count], expected)
@@ -89,7 +89,7 @@ def test_what_is_left_of_a_gap_is_no_more_than_there_is():
         simulation.step()
         if tick < 0:
             continue
-        count = int(scratch.watching[0])
+        count = int(scratch.n_candidates[0])
         gap = capsule_gap(state, scratch.candidates[:count], state.body_pose[0])
         assert state.status.touching == 0
         assert np.all(scratch.candidate_gap[:count] <= gap + 1e-9)

@@ -63,9 +63,9 @@ def test_a_fixed_point_gets_no_deeper_than_the_tool_has_moved(tmp_path, shape):
     state, shapes, scratch = simulation.state, simulation.shapes, simulation.scratch
     held = handle(state), handle(shapes), handle(scratch)
     find_walls(handle(simulation.model), held[0], held[2])
-    assert scratch.walls[0] > 5
+    assert scratch.n_walls[0] > 5
     measure_walls(*held)
-    before, own = state.body_pose[0].copy(), scratch.wall_depth[: scratch.walls[0]].copy()
+    before, own = state.body_pose[0].copy(), scratch.wall_depth[: scratch.n_walls[0]].copy()
     for _ in range(40):
         turn = random.normal(0.0, 0.1, 4)
         state.body_pose[0, :3] = before[:3] + random.normal(0.0, 0.002, 3)

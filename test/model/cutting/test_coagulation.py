@@ -5,7 +5,7 @@ import pytest
 
 from helpers.bars import bar
 from helpers.slabs import INCISION, slab
-from tissue_sim.model.cutting.cut import CutOrgan, cut_again, not_cut
+from tissue_sim.model.cutting.cut import CutOrgan, cut_again, without_cuts
 from tissue_sim.model.cutting.sheet import Coagulation, sheet_of
 from tissue_sim.model.elasticity.cells import shapes_of
 from tissue_sim.model.simulation import Simulation
@@ -18,7 +18,7 @@ STRETCH = np.array([1.2, 0.93, 0.93])
 
 def cut(organ, *cuts, heat=None) -> CutOrgan:
     """The organ after cuts, all of which are as hot."""
-    made = not_cut(organ)
+    made = without_cuts(organ)
     for one in cuts:
         made = cut_again(made, sheet_of(organ, *one)._replace(coagulation=heat or Coagulation()))
     return made

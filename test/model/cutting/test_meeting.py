@@ -10,7 +10,7 @@ from helpers.bars import bar
 from helpers.scenes import ball_of_cells, changed
 from helpers.slabs import THROUGH, slab
 from tissue_sim.errors import UserError
-from tissue_sim.model.cutting.cut import cut_again, not_cut
+from tissue_sim.model.cutting.cut import cut_again, without_cuts
 from tissue_sim.model.cutting.holes import open_edges
 from tissue_sim.model.cutting.sheet import sheet_of
 from tissue_sim.model.elasticity.energy import energy_of
@@ -36,7 +36,7 @@ NEXT_TO = [[-0.04, 0.002, 0.03], [0.04, 0.002, 0.03]], DOWN  # within the same c
 
 def cut(organ, *cuts):
     """The organ after cuts, without a simulation."""
-    made = not_cut(organ)
+    made = without_cuts(organ)
     for one in cuts:
         made = cut_again(made, sheet_of(organ, *one))
     return made

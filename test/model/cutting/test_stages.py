@@ -8,7 +8,7 @@ import pytest
 
 from helpers.bars import bar
 from tissue_sim.model.cutting.blade_path import BladePath
-from tissue_sim.model.cutting.cut import cut_again, not_cut
+from tissue_sim.model.cutting.cut import cut_again, without_cuts
 
 HEIGHT, MIDDLE = 0.03, 0.0215  # m, of the slab, and where it is cut along y, off the nodes
 STRAIGHT_ON = 0.012  # m along y, from where on the blade turns aside
@@ -24,7 +24,7 @@ def block():
 @cache
 def stages(bend):
     """The slab after each stage of a scalpel's cut, which is drawn along y 12 mm deep and turns aside."""
-    path, found = BladePath(block(), 1), [not_cut(block())]
+    path, found = BladePath(block(), 1), [without_cuts(block())]
     for number, y in enumerate(np.linspace(0.004, 0.026, 45)):
         turned = max(0.0, y - STRAIGHT_ON)
         x = MIDDLE + 0.5 * bend * turned**2

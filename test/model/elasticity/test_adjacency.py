@@ -93,7 +93,7 @@ def test_lists_of_a_region_are_those_of_naive_sets(organ, region, hops, tabled):
         expected_hop[sorted(nodes)] = hop[sorted(nodes)]
         np.testing.assert_array_equal(state.region_hop, expected_hop)
         assert scratch.region_node[: state.status.region_nodes].tolist() == sorted(nodes)
-        assert scratch.moved_node[: scratch.moved[0]].tolist() == sorted(nodes - set(organ.fixed.tolist()))
+        assert scratch.moved_node[: scratch.n_moved[0]].tolist() == sorted(nodes - set(organ.fixed.tolist()))
         boundary = set()
         for kind, blocks, local, listed, rows in (
             ("edges", model.edges, scratch.edges, state.status.region_hinges, (4, 7)),

@@ -139,7 +139,7 @@ def test_auto_takes_a_region_of_cells_only_where_the_whole_takes_long(monkeypatc
     by_itself = Simulation(with_cells(ball()), local_region="auto")
     assert (by_itself.variant, by_itself.local_region) == ("cells", "off")
     assert by_itself.model.adjacency is None
-    monkeypatch.setattr("tissue_sim.model.regions.region_tables.MOST_WHOLE", len(by_itself.model.cells) - 1)
+    monkeypatch.setattr("tissue_sim.model.regions.region_tables.MAX_WHOLE_CELLS", len(by_itself.model.cells) - 1)
     larger = Simulation(with_cells(ball()), local_region="auto")
     assert larger.local_region == "auto"
     assert larger.model.adjacency is not None

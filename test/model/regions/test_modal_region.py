@@ -13,7 +13,7 @@ from tissue_sim.model.data.state import Region
 from tissue_sim.model.elasticity.modes import stiffness_matrix
 from tissue_sim.model.regions import reduction
 from tissue_sim.model.regions.active_region import CALM_TIME, RETURN_FRACTION
-from tissue_sim.model.regions.modal_region import MOST_BOUNDARY, MOST_DRIVE
+from tissue_sim.model.regions.modal_region import MAX_BOUNDARY, MAX_DRIVE
 from tissue_sim.model.simulation import Simulation
 
 UP, SIDE = (0.0, 0.0, 1.0), (1.0, 0.0, 0.3)
@@ -249,8 +249,8 @@ def test_region_that_does_not_fit_goes_whole(first):
         simulation.apply_force(first, [0.0, 0.0, -0.01])
         simulation.step()
     assert status.region == Region.MODAL
-    assert status.region_boundary <= MOST_BOUNDARY
-    assert status.region_nodes + status.region_boundary <= MOST_DRIVE
+    assert status.region_boundary <= MAX_BOUNDARY
+    assert status.region_nodes + status.region_boundary <= MAX_DRIVE
     before = simulation.positions.copy()
     simulation.apply_force(nodes, np.tile([0.0, 0.0, -1e-5], (len(nodes), 1)))
     simulation.step()

@@ -375,7 +375,7 @@ def test_ticks_follow_posted_times():
         assert loop.box.shape.sequence[0] == 1, "the rest shape is there all the same"
         loop.post(5.0)
         assert loop.comes_to(0), "the first time is where it begins"
-        wait_for(lambda: loop.words.pace.seen == 5_000_000_000)
+        wait_for(lambda: loop.words.phase.seen == 5_000_000_000)
         loop.post(5.1)
         assert loop.comes_to(100)
         assert control.due == 5_100_000_000
@@ -384,7 +384,7 @@ def test_ticks_follow_posted_times():
         assert len(loop.snapshot()), "a clock that stands keeps nobody waiting"
         loop.post(2.0)
         assert loop.comes_to(100)
-        wait_for(lambda: loop.words.pace.seen == 2_000_000_000)
+        wait_for(lambda: loop.words.phase.seen == 2_000_000_000)
         loop.post(2.05)
         assert loop.comes_to(150)
         assert control.dropped == 0
@@ -406,7 +406,7 @@ def test_ticks_follow_posted_times():
 def test_tick_time_is_a_setting_that_may_change():
     with PostedLoop() as loop:
         loop.post(1.0)
-        wait_for(lambda: loop.words.pace.seen == 1_000_000_000)
+        wait_for(lambda: loop.words.phase.seen == 1_000_000_000)
         loop.post(1.1)
         assert loop.comes_to(100)
         slower = copy_of(loop.simulation.settings)
@@ -437,29 +437,29 @@ def test_sleep_ends_after_the_deadline():
 
 @pytest.mark.parametrize("phase", [0.02, 0.3, 0.5, 0.9])
 def test_ticks_are_shifted_until_requests_come_midway_between_two(phase):
-    pace, period, due = mb.Pace.new(), 1_000_000, 0
+    requests, period, due = mb.RequestPhase.new(), 1_000_000, 0
     for tick in range(300):
         start = tick * period + int(phase * period)
-        due = rt.suited_due(due, start, period, pace)
-        assert abs(pace.shift) <= period // 2
-        assert due == tick * period + pace.shift, "as many ticks as periods of the clock"
+        due = rt.suited_due(due, start, period, requests)
+        assert abs(requests.shift) <= period // 2
+        assert due == tick * period + requests.shift, "as many ticks as periods of the clock"
         due += period
     assert abs(start - (due - period) - period // 2) < period // 50
 
 
 def test_requests_beyond_half_a_period_shift_nothing():
-    pace = mb.Pace.new()
-    pace.shift = 499_999
-    assert rt.suited_due(0, 999_999, 1_000_000, pace) == 0
-    assert pace.shift == 499_999
+    phase = mb.RequestPhase.new()
+    phase.shift = 499_999
+    assert rt.suited_due(0, 999_999, 1_000_000, phase) == 0
+    assert phase.shift == 499_999
 
 
 def test_after_a_few_requests_in_a_row_that_had_to_wait_one_waits_for_the_next():
     words, period = mb.make_loop_words(), 20_000_000
     loop = handle(words)
-    for waits in (*range(1, rt.MOST_WAITS + 1), 0):
+    for waits in (*range(1, rt.MAX_WAITS + 1), 0):
         due = time.monotonic_ns() + period
         words.control.asked += 1  # before it is due
         returned = rt.wait_for_tick(due, period, int(words.control.asked) - 1, loop)
         assert returned >= due + (period if waits == 0 else 0)
-        assert words.pace.waits == waits
+        assert words.phase.waits == waits

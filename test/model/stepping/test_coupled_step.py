@@ -11,7 +11,7 @@ from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath, inhaled_fraction
 from tissue_sim.model.stepping.contact_pairs import make_organ_contacts
-from tissue_sim.model.stepping.ligament_links import weight_link_ends
+from tissue_sim.model.stepping.ligament_links import compute_link_bounds
 
 TOP, TOP_OF_FINE = (int(np.argmax(one.surface_positions[:, 2])) for one in (ball(), ball(2)))
 
@@ -31,7 +31,7 @@ class Organs:
                     self.links.point[number, side] = end
             self.links.slack[number] = slack
             self.links.stiffness[number], self.links.damping[number] = stiffness, damping
-        weight_link_ends(self.links, [one.model.inverse_mass for one in simulations])
+        compute_link_bounds(self.links, [one.model.inverse_mass for one in simulations])
         self.joined = Joined(
             simulations, self.links, make_organ_contacts(), breath or Breath.new(), moves or (), wake_displacement
         )

@@ -13,7 +13,7 @@ from tissue_sim.model.stepping.guard import (
     CELLS_A_TICK,
     KEEP_EVERY,
     MAX_BACKOFF,
-    MOST_TURNED,
+    MAX_INVERTED,
     RETURN_RATE,
     RUNAWAY_RATE,
     check,
@@ -21,7 +21,7 @@ from tissue_sim.model.stepping.guard import (
     is_bounded,
     move_towards_rest,
 )
-from tissue_sim.model.stepping.tick import caution
+from tissue_sim.model.stepping.tick import substep_factor
 
 TOUCH = (0.0, 0.0, -0.05)  # N
 
@@ -235,7 +235,7 @@ def test_collapsed_organ_is_counted_once_and_led_back_to_rest_within_a_second(or
     simulation = inside_out(organ)
     state = simulation.state
     turned = volumes(simulation.model, simulation.positions) < 0.0
-    assert turned.mean() > MOST_TURNED
+    assert turned.mean() > MAX_INVERTED
     kinds = []
     for _ in range(1000):
         simulation.step()
@@ -286,7 +286,7 @@ def test_substeps_multiply_while_cells_are_turned():
     cells, world = len(model.cells), by_reference(simulation)
     for turned, factor in ((0, 1), (1, 2), (cells, 4)):
         state.status.turned = turned
-        assert caution(world.model, world.state, False) == factor
+        assert substep_factor(world.model, world.state, False) == factor
 
 
 def test_bodies_that_contact_pushed_out_of_all_bounds_are_put_back_where_they_are_held():

@@ -11,17 +11,17 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.critical_step import model_step
 from tissue_sim.model.stepping.mass_scaling import is_mass_scaled
 from tissue_sim.model.stepping.oscillation import (
-    FAST,
-    FAST_AGAIN,
-    HALVED,
-    LONGEST,
-    MANY,
-    MORE,
+    HALVED_GROWTH,
+    HALVED_TICKS,
+    MAX_HALVED_TICKS,
+    MIN_COORDINATES,
+    MIN_SPEED,
+    MIN_SPEED_AGAIN,
     count_oscillating,
     end_oscillation_check,
     is_oscillation_checked,
 )
-from tissue_sim.model.stepping.tick import caution
+from tissue_sim.model.stepping.tick import substep_factor
 from tissue_sim.organ.cell_mesh import with_cells
 
 ORGAN = with_cells(filled(ball(2), 20), (1.0, 1.0))
@@ -55,21 +55,21 @@ def after_a_push(simulation, ticks):
 
 
 def naive_turning(before, after):
-    return sum(abs(v) > FAST and v * w < -0.5 * v * v for v, w in zip(before, after, strict=True))
+    return sum(abs(v) > MIN_SPEED and v * w < -0.5 * v * v for v, w in zip(before, after, strict=True))
 
 
 def test_coordinates_that_turn_are_counted():
     rng = np.random.default_rng(1)
     before, after = 5e-3 * rng.standard_normal((2, 999))
-    assert count_oscillating(before, after, FAST) == naive_turning(before, after) > 50
-    assert count_oscillating(before, before, FAST) == 0
-    assert count_oscillating(np.full(9, 0.9 * FAST), np.full(9, -1.0), FAST) == 0
+    assert count_oscillating(before, after, MIN_SPEED) == naive_turning(before, after) > 50
+    assert count_oscillating(before, before, MIN_SPEED) == 0
+    assert count_oscillating(np.full(9, 0.9 * MIN_SPEED), np.full(9, -1.0), MIN_SPEED) == 0
 
 
 @pytest.mark.parametrize(("share", "usual"), [(1.01, 1), (1.06, 1), (1.03, 2), (1.03, 3)])
 def test_a_step_beyond_the_critical_one_is_halved_before_anything_is_lost(share, usual):
     simulation = soft(share, usual)
-    substeps, speeds = after_a_push(simulation, 4 * LONGEST)
+    substeps, speeds = after_a_push(simulation, 4 * MAX_HALVED_TICKS)
     count = simulation.state.count
     assert 0 < count.oscillations < 8
     assert count.faults == 0
@@ -93,7 +93,10 @@ def turn(simulation, turning, speed):
     end_oscillation_check(handle(state), handle(scratch))
 
 
-@pytest.mark.parametrize(("turning", "speeds", "halved"), [(MANY - 1, 2.0, 0), (MANY, 2.0, HALVED), (MANY, 1.1, 0)])
+@pytest.mark.parametrize(
+    ("turning", "speeds", "halved"),
+    [(MIN_COORDINATES - 1, 2.0, 0), (MIN_COORDINATES, 2.0, HALVED_TICKS), (MIN_COORDINATES, 1.1, 0)],
+)
 def test_nodes_that_turn_count_when_they_are_many_and_get_faster(turning, speeds, halved):
     simulation = Simulation(ORGAN)
     for speed in (0.1, 0.1 * speeds):
@@ -106,22 +109,28 @@ def test_nodes_that_turn_count_when_they_are_many_and_get_faster(turning, speeds
 def test_what_is_found_again_soon_is_halved_longer_and_after_a_while_as_at_first():
     simulation = Simulation(ORGAN)
     state, found = simulation.state, []
-    for wait in (0, 0, 0, 0, LONGEST):
+    for wait in (0, 0, 0, 0, MAX_HALVED_TICKS):
         for _ in range(wait + int(state.status.oscillating)):
             is_oscillation_checked(handle(simulation.model), handle(state), 1)
         for speed in (0.1, 0.2):
-            turn(simulation, MANY, speed)
+            turn(simulation, MIN_COORDINATES, speed)
         found.append(int(state.status.oscillating))
-    assert found == [HALVED, HALVED * MORE, HALVED * MORE**2, LONGEST, HALVED]
+    assert found == [
+        HALVED_TICKS,
+        HALVED_TICKS * HALVED_GROWTH,
+        HALVED_TICKS * HALVED_GROWTH**2,
+        MAX_HALVED_TICKS,
+        HALVED_TICKS,
+    ]
 
 
 def test_where_a_step_was_found_too_long_the_next_find_needs_no_speed():
     simulation = Simulation(ORGAN)
-    count, slow = simulation.state.count, np.array([10.0, 20.0]) * FAST_AGAIN
-    assert slow.max() < 0.5 * FAST
+    count, slow = simulation.state.count, np.array([10.0, 20.0]) * MIN_SPEED_AGAIN
+    assert slow.max() < 0.5 * MIN_SPEED
     for speeds, found in ((slow, 0), ([0.1, 0.2], 1), (slow, 2)):
         for speed in speeds:
-            turn(simulation, MANY, speed)
+            turn(simulation, MIN_COORDINATES, speed)
         assert count.oscillations == found
 
 
@@ -145,7 +154,7 @@ def test_light_nodes_of_a_cut_oscillate_less_in_shorter_steps_or_with_larger_mas
         model, state = simulation.model, simulation.state
         for stiff, oscillating in ((0, 0), (0, 1), (1, 0), (1, 1)):
             model.tissue.stiff[0], state.status.oscillating = stiff, oscillating
-            found[name, stiff, oscillating] = caution(handle(model), handle(state), True)
+            found[name, stiff, oscillating] = substep_factor(handle(model), handle(state), True)
             scaled[name, stiff, oscillating] = is_mass_scaled(handle(model), handle(state))
     assert [found["whole", stiff, oscillating] for stiff in (0, 1) for oscillating in (0, 1)] == [1, 2, 2, 2]
     assert [found["cut", stiff, oscillating] for stiff in (0, 1) for oscillating in (0, 1)] == [1, 2, 2, 2]

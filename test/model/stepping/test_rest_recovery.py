@@ -12,7 +12,7 @@ from tissue_sim.model.stepping.rest_recovery import (
     LONGEST_RETURN,
     QUIET_TICKS,
     RECOVERY_DISPLACEMENT,
-    pace,
+    return_rate,
     sleep_or_recover,
 )
 
@@ -25,7 +25,7 @@ def awake(organ, **options):
 
 def pace_of(simulation):
     world = by_reference(simulation)
-    return pace(world.model, world.settings)
+    return return_rate(world.model, world.settings)
 
 
 def settles(simulation, ticks=1500):

@@ -37,7 +37,7 @@ def hanging(stiffness, way=0.0, breathes=(0.0,), damping=0.001):
 
 def feeling_all(joined):
     """The same, with organs that feel everything."""
-    joined.threshold.most[:] = 0.0
+    joined.threshold.limits[:] = 0.0
     return joined
 
 
@@ -101,7 +101,7 @@ def test_an_organ_whose_ligament_hardly_pulls_sleeps_and_is_counted():
     for _ in range(2000):
         few.step()
         all_of_it.step()
-        assert few.threshold.pulled[0] < WAKE_FORCE
+        assert few.threshold.tension[0] < WAKE_FORCE
         off = few.simulations[0].positions - all_of_it.simulations[0].positions
         assert np.linalg.norm(off, axis=1).max() < WAKE_DISPLACEMENT
     ticks = few.threshold.ticks
@@ -123,7 +123,7 @@ def test_it_wakes_without_a_kick_when_the_ligament_pulls_more_and_sleeps_again()
         asleep.append(organ.asleep)
         sped = max(sped, np.linalg.norm(organ.velocities - before, axis=1).max())
         off = max(off, np.linalg.norm(organ.positions - other.positions, axis=1).max())
-        pulled = max(pulled, few.threshold.pulled[0])
+        pulled = max(pulled, few.threshold.tension[0])
     assert off < WAKE_DISPLACEMENT
     assert pulled > 5.0 * WAKE_FORCE
     assert 200 < np.count_nonzero(asleep) < 3500
@@ -140,7 +140,7 @@ def test_a_breath_that_hardly_bends_it_lets_an_organ_sleep_and_a_fast_one_does_n
         bent = 0.0
         for _ in range(1000):
             joined.step()
-            bent = max(bent, joined.threshold.bent[0])
+            bent = max(bent, joined.threshold.displacement[0])
         assert (bent < WAKE_DISPLACEMENT) == sleeps
         assert (joined.simulations[0].state.count.asleep_ticks == 1000) == sleeps
 
@@ -151,7 +151,7 @@ def test_an_organ_that_is_handled_feels_all_of_it():
     for _ in range(1000):
         organ.apply_force([TOP - 1], [[1e-5, 0.0, 0.0]])
         joined.step()
-    assert 0.0 < joined.threshold.pulled[0] < WAKE_FORCE
+    assert 0.0 < joined.threshold.tension[0] < WAKE_FORCE
     assert joined.threshold.fraction[0] == 1.0
     assert not organ.asleep
     assert joined.threshold.ticks[0] == 0
@@ -178,7 +178,7 @@ def test_an_organ_made_softer_or_given_weight_wakes():
     for _ in range(5):
         joined.step()
     assert organ.asleep
-    bent = joined.threshold.bent[0]
+    bent = joined.threshold.displacement[0]
     assert 0.0 < bent < WAKE_DISPLACEMENT
     organ.settings.stiffness_scale = bent / WAKE_DISPLACEMENT / 4.0
     joined.set_substeps()

@@ -50,7 +50,7 @@ def test_it_comes_back_as_it_was(written):
     (fields,) = topics["joined"]
     _check_fields(fields, SIZES)
     again = JoinedRecording(fields, {}, {}).join(simulations())
-    kept, links = loop.joined_box.kept, loop.joined.links
+    kept, links = loop.joined_box.snapshot, loop.joined.links
     count = int(kept.pairs.found[0])
     assert count > 0
     assert again.pairs.found[0] == count

@@ -6,7 +6,7 @@ import pytest
 from helpers.patience import wait_for
 from helpers.scenes import ball
 from tissue_sim.contact.coupling_setup import join
-from tissue_sim.contact.finder import ContactFinder, Sought
+from tissue_sim.contact.finder import ContactFinder, ContactQuery
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
@@ -42,8 +42,8 @@ def press(organs):
         wait_for(lambda taken=one: taken.results().bodies[0].pose_sequence == sequence)
         organ = one.simulation.organ
         finder = ContactFinder(organ, TOOLS)
-        sought = Sought(pose, np.zeros(1), all_of_it, 0 * all_of_it, 0 * all_of_it)
-        one.post_contacts(finder.find(organ.rest_positions, sought))
+        query = ContactQuery(pose, np.zeros(1), all_of_it, 0 * all_of_it, 0 * all_of_it)
+        one.post_contacts(finder.find(organ.rest_positions, query))
     wait_for(lambda: all(one.results().status.touching > 0 for one in organs.each))
 
 

@@ -16,10 +16,10 @@ from tissue_sim.bench.printing import Bound, aligned, figure
 from tissue_sim.bench.timing import Ticks, describe, noise_burst
 from tissue_sim.json_types import JsonObject
 from tissue_sim.model.cutting.crossing import crossing_among
-from tissue_sim.model.cutting.cut import CutOrgan, cut_again, not_cut
+from tissue_sim.model.cutting.cut import CutOrgan, cut_again, without_cuts
 from tissue_sim.model.cutting.cut_surface import cut_surface
 from tissue_sim.model.cutting.masses import distributed_masses
-from tissue_sim.model.cutting.parts import CutCells, together
+from tissue_sim.model.cutting.parts import CutCells, divided_by_cuts
 from tissue_sim.model.cutting.sheet import sheet_of
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
@@ -114,11 +114,11 @@ def _ticks(simulation: Simulation, force: Floats, count: int) -> tuple[Floats, i
 
 def _parts(organ: Organ, place: Place) -> dict[str, float]:
     """Return the median times of a cut and its parts, s."""
-    sheet, before = place.sheet, not_cut(organ)
+    sheet, before = place.sheet, without_cuts(organ)
     simulation = Simulation(organ)
 
     def topology() -> list[CutCells]:
-        return together(organ, [crossing_among(organ.rest_positions, organ.cell_nodes, sheet)], organ.fixed)
+        return divided_by_cuts(organ, [crossing_among(organ.rest_positions, organ.cell_nodes, sheet)], organ.fixed)
 
     divided = topology()
     after: CutOrgan = cut_again(before, sheet)

@@ -9,7 +9,7 @@ import trimesh
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.organs import press_node
-from tissue_sim.contact.finder import ContactFinder, Sought
+from tissue_sim.contact.finder import ContactFinder, ContactQuery
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
@@ -84,8 +84,8 @@ class Poke:
         simulation.take_pose(0, np.concatenate([self.path[tick], [0.0, 0.0, 0.0, 1.0]]), tick + 1)
         if tick % self._every == 0 or tick == self.ticks - 1:
             touching, pushing = np.ones(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
-            sought = Sought(state.body_pose, self._margins, touching, pushing, state.bodies.releases)
-            found = self._finder.find(state.position, sought)
+            query = ContactQuery(state.body_pose, self._margins, touching, pushing, state.bodies.releases)
+            found = self._finder.find(state.position, query)
             simulation.take_contacts(found, tick + 1)
 
     def over(self, tick: int) -> bool:

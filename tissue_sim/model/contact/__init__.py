@@ -1,1 +1,1 @@
-"""Contact of the tissue with rigid tools: shapes, gaps, the constraint with friction, the wrench that a tool feels."""
+"""Contact of the tissue with rigid tools: shapes, gaps, the constraint with friction, the haptic output."""

@@ -1,4 +1,4 @@
-"""Active contacts: the contact points that touch a tool in a substep, or nearly do, with the tool as it is there."""
+"""Active contacts: contact points that touch a tool in a substep, or nearly do, with the tool's surface there."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
 
 NEAR = 5e-5  # m: distance within which points may come to touch while others are resolved
-MOST_ACTIVE = 256  # contact points resolved in a substep
-RECOVERY_SPEED = 0.2  # m/s, largest speed at which a point that already lay inside a tool comes out
+MAX_ACTIVE = 256  # contact points resolved in a substep
+RECOVERY_SPEED = 0.2  # m/s, largest speed at which a point that was already inside a tool is moved out
 
 
 class ActiveContact(Record):
@@ -28,32 +28,32 @@ class ActiveContact(Record):
 
     entry: int  # its index in the contact set
     body: int
-    nodes: int  # how many of the following count, see contact_set.nodes_of
+    nodes: int  # number of the following nodes that count, see contact_set.nodes_of
     node: Annotated[Longs, (POINT_NODES,)]
     weight: Annotated[Floats, (POINT_NODES,)]
     mobility: Annotated[Floats, (POINT_NODES,)]  # 1/kg, the velocity that an impulse on the point gives each node
     normal: Vector  # the tool's, outward
-    offset: float  # m, distance of the tool's surface along the normal from the tool's origin, less the forgiven depth
+    offset: float  # m, distance of the tool's surface along the normal from its origin, less the allowed depth
     arm: Vector  # m, from the tool's origin to the point
     tool_motion: Vector  # m, motion of the tool at the point in the substep, less the tool's origin
     response: float  # m / (N s), of nodes and tool to an impulse
-    # Tissue between nodes yields to an impulse by its compliance, m / (N s); with it, the stiffness is the impulse that
-    # moves the point a metre, N s/m, or 0 where none does. Both along the tool's normal and across it.
+    # Compliance of tissue between nodes for an impulse, m / (N s); the stiffness, which includes it, is the impulse
+    # that moves the point a metre, N s/m, or 0 if none does. Both are given along the tool's normal and across it.
     compliance: float
     stiffness: float
     compliance_across: float
     stiffness_across: float
     pressed: float  # N s along the normal
     held: Vector  # N s across it
-    yielded: Vector  # m, by which tissue between nodes had yielded across the normal when the substep began
+    yielded: Vector  # m, yielding of tissue between nodes across the normal at the beginning of the substep
 
 
 @kernel
 def gather_contacts(world: World, step: float, spread: bool) -> int:
     """List the points that touch or nearly touch in scratch.active, with the impulses of the last substep.
 
-    The impulses of points that are not listed are forgotten. When more come close than the list holds, the first ones
-    are kept.
+    The impulses of points that are not listed are set to zero. If more points are close than the list holds, the first
+    ones are kept.
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ def gather_contacts(world: World, step: float, spread: bool) -> int:
     step : float, s
         The substep.
     spread : bool
-        True when add_contact_impulses has already applied these impulses, whatever the tool's normal is now.
+        True if add_contact_impulses has already applied these impulses, even if the tool's normal has changed.
     """
     state, shapes, scratch = world.state, world.shapes, world.scratch
-    if scratch.watching[0] == 0:
+    if scratch.n_candidates[0] == 0:
         return 0
     softening = world.settings.stiffness_scale * step
     found, tissue = 0, largest_tissue_speed(state)
-    for index in range(scratch.watching[0]):
+    for index in range(scratch.n_candidates[0]):
         entry = scratch.candidates[index]
         body = state.contacts.body[entry]
         pressed = state.contact_pressed[0, entry]
@@ -94,8 +94,8 @@ def gather_contacts(world: World, step: float, spread: bool) -> int:
             continue
         contact = scratch.active[found]
         contact.response = take_nodes(state, scratch.mobility, contact) * step + scratch.give[body]
-        soften(state, contact, softening, stiffness_now(world, contact))
-        forgive_depth(state, scratch, contact, gap, step)
+        set_local_compliance(state, contact, softening, relaxation_stiffening(world, contact))
+        limit_recovery_speed(state, scratch, contact, gap, step)
         given = spread and pressed > 0.0
         normal, last_held = contact.normal, state.contact_held[1 if given else 0, entry]
         along = last_held[0] * normal[0] + last_held[1] * normal[1] + last_held[2] * normal[2]
@@ -108,11 +108,11 @@ def gather_contacts(world: World, step: float, spread: bool) -> int:
 
 
 @inner
-def stiffness_now(world: World, contact: ActiveContact) -> float:
-    """Return by how much tissue around an active contact is stiffer than once it has relaxed; 1 for elastic tissue.
+def relaxation_stiffening(world: World, contact: ActiveContact) -> float:
+    """Return the present stiffness of tissue around an active contact relative to relaxed tissue; 1 for elastic tissue.
 
-    All of it relaxes alike. So this is the factor by which its nodes' forces on the tool exceed their elastic ones, and
-    a held tool's force decreases by the tissue's fraction.
+    All moduli relax alike. So this is the factor by which its nodes' forces on the tool exceed their elastic ones, and
+    the force on a held tool decreases by the tissue's fraction.
     """
     state = world.state
     if len(state.relaxing) == 0:
@@ -125,17 +125,18 @@ def stiffness_now(world: World, contact: ActiveContact) -> float:
             along = contact.weight[c] * contact.normal[axis]
             elastic -= along * state.last_elastic[node, axis]
             unrelaxed -= along * state.unrelaxed[node, axis]
-    if elastic <= 0.0:  # it has just been touched
+    if elastic <= 0.0:  # the point has just been touched
         return most
     return min(max(1.0 + unrelaxed / elastic, 1.0), most)
 
 
 @inner
-def soften(state: State, contact: ActiveContact, scale: float, stiffer: float) -> None:
+def set_local_compliance(state: State, contact: ActiveContact, scale: float, stiffer: float) -> None:
     """Set the compliances and stiffnesses of an active contact.
 
-    scale: stiffness scale times the step, s; stiffer: of `stiffness_now`. The compliance across the normal is that of
-    relaxed tissue: by how much tissue has yielded there is known from the impulse alone, and would grow as it relaxes.
+    scale: stiffness scale times the step, s; stiffer: of `relaxation_stiffening`. The compliance across the normal is
+    that of relaxed tissue: the yielding there is computed from the impulse alone, and would otherwise grow as the
+    tissue relaxes.
     """
     compliance = state.contacts.compliance[contact.entry]
     contact.compliance = compliance[0] / (scale * stiffer) if scale > 0.0 else 0.0
@@ -147,7 +148,7 @@ def soften(state: State, contact: ActiveContact, scale: float, stiffer: float) -
 
 @inner
 def note_yielding(state: State, contact: ActiveContact) -> None:
-    """Write by how much tissue between nodes has yielded across the normal; it follows from the impulse held there."""
+    """Write the yielding of tissue between nodes across the normal, which follows from the impulse held there."""
     held, soft, most = contact.held, contact.compliance_across, state.contacts.most_give[contact.entry]
     size = soft * math.sqrt(held[0] * held[0] + held[1] * held[1] + held[2] * held[2])
     back = soft if size <= most else soft * most / size
@@ -162,7 +163,7 @@ def take_nodes(state: State, mobility: Floats, contact: ActiveContact) -> float:
     mobile = 0.0
     for c in range(3):
         mobile = take_node(state, mobility, contact, c, mobile)
-    if contact.nodes > 3:  # apart, as three are faster
+    if contact.nodes > 3:  # a separate branch, as three nodes are faster
         mobile = take_node(state, mobility, contact, 3, mobile)
     return mobile
 
@@ -195,27 +196,27 @@ def place_tool(state: State, shapes: Shapes, scratch: Scratch, contact: ActiveCo
 
 
 @inner
-def forgive_depth(state: State, scratch: Scratch, contact: ActiveContact, gap: float, step: float) -> None:
-    """Let a contact point that lay inside its tool before this substep, s, come out gradually; gap m at its end.
+def limit_recovery_speed(state: State, scratch: Scratch, contact: ActiveContact, gap: float, step: float) -> None:
+    """Move a contact point out gradually that was inside its tool before this substep, s; gap m at its end.
 
-    Tissue can close around a released tool. Pushed out at once, a point would be faster the shorter the substep is. The
-    yielding of tissue under the last force is no such depth.
+    Tissue can close around a released tool. If a point were pushed out at once, its speed would be larger the shorter
+    the substep is. The yielding of tissue under the last force doesn't count as such a depth.
     """
     entry, normal, origin = contact.entry, contact.normal, scratch.origin[contact.body]
     given = min(contact.compliance * state.contact_pressed[0, entry], state.contacts.most_give[entry])
     approach = 0.0
     for c in range(3):
-        approach = less_approach(state, contact, c, step, approach)
+        approach = without_approach(state, contact, c, step, approach)
     if contact.nodes > 3:
-        approach = less_approach(state, contact, 3, step, approach)
+        approach = without_approach(state, contact, 3, step, approach)
     for axis in range(3):
         approach += normal[axis] * (contact.tool_motion[axis] + origin[axis])
     contact.offset -= max(0.0, -gap - approach - given - step * RECOVERY_SPEED)
 
 
 @inner
-def less_approach(state: State, contact: ActiveContact, c: int, step: float, approach: float) -> float:
-    """Return an approach of tool and tissue, m, less the way of a node of a contact point in a substep, s."""
+def without_approach(state: State, contact: ActiveContact, c: int, step: float, approach: float) -> float:
+    """Return an approach of tool and tissue, m, minus the displacement of a contact point's node in a substep, s."""
     node, weight, normal = np.uint64(contact.node[c]), contact.weight[c], contact.normal
     for axis in range(3):
         approach -= normal[axis] * weight * step * state.velocity[node, axis]
@@ -231,9 +232,9 @@ def whole_impulse(contact: ActiveContact) -> tuple[float, float, float]:
 
 @kernel
 def place_again(state: State, shapes: Shapes, scratch: Scratch, contact: ActiveContact, step: float) -> None:
-    """Update the tool at an active contact's present place, and split its impulse into pressed and held anew."""
+    """Update the tool's surface at an active contact's present place, and split its impulse along the new normal."""
     px, py, pz = whole_impulse(contact)
-    forgive_depth(state, scratch, contact, place_tool(state, shapes, scratch, contact), step)
+    limit_recovery_speed(state, scratch, contact, place_tool(state, shapes, scratch, contact), step)
     normal, held = contact.normal, contact.held
     pressed = max(0.0, px * normal[0] + py * normal[1] + pz * normal[2])
     contact.pressed = pressed

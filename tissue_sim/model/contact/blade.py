@@ -1,13 +1,13 @@
 """Blades in tissue: they stick until the load on their edge reaches the toughness, and then cut.
 
-Places on the edge and on the flanks of a blade have places in the organ at rest. As long as they stick, a constraint
-holds both together. In the plane of the blade its impulse is bounded: forward by the toughness times the width of the
-edge, and in all directions by the friction on the flanks. At the bound a place moves on through the tissue, and that
-creates the area of the cut. Behind the front of a cut only friction is left. Across the flank the tissue follows; where
-the lips have opened, the flank pushes the one that it touches.
+Points on the edge and on the flanks of a blade have corresponding places in the organ at rest. As long as they stick, a
+constraint holds both together. In the plane of the blade its impulse is bounded: forward by the toughness times the
+width of the edge, and in all directions by the friction on the flanks. At the bound a place moves on through the
+tissue, which creates the area of the cut. Behind the front of a cut there is only friction. Across the flank the tissue
+follows; where the lips have opened, the flank pushes the one that it touches.
 
-The force is that of a constraint, as the contact of tools, and solved in the same passes. What has been cut is opened
-beside the loop (cutting.blade_path).
+The force is that of a constraint, like the contact of tools, and solved in the same passes. Cuts are opened in parallel
+to the loop (cutting.blade_path).
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from tissue_sim.model.data.world import World
 
 AJAR = 1e-4  # m, opening of the lips from which the flank touches one of them
 AT_FRONT = 1e-9  # m at rest, within which a place is at the front of its cut
-CATCHES_UP = 1e-3  # m that a place lags behind its blade, or is ahead of it, for which it cuts twice as far, or not
+CATCHES_UP = 1e-3  # m by which a place lags behind its blade when it cuts twice as far, or leads when it doesn't cut
 MOST_PACE, LEAST_PACE = 2.0, 0.5
-EASES = 0.02  # s, in which tissue gives way to forces across a flank that only balance each other
+EASES = 0.02  # s, time constant with which forces across a flank relax that only balance each other
 MOST_SPEED = 2.0  # m/s, of a place through tissue
 SETTLED = 1e-3  # fraction of the impulses that a pass may still change
 
@@ -77,7 +77,7 @@ def find_blades(world: World, step: float) -> int:
 
 @inner
 def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) -> None:
-    """Write where a place is, what holds it there, and how both yield."""
+    """Write the position of a place, the nodes that hold it, and the stiffness of both."""
     state, shapes, scratch, cells = world.state, world.shapes, world.scratch, world.model.cut_cells
     blades, rotation, cell = shapes.blades, scratch.rotation[row.body], sample.cell
     write_arm(world, row, rotation, row.arm)
@@ -122,9 +122,9 @@ def _place_row(world: World, row: BladeRow, sample: BladeSample, step: float) ->
 
 @kernel
 def _borrow_back(world: World, row: BladeRow, found: int) -> None:
-    """Take over how the tissue at the nearest place of the same blade is deformed, for a place in an inverted cell.
+    """Use the deformation at the nearest place of the same blade for a place in an inverted cell.
 
-    It would stay where it is otherwise, resisted and without cutting, while the blade goes on.
+    Otherwise the place would remain where it is, resisted and without cutting, while the blade moves on.
     """
     blades, scratch = world.shapes.blades, world.scratch
     best = math.inf
@@ -142,7 +142,7 @@ def _borrow_back(world: World, row: BladeRow, found: int) -> None:
 
 @inner
 def _resist(world: World, row: BladeRow, sample: BladeSample, step: float) -> None:
-    """Write the limits of a row, and the impulses with which it begins."""
+    """Write the limits of a row, and its initial impulses."""
     blades, settings = world.shapes.blades, world.settings
     b, f, e = row.back, row.forward, row.along
     fx, fy, fz = times(b, f[0], f[1], f[2])
@@ -174,7 +174,7 @@ def _resist(world: World, row: BladeRow, sample: BladeSample, step: float) -> No
 
 @kernel
 def _melt(world: World, row: BladeRow, sample: BladeSample, most: float) -> None:
-    """Move a place that parts tissue without force forward, by as far as it presses and at most `most`, m."""
+    """Move a place that cuts tissue without force forward, as far as it presses, but at most by `most`, m."""
     x, y, z = offset_of(world, row, row.weight)
     f = row.forward
     ahead = min(most, f[0] * x + f[1] * y + f[2] * z)
@@ -184,7 +184,7 @@ def _melt(world: World, row: BladeRow, sample: BladeSample, most: float) -> None
 
 @kernel
 def press_blades(world: World, found: int, step: float) -> bool:
-    """Make one pass over the listed places; return whether the impulses changed little.
+    """Make one pass over the listed places; return whether the impulses have converged.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def _in_space(row: BladeRow, values: tuple[float, float, float]) -> tuple[float,
 
 @kernel
 def end_blades(world: World, found: int, step: float) -> None:
-    """Move the places that have slipped on through the tissue, and count what acts on the tools.
+    """Move the places that have slipped forward through the tissue, and add the impulses on the tools.
 
     Parameters
     ----------
@@ -285,15 +285,15 @@ def end_blades(world: World, found: int, step: float) -> None:
             ahead = f[0] * x + f[1] * y + f[2] * z - row.lag - soft * pushed[0]
             if row.at_front and world.shapes.blades.speed[row.sample] == 0.0:
                 ahead = row.pace * (ahead + _released(sample, pushed[0], step)) if ahead > 0.0 else ahead
-            elif row.borrowed:  # its offset doesn't shrink by what it moves at rest
+            elif row.borrowed:  # its offset doesn't shrink by its motion at rest
                 ahead = min(ahead, way_past(world, row, f, row.weight, step))
-        if abs(pushed[2]) >= row.most and row.side == 0.0:  # torn aside
+        if abs(pushed[2]) >= row.most and row.side == 0.0:  # torn sideways
             across = n[0] * x + n[1] * y + n[2] * z - row.lag_across - soft * pushed[2]
         elif row.side == 0.0:
             eased = soft * (pushed[2] - _mean_across(scratch, row.body, found)) + row.lag_across
             across = step / EASES * eased
         if not row.at_front and not sample.free and world.shapes.blades.width[row.sample] > 0.0:
-            # Up to where it has been before; from there on it is resisted.
+            # Up to the place where it has been before; beyond that it is resisted.
             ahead = min(ahead, max(0.0, sample.deepest - sample.depth) / max(_shrinking(row), 1e-9))
         most = MOST_SPEED * step
         ahead, aside = min(max(ahead, -most), most), min(max(aside, -most), most)
@@ -305,9 +305,10 @@ def end_blades(world: World, found: int, step: float) -> None:
 
 @inner
 def _released(sample: BladeSample, pushed: float, step: float) -> float:
-    """Return how much farther a place cuts, m, by the energy that is released where its force changes.
+    """Return the additional distance that a place cuts, m, by the energy that is released when its force decreases.
 
-    Where the tissue ahead resists less, the force falls at once, and what had yielded at the place springs back.
+    If the tissue ahead resists less, the force falls suddenly, and the tissue that had yielded at the place springs
+    back.
     """
     change = pushed - sample.force[0] * step
     return 0.5 * GIVE / step * change * change / pushed if pushed > 0.0 else 0.0
@@ -315,7 +316,7 @@ def _released(sample: BladeSample, pushed: float, step: float) -> float:
 
 @kernel
 def _mean_across(scratch: Scratch, body: int, found: int) -> float:
-    """Return the mean impulse across the flanks of a body, N s: the hand's part, as all others balance each other."""
+    """Return the mean impulse across the flanks of a body, N s: that of the hand, as the others balance each other."""
     total, count = 0.0, 0
     for index in range(found):
         row = scratch.blade_rows[index]
@@ -327,7 +328,7 @@ def _mean_across(scratch: Scratch, body: int, found: int) -> float:
 
 @inner
 def _shrinking(row: BladeRow) -> float:
-    """Return how long a way forward is at rest, relative to now."""
+    """Return the ratio of a forward displacement at rest to the present one."""
     f = row.forward
     x, y, z = times(row.back, f[0], f[1], f[2])
     return math.sqrt(x * x + y * y + z * z)
@@ -335,7 +336,7 @@ def _shrinking(row: BladeRow) -> float:
 
 @kernel
 def _advance(world: World, row: BladeRow, sample: BladeSample, way: tuple[float, float, float]) -> None:
-    """Move a place through the tissue by a way, m forward, along and across, and count the area that it cuts."""
+    """Move a place through the tissue by a displacement, m forward, along and across, and add the area that it cuts."""
     ahead, aside, across = way
     if ahead == 0.0 and aside == 0.0 and across == 0.0:
         return

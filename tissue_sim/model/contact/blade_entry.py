@@ -1,4 +1,4 @@
-"""How blades enter tissue: where their edges press as hard as it resists, and beside what is already there."""
+"""Entry of blades into tissue: where the load on their edges reaches its resistance, and beside places inside."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from tissue_sim.model.data.contact_set import nodes_of
 from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
 
-MOST_OFFSET = 1e-3  # m, of a place from the tissue around it, where it enters beside others
-SMOOTH = 5e-3  # s over which the load on an edge counts before it enters
+MOST_OFFSET = 1e-3  # m, largest offset of a place from the tissue around it when it enters beside others
+SMOOTH = 5e-3  # s over which the load on an edge is averaged before it enters
 
 
 @kernel
 def enters(world: World, number: int) -> bool:
-    """Return whether a place of a blade is in tissue now, by the nearest place of its body that is already there.
+    """Return whether a place of a blade is now in tissue, by the nearest place of its body that is already inside.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def enters(world: World, number: int) -> bool:
 
 @kernel
 def begin_cuts(world: World, touching: int, step: float) -> None:
-    """Let blades into the tissue that they press with their edges as hard as it resists.
+    """Let blades enter tissue if the load on their edges reaches its resistance.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def begin_cuts(world: World, touching: int, step: float) -> None:
 
 @kernel
 def forget_load(state: State, blades: Blades, body: int) -> None:
-    """Forget the load on the edge of a body: it presses nothing.
+    """Reset the load on the edge of a body that presses nothing.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def forget_load(state: State, blades: Blades, body: int) -> None:
 
 @kernel
 def _is_heavy(world: World, body: int, load: float, width: float, step: float) -> bool:
-    """Return whether a load, N, on a width, m, of an edge is as large as the tissue resists, for some time."""
+    """Return whether a load, N, on a width, m, of an edge has reached the resistance of the tissue for some time."""
     state, blades = world.state, world.shapes.blades
     for number in range(len(state.blades)):
         if blades.body[number] == body:
@@ -148,10 +148,10 @@ def _is_heavy(world: World, body: int, load: float, width: float, step: float) -
 
 @kernel
 def _edge_load(world: World, body: int, touching: int) -> tuple[float, float, float]:
-    """Return the impulse forward, N s, by which a body presses, and the widths, m, of its edge that does.
+    """Return the forward impulse, N s, by which the edge of a body presses, and two widths, m, of the edge.
 
-    The first width is of what presses anything, the second of what presses tissue that has to be cut, or 0 for a blade
-    that parts it without force.
+    The first width is that of the part that presses anything, the second that of the part that presses tissue to be
+    cut, or 0 for a blade that cuts it without force.
     """
     state, blades, scratch = world.state, world.shapes.blades, world.scratch
     load = touched = width = 0.0
@@ -188,9 +188,9 @@ def _is_in_cut(world: World, contact: ActiveContact) -> bool:
 
 @kernel
 def _pressed_beside(world: World, number: int, touching: int) -> int:
-    """Return which active contact presses nearest to a place of an edge.
+    """Return the active contact that presses nearest to a place of an edge.
 
-    It is -1 where the edge presses on one side of that place only, or nowhere: contact points may be farther apart than
+    It is -1 if the edge presses on one side of that place only, or nowhere: contact points may be farther apart than
     the places are.
     """
     blades, scratch = world.shapes.blades, world.scratch
@@ -228,7 +228,7 @@ def _begin(world: World, number: int, touching: int) -> bool:
         if contact.node[corner] < len(cells.first):
             node = contact.node[corner]
     if node >= len(cells.first):
-        return False  # between virtual nodes alone, which tell no cell
+        return False  # between virtual nodes alone, which don't determine a cell
     leave_tissue(sample)
     rest = world.model.rest
     for axis in range(3):

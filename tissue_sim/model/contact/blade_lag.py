@@ -1,8 +1,9 @@
 """Offsets of places of blades from the tissue that holds them, and the part of these that their forces don't explain.
 
-A place that moves on by some way at rest moves by another one in space where cells are crushed, in the next cell, or no
-longer between two lips. To hold it at its blade at once would throw the tissue, and to move it there at once would cut
-without a load. It stays behind, or beside, and returns while the cut that it makes meanwhile is paid for by a force.
+If a place moves by some distance at rest, it moves by another distance in space where cells are crushed, in the next
+cell, or where it is no longer between two lips. To hold it at its blade at once would throw the tissue, and to move it
+there at once would cut without a load. So it lags behind, or beside, and returns while a force does the work of the cut
+that it makes meanwhile.
 """
 
 from __future__ import annotations
@@ -15,15 +16,15 @@ from tissue_sim.model.contact.blade_places import turned_by
 from tissue_sim.model.data.blades import LIP_NODES, BladeRow, BladeSample
 from tissue_sim.model.data.world import World
 
-# m/N, by which tissue yields right at a place: cells are coarser than places are apart, so that what holds these may
-# not fit together.
+# m/N, local yielding of the tissue at a place: cells are coarser than the spacing of places, so that the constraints of
+# several places may contradict each other.
 GIVE = 1e-3
-RECOVERY_SPEED = 0.2  # m/s, largest speed at which a lip comes out of a flank that it lay in
+RECOVERY_SPEED = 0.2  # m/s, largest speed at which a lip is moved out of a flank
 
 
 @inner
 def write_arm(world: World, row: BladeRow, rotation: Floats, arm: Floats) -> None:
-    """Write where a place is from its tool's origin.
+    """Write the vector from a tool's origin to a place.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ def write_arm(world: World, row: BladeRow, rotation: Floats, arm: Floats) -> Non
 
 @inner
 def offset_of(world: World, row: BladeRow, weights: Floats) -> tuple[float, float, float]:
-    """Return how far a place of a blade is from what holds it, m.
+    """Return the offset of a place of a blade from the tissue that holds it, m.
 
     Parameters
     ----------
@@ -67,7 +68,7 @@ def offset_of(world: World, row: BladeRow, weights: Floats) -> tuple[float, floa
 
 @inner
 def way_past(world: World, row: BladeRow, direction: Floats, weights: Floats, step: float) -> float:
-    """Return how far a place has moved along a direction past the tissue there in this substep, m.
+    """Return the motion of a place along a direction relative to the tissue in this substep, m.
 
     Parameters
     ----------
@@ -97,7 +98,7 @@ def way_past(world: World, row: BladeRow, direction: Floats, weights: Floats, st
 
 @inner
 def _offset_before(world: World, row: BladeRow, direction: Floats, weights: Floats, step: float) -> float:
-    """Return how far along a direction a place was from what holds it before this substep, m."""
+    """Return the offset of a place along a direction from the tissue that holds it before this substep, m."""
     x, y, z = offset_of(world, row, weights)
     offset = direction[0] * x + direction[1] * y + direction[2] * z
     return offset - way_past(world, row, direction, weights, step)
@@ -105,7 +106,7 @@ def _offset_before(world: World, row: BladeRow, direction: Floats, weights: Floa
 
 @inner
 def lag_forward(world: World, row: BladeRow, sample: BladeSample, step: float) -> float:
-    """Return how far a place was behind its blade before this substep, m, besides by what yields to its force.
+    """Return the lag of a place behind its blade before this substep, m, without the yielding to its force.
 
     Parameters
     ----------
@@ -123,9 +124,9 @@ def lag_forward(world: World, row: BladeRow, sample: BladeSample, step: float) -
 
 @inner
 def lag_across(world: World, row: BladeRow, sample: BladeSample, step: float) -> float:
-    """Return how far a place was beside its flank before this substep, m, besides by what yields to its force.
+    """Return the lateral offset of a place from its flank before this substep, m, without the yielding to its force.
 
-    A lip that the flank lies in comes out at RECOVERY_SPEED.
+    A lip inside the flank is moved out at RECOVERY_SPEED.
 
     Parameters
     ----------

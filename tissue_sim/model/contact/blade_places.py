@@ -1,4 +1,4 @@
-"""Places of blades in tissue: the cells that hold them, and how these are deformed."""
+"""Places of blades in tissue: the cells that hold them, and the deformation of these."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
 
-MOST_STEPS = 64  # from cell to cell, in a search
-OUTSIDE = 0.05  # barycentric weight below 0 from which a place has left the tissue
-MOST_BACK = 4.0  # Frobenius norm of displacements at rest to those now; that of the unit matrix is 1.7
+MOST_STEPS = 64  # largest number of steps from cell to cell in a search
+OUTSIDE = 0.05  # a place with a barycentric weight below minus this has left the tissue
+MOST_BACK = 4.0  # Frobenius norm of the matrix from present displacements to those at rest; 1.7 for the identity
 
 
 @kernel
@@ -33,7 +33,7 @@ def leave_tissue(sample: BladeSample) -> None:
 
 @kernel
 def locate(cells: CutCells, sample: BladeSample, weight: Floats) -> bool:
-    """Find the cell that holds a place, beginning with the one that did.
+    """Find the cell that holds a place, starting from its last one.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def locate(cells: CutCells, sample: BladeSample, weight: Floats) -> bool:
     Returns
     -------
     bool
-        False where it is outside the tissue.
+        False if it is outside the tissue.
     """
     cell, rest = sample.cell, sample.rest
     for _ in range(MOST_STEPS):
@@ -70,7 +70,7 @@ def locate(cells: CutCells, sample: BladeSample, weight: Floats) -> bool:
 
 @inner
 def turned_by(rotation: Floats, vector: Floats, result: Floats) -> None:
-    """Turn a vector.
+    """Rotate a vector.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def turned_by(rotation: Floats, vector: Floats, result: Floats) -> None:
     vector : Floats, shape (3,)
         The vector.
     result : Floats, shape (3,)
-        Receives the turned one.
+        Receives the rotated vector.
     """
     for row in range(3):
         result[row] = (
@@ -107,9 +107,9 @@ def times(matrix: Floats, x: float, y: float, z: float) -> tuple[float, float, f
 
 @inner
 def write_inverse(a: Floats, inverse: Floats) -> None:
-    """Write the inverse (9,) of a deformation gradient (9,), row by row, at most MOST_BACK large.
+    """Write the inverse (9,) of a deformation gradient (9,), row by row, with a norm of at most MOST_BACK.
 
-    It is 0 where that is nearly singular: inverted cells tell nothing about directions.
+    It is 0 if the gradient is nearly singular: inverted cells don't determine directions.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def write_inverse(a: Floats, inverse: Floats) -> None:
 
 @inner
 def is_known(back: Floats) -> bool:
-    """Return whether a matrix (9,) tells how displacements turn into those at rest; see write_inverse."""
+    """Return whether a matrix (9,) from displacements to those at rest is known; see write_inverse."""
     return back[0] != 0.0 or back[4] != 0.0 or back[8] != 0.0
 
 
@@ -151,7 +151,7 @@ def corner_at(cells: CutCells, cell: int, corner: int, position: Floats, axis: i
 
 @kernel
 def place_in(cells: CutCells, cell: int, position: Floats, weight: Floats, axis: int) -> float:
-    """Return a coordinate, m, of the place that a cell's weights say, between both sides of a cut.
+    """Return a coordinate, m, of the place with given weights in a cell, between both sides of a cut.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def place_in(cells: CutCells, cell: int, position: Floats, weight: Floats, axis:
     weight : Floats, shape (4,) or more
         Barycentric weights.
     axis : int
-        Which coordinate.
+        Index of the coordinate.
     """
     place = 0.0
     for corner in range(CORNERS):
@@ -174,7 +174,7 @@ def place_in(cells: CutCells, cell: int, position: Floats, weight: Floats, axis:
 
 @inner
 def write_back(cells: CutCells, cell: int, position: Floats, scratch: Scratch, back: Floats) -> None:
-    """Write what turns displacements in a cell into those at rest, between both sides of a cut.
+    """Write the matrix from displacements in a cell to those at rest, between both sides of a cut.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def write_back(cells: CutCells, cell: int, position: Floats, scratch: Scratch, b
 
 @kernel
 def write_offset(world: World, number: int, weight: Floats) -> None:
-    """Note where tissue holds a place of a blade, so that it enters without a jump.
+    """Store the offset at which tissue holds a place of a blade, so that it enters without a jump.
 
     Parameters
     ----------

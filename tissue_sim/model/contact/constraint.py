@@ -34,15 +34,15 @@ from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.data.world import World
 
-MOST_PASSES = 20  # over the contact points in a substep, and
+MAX_PASSES = 20  # over the contact points in a substep, and
 PASSES_A_TICK = 40  # in a tick: short substeps start from the last one's result, but at least
-LEAST_PASSES = 6
+MIN_PASSES = 6
 TOLERANCE = 1e-3  # of the sum of the normal impulses: change in a pass at which it has converged
 
 
 @kernel
 def carry_force(state: State, substeps: int, now: int) -> None:
-    """Rescale the last contact impulses to the same forces where a tick has another number of substeps now.
+    """Rescale the last contact impulses to the same forces if the number of substeps has changed.
 
     Parameters
     ----------
@@ -63,8 +63,8 @@ def carry_force(state: State, substeps: int, now: int) -> None:
 
 
 @inner
-def aim_impulse(state: State, shapes: Shapes, entry: int, scratch: Scratch) -> tuple[float, float, float]:
-    """Return the last substep's impulse on a contact point, N s, as it points now."""
+def redirected_impulse(state: State, shapes: Shapes, entry: int, scratch: Scratch) -> tuple[float, float, float]:
+    """Return the last substep's impulse on a contact point, N s, rotated to the present normal."""
     body = state.contacts.body[entry]
     _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
     _, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
@@ -90,11 +90,11 @@ def add_contact_impulses(state: State, shapes: Shapes, scratch: Scratch, scale: 
     target : Floats, shape (n, 3)
         Sums at the nodes, updated.
     """
-    for index in range(scratch.watching[0]):
+    for index in range(scratch.n_candidates[0]):
         entry = scratch.candidates[index]
         if state.contact_pressed[0, entry] > 0.0 and state.bodies[state.contacts.body[entry]].engaged:
-            push = aim_impulse(state, shapes, entry, scratch)
-            held = state.contact_held[1, entry]  # row 0 stays that of a whole substep for readers beside the loop
+            push = redirected_impulse(state, shapes, entry, scratch)
+            held = state.contact_held[1, entry]  # row 0 remains that of a whole substep, for concurrent readers
             held[0], held[1], held[2] = push
             for corner in range(3):
                 _add_part(state, entry, corner, scale, push, target)
@@ -122,8 +122,9 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
     substep, and ends when a pass changes them by less than TOLERANCE of their sum. Compressed cells of the model are
     resolved along with the points, and so are the lips of cuts and the blades in them.
 
-    scratch.origin (T, 3) and scratch.rotation (T, 9) are the tools at the substep's end, last_* at its beginning. The
-    impulses on the tissue, N s, and their moments about the tool's origin, N m s, are added to scratch.impulse (T, 6).
+    scratch.origin (T, 3) and scratch.rotation (T, 9) are the tools' frames at the substep's end, last_* those at its
+    beginning. The impulses on the tissue, N s, and their moments about the tool's origin, N m s, are added to
+    scratch.impulse (T, 6).
 
     Parameters
     ----------
@@ -132,23 +133,23 @@ def resolve_contacts(world: World, step: float, spread: bool) -> int:
     step : float, s
         The substep.
     spread : bool
-        True when the integrator has moved the organ by the last impulses already: points are then nearly at their final
-        places, and the tool is as flat as it is there.
+        True if the integrator has already moved the organ by the last impulses: points are then nearly at their final
+        places, where the tool's normal is evaluated.
     """
     model, state, shapes, scratch = world.model, world.state, world.shapes, world.scratch
     compressed = find_compressed_cells(model, state, scratch, step)
-    scratch.compressing[0] = compressed
+    scratch.n_compressed[0] = compressed
     lips = find_lips(model.lips, state, scratch.mobility, step)
     found = gather_contacts(world, step, spread)
     cutting = find_blades(world, step)
     if found == 0 and compressed == 0 and lips == 0 and cutting == 0:
-        begin_cuts(world, 0, step)  # no edge presses anything
+        begin_cuts(world, 0, step)  # no edge is in contact
         return 0
     for index in range(found):
         contact = scratch.active[index]
         if contact.pressed > 0.0:
-            give_impulse(world, contact, whole_impulse(contact), 0.0 if spread else step)
-    most = min(MOST_PASSES, max(LEAST_PASSES, PASSES_A_TICK // max(1, state.status.substeps)))
+            apply_impulse(world, contact, whole_impulse(contact), 0.0 if spread else step)
+    most = min(MAX_PASSES, max(MIN_PASSES, PASSES_A_TICK // max(1, state.status.substeps)))
     for turn in range(COMPRESSED_PASSES if compressed > 0 or has_compressed_cells(model) else most):
         held = enforce_volume_limit(state, scratch, compressed, step)
         if lips > 0:
@@ -192,8 +193,8 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
         return 0.0
     most, origin = state.contacts.most_give[contact.entry], scratch.origin[contact.body]
     position, velocity, node, weight = state.position, state.velocity, contact.node, contact.weight
-    # What is read of the three nodes is kept for the end: the compiler would read it again. Unsigned indices spare it
-    # the look for negative ones.
+    # The values of the three nodes are kept for the end, since the compiler would read them again. With unsigned
+    # indices it needn't check for negative ones.
     a, b, c = np.uint64(node[0]), np.uint64(node[1]), np.uint64(node[2])
     wa, wb, wc = weight[0], weight[1], weight[2]
     ax, ay, az = position[a, 0], position[a, 1], position[a, 2]
@@ -201,12 +202,12 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
     cx, cy, cz = position[c, 0], position[c, 1], position[c, 2]
     ox, oy, oz = origin[0], origin[1], origin[2]
     x, y, z = -ox + wa * ax + wb * bx + wc * cx, -oy + wa * ay + wb * by + wc * cy, -oz + wa * az + wb * bz + wc * cz
-    if contact.nodes > 3:  # apart, as three are faster
+    if contact.nodes > 3:  # a separate branch, as three nodes are faster
         x, y, z = plus_last(position, contact, x, y, z)
     nx, ny, nz = normal[0], normal[1], normal[2]
     gap = nx * x + ny * y + nz * z - contact.offset
     push = max(0.0, pressed - (gap + soft * pressed) * stiffness)
-    if response > 0.0:  # tissue that has yielded by all that it can is as stiff as its nodes
+    if response > 0.0:  # tissue that has yielded as far as it can is as stiff as its nodes
         push = max(push, pressed - (gap + most) / response)
     if push == 0.0 and pressed == 0.0:
         return 0.0
@@ -224,7 +225,7 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
     contact.pressed = push
     along = sx * nx + sy * ny + sz * nz
     sx, sy, sz = sx - along * nx, sy - along * ny, sz - along * nz
-    # What the tissue between nodes had yielded by when the substep began comes off it.
+    # The yielding of tissue between nodes at the beginning of the substep is subtracted.
     yielded = contact.yielded
     sx, sy, sz = sx - yielded[0], sy - yielded[1], sz - yielded[2]
     tx = held[0] - (sx + soft_across * held[0]) * stiffness_across
@@ -243,7 +244,7 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
     py = (push - pressed) * ny + fraction * ty - held[1]
     pz = (push - pressed) * nz + fraction * tz - held[2]
     held[0], held[1], held[2] = fraction * tx, fraction * ty, fraction * tz
-    # The first node last: a point at a node has that node three times, of which the first one has all of the weight.
+    # The first node comes last: a point at a node has that node three times, and the first one has all of the weight.
     ma, mb, mc = contact.mobility[0], contact.mobility[1], contact.mobility[2]
     velocity[c, 0], velocity[c, 1], velocity[c, 2] = cu + mc * px, cv + mc * py, cw + mc * pz
     velocity[b, 0], velocity[b, 1], velocity[b, 2] = bu + mb * px, bv + mb * py, bw + mb * pz
@@ -254,12 +255,12 @@ def resolve_contact(world: World, contact: ActiveContact, step: float) -> float:
     position[a, 0], position[a, 1], position[a, 2] = ax + ma * px, ay + ma * py, az + ma * pz
     if contact.nodes > 3:
         move_node(state, contact, 3, (px, py, pz), step)
-    give_impulse(world, contact, (px, py, pz), 0.0)
+    apply_impulse(world, contact, (px, py, pz), 0.0)
     return math.sqrt(px * px + py * py + pz * pz)
 
 
 @kernel
-def give_impulse(world: World, contact: ActiveContact, impulse: tuple[float, float, float], step: float) -> None:
+def apply_impulse(world: World, contact: ActiveContact, impulse: tuple[float, float, float], step: float) -> None:
     """Apply an impulse, N s, to a contact point, and its opposite to the tool; with a step of 0 to the tool alone."""
     state, scratch = world.state, world.scratch
     for c in range(3 if step > 0.0 else 0):
@@ -272,7 +273,7 @@ def give_impulse(world: World, contact: ActiveContact, impulse: tuple[float, flo
 
 @kernel
 def move_node(state: State, contact: ActiveContact, c: int, impulse: tuple[float, float, float], step: float) -> None:
-    """Give a node of a contact point its part of an impulse, N s, as it acted for a whole substep."""
+    """Apply a node's part of an impulse on its contact point, N s, as if it had acted for a whole substep."""
     px, py, pz = impulse
     node, move = contact.node[c], contact.mobility[c]
     state.velocity[node, 0] += move * px
@@ -292,7 +293,7 @@ def plus_last(values: Floats, contact: ActiveContact, x: float, y: float, z: flo
 
 @inner
 def count_impulse(state: State, scratch: Scratch, contact: ActiveContact) -> None:
-    """Add what acts on a contact point in this substep to scratch.impulse, and to what drives a modal region."""
+    """Add the impulse on a contact point in this substep to scratch.impulse, and to the loads of a modal region."""
     px, py, pz = whole_impulse(contact)
     if state.status.region == Region.MODAL:
         for c in range(contact.nodes):
@@ -300,6 +301,6 @@ def count_impulse(state: State, scratch: Scratch, contact: ActiveContact) -> Non
             state.contact_impulse[node, 0] += weight * px
             state.contact_impulse[node, 1] += weight * py
             state.contact_impulse[node, 2] += weight * pz
-    # The lever arm is that of the place of the normal, so that a ball without friction feels no moment about its
-    # centre.
+    # The lever arm leads to the place of the normal, so that there is no moment about the centre of a ball without
+    # friction.
     count_on_body(scratch, contact.body, contact.arm, (px, py, pz))

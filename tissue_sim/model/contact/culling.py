@@ -1,4 +1,4 @@
-"""Contact points that a tick examines: a contact set has many, since it serves several ticks."""
+"""Selection of the contact points that a tick examines: a contact set has many, since it is used for several ticks."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.contact.gap import point_in_body
 from tissue_sim.model.contact.poses import set_frame
 from tissue_sim.model.contact.shapes import signed_distance
-from tissue_sim.model.contact.tool_motion import FASTEST
+from tissue_sim.model.contact.tool_motion import MAX_CATCH_UP_SPEED
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import Region, State
 
-FAST = 0.5  # m/s, of tissue towards a tool, at most, within a tick
+FAST = 0.5  # m/s, largest speed of tissue towards a tool within a tick
 
 
 @kernel
 def cull_contacts(state: State, shapes: Shapes, settings: Settings, scratch: Scratch) -> None:
     """List the contact points that may touch in the coming tick in scratch.candidates; clear the impulses of others.
 
-    Left out are those that neither the tool's way, which leads from where it is to where it is held, nor tissue that
-    approaches at FAST can bring together. Call it after advance_held; scratch.last_* become the tools' present poses.
+    Points are left out that can't touch, neither by the tool's motion from its pose to the held one, nor by tissue that
+    approaches at FAST. Call this after advance_held; scratch.last_* are set to the tools' present poses.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def cull_contacts(state: State, shapes: Shapes, settings: Settings, scratch: Scr
         Working memory; updated.
     """
     body, moved, turned, count = -1, 0.0, 0.0, 0
-    most = FASTEST * settings.tick_time if settings.coupling_stiffness == 0.0 else math.inf
+    most = MAX_CATCH_UP_SPEED * settings.tick_time if settings.coupling_stiffness == 0.0 else math.inf
     for entry in range(state.contacts.header.points):
         if body != state.contacts.body[entry]:
             body = state.contacts.body[entry]
@@ -58,14 +58,14 @@ def cull_contacts(state: State, shapes: Shapes, settings: Settings, scratch: Scr
         else:
             state.contact_pressed[0, entry] = 0.0
             state.contact_held[0, entry] = 0.0
-    scratch.watching[0] = count
+    scratch.n_candidates[0] = count
 
 
 @kernel
 def largest_tissue_speed(state: State) -> float:
-    """Return a bound on the speed of tissue towards a tool in a substep; contact may still add as much.
+    """Return a bound on the speed of tissue towards a tool in a substep; contact may add as much again.
 
-    It is less than FAST only where velocities are all that moves the organ.
+    It is less than FAST only if nothing but the velocities moves the organ.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def largest_tissue_speed(state: State) -> float:
     """
     if state.status.region != Region.WHOLE:
         return FAST
-    # Four by four, as each comparison would wait for the one before.
+    # Four at a time, as each comparison would wait for the previous one.
     velocity, whole = state.velocity, len(state.velocity) // 4 * 4
     a = b = c = d = 0.0
     for node in range(0, whole, 4):
@@ -94,7 +94,7 @@ def largest_tissue_speed(state: State) -> float:
 
 @kernel
 def larger(most: float, value: float) -> float:
-    """Return the larger of two numbers, the first one where the second is NaN."""
+    """Return the larger of two numbers, or the first one if the second is NaN."""
     return value if value > most else most
 
 
@@ -106,9 +106,9 @@ def square_of(vectors: Floats, index: int) -> float:
 
 @kernel
 def motion_of(settings: Settings, scratch: Scratch, body: int) -> tuple[float, float]:
-    """Return how far a body's origin may go in this tick, m, and a bound on how far it turns, rad.
+    """Return bounds on the displacement of a body's origin in this tick, m, and on its rotation, rad.
 
-    A virtual coupling moves it a part of the way.
+    A virtual coupling moves it by a part of these.
     """
     square = turn = 0.0
     for axis in range(3):

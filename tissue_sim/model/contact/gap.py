@@ -1,4 +1,4 @@
-"""Places of contact points: in the organ's frame, in their tool's, and their distance from it."""
+"""Places of contact points in the frames of organ and tool, and their distance from the tool."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tissue_sim.model.contact.shapes import signed_distance
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
 
-INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
+INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal, which is -1 for a frontal touch from outside
 
 
 @inner
@@ -20,8 +20,6 @@ def point_in_body(
     state: State, entry: int, origin: Floats, rotation: Floats
 ) -> tuple[float, float, float, float, float, float]:
     """Return a contact point in the organ's frame and in its tool's frame.
-
-    origin (T, 3), rotation (T, 9) of the tools.
 
     Parameters
     ----------
@@ -39,7 +37,7 @@ def point_in_body(
     tuple[float, float, float, float, float, float], m
         Three coordinates in the organ's frame, then three in the tool's.
     """
-    at = np.uint64(entry)  # unsigned indices spare the look for negative ones
+    at = np.uint64(entry)  # unsigned indices need no check for negative ones
     body = np.uint64(state.contacts.body[at])
     x = y = z = 0.0
     for c in range(3):
@@ -48,7 +46,7 @@ def point_in_body(
         y += weight * state.position[node, 1]
         z += weight * state.position[node, 2]
     last = state.contacts.weight[at, 3]
-    if last != 0.0:  # apart, as three are faster
+    if last != 0.0:  # a separate branch, as three nodes are faster
         node = np.uint64(state.contacts.node[at, 3])
         x += last * state.position[node, 0]
         y += last * state.position[node, 1]
@@ -69,7 +67,7 @@ def point_in_body(
 def gap_from_outside(state: State, shapes: Shapes, entry: int, origin: Floats, rotation: Floats) -> float:
     """Return the signed distance, m, of a contact point to its tool; infinite where the tool is on its inner side.
 
-    Tissue is pushed from outside only: a tool that came to lie inside leaves without catching it.
+    Tissue is pushed from outside only: a tool that is inside leaves without dragging it along.
     """
     body = state.contacts.body[entry]
     _, _, _, lx, ly, lz = point_in_body(state, entry, origin, rotation)
@@ -115,8 +113,6 @@ def gap_and_normal(
     shapes: Shapes, body: int, r: Floats, lx: float, ly: float, lz: float
 ) -> tuple[float, float, float, float]:
     """Return the signed distance of a point from a tool, and the tool's outward normal there.
-
-    r (9,): the tool's rotation.
 
     Parameters
     ----------

@@ -17,9 +17,9 @@ from tissue_sim.model.data.world import World
 
 @kernel
 def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scratch: Scratch) -> None:
-    """Set the wrench of every body; clamp and slew limit hold for the sum over a tool's bodies.
+    """Compute the wrench of every body; clamp and slew limit apply to the sum over a tool's bodies.
 
-    An organ of a scene has a part of the slew limit, see `divide_slew_limit`.
+    Each organ of a scene has a part of the slew limit, see `divide_slew_limit`.
 
     Parameters
     ----------
@@ -38,8 +38,7 @@ def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scra
         cut = cut or clamped < 1.0
         wanted = -clamped / settings.tick_time
         for body in range(len(state.wrench)):
-            # Where poses come again while the force fades, it rises from what the hand feels, not from what it would
-            # feel without the fading.
+            # If poses resume while the force fades, it rises from the faded force, not from the force without fading.
             if shapes.tool[body] == tool and freshness(state.bodies[body].age, settings) == 1.0:
                 for c in range(6):
                     state.unfaded_wrench[body, c] = state.wrench[body, c]
@@ -60,7 +59,7 @@ def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scra
         for body in range(len(state.wrench)):
             if shapes.tool[body] == tool:
                 fresh = freshness(state.bodies[body].age, settings)
-                # A released tool starts from zero when it comes back, whatever the limit on the force's rate.
+                # A released tool starts from zero when it returns, regardless of the slew limit.
                 kept = clamped if fresh > 0.0 else 0.0
                 for c in range(6):
                     state.unfaded_wrench[body, c] *= kept
@@ -71,7 +70,7 @@ def compute_haptic_output(state: State, shapes: Shapes, settings: Settings, scra
 
 @kernel
 def divide_slew_limit(worlds: Sequence[World], awake: Longs) -> None:
-    """Divide the limit on how fast a tool's force changes among the organs that act on it: it holds for their sum.
+    """Divide the slew limit of a tool among the organs that act on it, since it applies to their sum.
 
     Parameters
     ----------
@@ -103,8 +102,8 @@ def acts_on(world: World, tool: int) -> bool:
 
 
 @kernel
-def is_felt(state: State) -> bool:
-    """Return whether a force on any tool has not come down to zero."""
+def has_output(state: State) -> bool:
+    """Return whether the force on any tool has not yet decreased to zero."""
     for body in range(len(state.wrench)):
         for c in range(3):
             if state.wrench[body, c] != 0.0:
@@ -114,7 +113,7 @@ def is_felt(state: State) -> bool:
 
 @kernel
 def sum_haptic_output(worlds: Sequence[World], wrench: Floats) -> None:
-    """Sum the wrenches of every body over all organs; the clamp holds for the sum over a tool's bodies.
+    """Sum the wrenches of every body over all organs; the clamp applies to the sum over a tool's bodies.
 
     Parameters
     ----------
@@ -153,7 +152,7 @@ def clamp_fraction(values: Floats, tools: Longs, tool: int, most: float) -> floa
 
 @kernel
 def slew_fraction(unfaded: Floats, impulse: Floats, wanted: float, tools: Longs, tool: int, most: float) -> float:
-    """Return the fraction of the change from unfaded (T, 6) to wanted * impulse (T, 6) that is `most` N at most."""
+    """Return the fraction by which to change from unfaded (T, 6) to wanted * impulse (T, 6), so by at most `most` N."""
     x = y = z = 0.0
     for body in range(len(unfaded)):
         if tools[body] == tool:

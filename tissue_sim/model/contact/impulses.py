@@ -18,7 +18,7 @@ def count_on_body(scratch: Scratch, body: int, arm: Floats, impulse: tuple[float
     body : int
         Index of the body.
     arm : Floats, shape (3,), m
-        From the tool's origin to where it acts.
+        From the tool's origin to the place where it acts.
     impulse : tuple[float, float, float], N s
         The impulse.
     """
@@ -34,7 +34,7 @@ def count_on_body(scratch: Scratch, body: int, arm: Floats, impulse: tuple[float
 
 @kernel
 def push_bodies(tools: Longs, body: int, scratch: Scratch, impulse: tuple[float, float, float]) -> None:
-    """Move every body of a body's tool by an impulse on the tissue, N s."""
+    """Move all bodies of a body's tool by the opposite of an impulse on the tissue, N s."""
     give = scratch.give[body]
     for other in range(len(tools)):
         if tools[other] == tools[body]:

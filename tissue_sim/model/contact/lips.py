@@ -1,14 +1,14 @@
-"""Contact of the lips of a cut with each other: a constraint beside those of contact with tools.
+"""Contact of the lips of a cut with each other: a constraint besides those of contact with tools.
 
-Before a cut opens, its walls lie on each other, so that no distance of surfaces tells which of them are in front of
-which. But every point of one wall has its partner on the other: the two copies of the place where the cut crosses an
-edge of cells. Along the mean normal of both walls, as they are now, the upper one must not come below the lower one.
-Their impulses are equal and opposite, without friction, and found together with those of the tools by projected
-Gauss-Seidel. They start from zero in every substep: nothing has to be kept, and a bag can begin anywhere. They are
-bounded: between tools and lips there may be no way out, and impulses that accumulate there throw light nodes.
+Before a cut opens, its walls coincide, so that no distance of surfaces shows which of them is in front of the other.
+But every point of one wall has its partner on the other: the two copies of the place where the cut crosses an edge of
+cells. Along the mean normal of both walls in their present position, the upper one must not come below the lower one.
+The impulses are equal and opposite, without friction, and solved together with those of the tools by projected
+Gauss-Seidel. They start from zero in every substep, so that nothing has to be stored and a bag can begin anywhere. They
+are bounded: between tools and lips there may be no solution, and impulses that accumulate there throw light nodes.
 
-Partners that have slid apart by more than an edge of cells, or whose walls don't face each other any more, don't touch:
-what is opposite by then is not known.
+Partners that have slid apart by more than an edge of cells, or whose walls no longer face each other, don't touch: the
+opposite place is no longer known.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from tissue_sim.model.data.lips import ENDS, Lips
 from tissue_sim.model.data.state import State
 
 NEAR = 5e-5  # m: distance within which sides may come to touch while others are resolved
-RECOVERY_SPEED = 0.2  # m/s, largest speed at which what lay inside comes out
-FACING = 0.5  # cosine between both walls' normals, from which on they face each other
-MOST_SPEED = 2.0  # m/s by which a substep may change that at which sides approach
+RECOVERY_SPEED = 0.2  # m/s, largest speed at which a point that was inside is moved out
+FACING = 0.5  # cosine between both walls' normals, from which they face each other
+MAX_SPEED_CHANGE = 2.0  # m/s by which a substep may change the speed at which sides approach
 SETTLED = 0.02  # fraction of the impulses that a pass may still change
 
 
 @kernel
 def find_lips(lips: Lips, state: State, mobility: Floats, step: float) -> int:
-    """List the places where lips touch or nearly do in lips.contacts; return their number.
+    """List the places where lips touch, or nearly do, in lips.contacts; return their number.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def find_lips(lips: Lips, state: State, mobility: Floats, step: float) -> int:
 
 @kernel
 def _place_sides(lips: Lips, position: Floats) -> bool:
-    """Write where both sides of each place are; return whether any of them are within reach of each other."""
+    """Write the positions of both sides of each place; return whether any of them are within reach of each other."""
     any_near = False
     for place in range(len(lips.upper)):
         upper_nodes, lower_nodes, square = lips.upper[place], lips.lower[place], 0.0
@@ -145,7 +145,7 @@ def _take(lips: Lips, place: int, state: State, mobility: Floats, step: float, f
     if gap > NEAR or square - gap * gap > lips.slide[place] ** 2 or gap < -lips.slide[place]:
         return False
     contact.least = min(0.0, gap + step * (RECOVERY_SPEED - opening))
-    contact.stiffness, contact.pressed, contact.most = 1.0 / (step * give), 0.0, MOST_SPEED / give
+    contact.stiffness, contact.pressed, contact.most = 1.0 / (step * give), 0.0, MAX_SPEED_CHANGE / give
     return True
 
 
@@ -184,7 +184,7 @@ def press_lips(lips: Lips, state: State, mobility: Floats, found: int, step: flo
             continue
         for k in range(2 * ENDS):
             node = contact.node[k]
-            # Where both sides have a node in common it feels nothing.
+            # A node that both sides have in common gets no impulse.
             if node == contact.node[(k + ENDS) % (2 * ENDS)]:
                 continue
             move = more * contact.weight[k] * mobility[node]

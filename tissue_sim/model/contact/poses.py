@@ -12,7 +12,7 @@ from tissue_sim.model.data.arrays import copy
 
 @kernel
 def distance_along_path(pose: Floats, other: Floats, extent: float) -> float:
-    """Return a bound on how far the points of a body lie apart in two poses.
+    """Return a bound on the distance between the same points of a body in two poses.
 
     Parameters
     ----------
@@ -23,8 +23,8 @@ def distance_along_path(pose: Floats, other: Floats, extent: float) -> float:
 
     Returns
     -------
-    float
-        m
+    float, m
+        The distance.
     """
     if extent == 0.0:
         return distance(pose, other)
@@ -43,8 +43,8 @@ def distance(pose: Floats, other: Floats) -> float:
 
     Returns
     -------
-    float
-        m
+    float, m
+        The distance.
     """
     return math.sqrt((pose[0] - other[0]) ** 2 + (pose[1] - other[1]) ** 2 + (pose[2] - other[2]) ** 2)
 
@@ -67,7 +67,7 @@ def quaternion_distance(pose: Floats, other: Floats) -> float:
 
 @kernel
 def step_pose(pose: Floats, goal: Floats, fraction: float) -> None:
-    """Move a pose (7,) by a fraction of the way to a goal; the quaternion by normalised lerp."""
+    """Move a pose (7,) by a fraction of the distance to a goal; the quaternion by normalised linear interpolation."""
     if fraction >= 1.0:
         copy(goal, pose)
         return

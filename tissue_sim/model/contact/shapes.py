@@ -52,7 +52,7 @@ def grid_distance(shapes: Shapes, body: int, x: float, y: float, z: float) -> tu
     nx = (1.0 - b) * near + b * far
     ny = (1.0 - c) * (e10 - e00) + c * (e11 - e01)
     nz = f1 - f0
-    if beyond > 0.0:  # the body lies in the grid's box: from its nearest place, no nearer than square to the way there
+    if beyond > 0.0:  # no nearer than the hypotenuse, as the body lies in the grid's box
         gap = math.sqrt(gap * gap + beyond * beyond)
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
     if length < 1e-12:

@@ -1,4 +1,4 @@
-"""How the bodies of tools move through a tick, and how fresh their poses and forces are."""
+"""Motion of the bodies of tools in a tick, and the freshness of their poses and forces."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import BodyStatus, State
 
-ROUNDING = 1e-6  # fraction of a tick that counts as zero
-# Where tissue is near, a body moves in a step by at most this fraction of its finest feature: points before it then
-# end in its front half, and are pushed on, not past it.
+ROUNDING = 1e-6  # fraction of a tick below which a time counts as zero
+# Near tissue, a body moves in a step by at most this fraction of its finest feature: points in front of it are then in
+# its front half at the end, and are pushed forward, not past it.
 STEP = 0.25
 WALL_ROUNDS = 4  # rounds in a step that move a tool out of fixed tissue: a corner has three walls
-SLOWING = 0.3  # of the force that tissue bears: in the last of it, a tool that slipped is slowed and held
-INWARD = 0.25  # cosine between its way and the force against it, from which it presses deeper
-RECENT = 0.99  # by which the largest recent force, the mean one, and the largest recent speed decay in a tick
-CAREFUL, SLOW = 0.4, 0.1  # m/s, of a tool that presses again after a slip, and after more
-AFTER_SLIP = 2  # factor on the substeps while a tool presses that has slipped; more would not keep it out of a pinch
-HASTY = 2  # slips that may come from haste, after each of which a tool presses again more slowly
-FASTEST = 1.0  # m/s, of a body that catches up there: well below the speed of sound in tissue
+SLOWING_RANGE = 0.3  # last fraction of the bearable force, in which a tool that slipped is slowed and held
+INWARD_COSINE = 0.25  # cosine between a tool's motion and the force against it, from which it presses deeper
+RECENT_DECAY = 0.99  # by which the largest recent force, the mean one, and the largest recent speed decay in a tick
+FIRST_RETRY_SPEED, LATER_RETRY_SPEED = 0.4, 0.1  # m/s, of a tool that presses again after one slip, and after more
+AFTER_SLIP = 2  # factor on the substeps while a tool presses that has slipped; a larger one would not prevent slips
+MAX_FAST_SLIPS = 2  # slips that may be due to speed, after each of which a tool presses again more slowly
+MAX_CATCH_UP_SPEED = 1.0  # m/s, of a body that catches up near tissue: well below the speed of sound in tissue
 
 
 @kernel
 def freshness(age: int, settings: Settings) -> float:
-    """Return 1 while an input is fresh, falling linearly to 0 after it went stale; 0 when there was none.
+    """Return 1 while an input is fresh, then a factor that decreases linearly to 0; 0 if there was no input.
 
     Parameters
     ----------
     age : int
-        Ticks since the input; below 0: there was none.
+        Ticks since the input; negative if there was none.
     settings : Settings
         Settings of the simulation.
     """
@@ -51,7 +51,7 @@ def freshness(age: int, settings: Settings) -> float:
 
 @kernel
 def advance_held(state: State, settings: Settings, scratch: Scratch) -> None:
-    """Move the place where each body is held towards its newest pose; release it when poses stop.
+    """Move the held pose of each body towards its newest pose; release the body when poses stop.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def advance_held(state: State, settings: Settings, scratch: Scratch) -> None:
     for body in range(len(state.held_pose)):
         status = state.bodies[body]
         copy(state.held_pose[body], scratch.held[body])
-        status.recent_speed = max(status.speed, RECENT * status.recent_speed)
+        status.recent_speed = max(status.speed, RECENT_DECAY * status.recent_speed)
         if status.age >= 0:
             status.age += 1
             is_late = status.age * settings.tick_time > settings.stale_time + settings.ramp_time
@@ -83,7 +83,7 @@ def advance_held(state: State, settings: Settings, scratch: Scratch) -> None:
 
 @kernel
 def release_body(status: BodyStatus) -> None:
-    """End the life of a body whose poses stopped: its next pose may be anywhere.
+    """Release a body whose poses stopped: its next pose may be anywhere.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def release_body(status: BodyStatus) -> None:
 
 @kernel
 def forget_slips(status: BodyStatus) -> None:
-    """Forget the slips of a body, and the forces on it.
+    """Reset the slips of a body, and the recent forces on it.
 
     Parameters
     ----------
@@ -113,9 +113,9 @@ def forget_slips(status: BodyStatus) -> None:
 
 @kernel
 def follow_untouched(state: State, shapes: Shapes, settings: Settings, scratch: Scratch) -> bool:
-    """Move every body on while no body touches tissue.
+    """Move every body to its held pose while no body touches tissue.
 
-    scratch.origin and scratch.rotation remain those of where the bodies are held.
+    scratch.origin and scratch.rotation remain those of the held poses.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def follow_untouched(state: State, shapes: Shapes, settings: Settings, scratch: 
     Returns
     -------
     bool
-        False when a body would touch the tissue; none is moved then.
+        False if a body would touch the tissue; then none is moved.
     """
     copy(state.body_pose, scratch.before)
     copy(state.held_pose, scratch.goal)
@@ -164,21 +164,21 @@ def advance_bodies(state: State, shapes: Shapes, scratch: Scratch, step: float) 
     for body in range(len(state.body_pose)):
         if scratch.fraction[body] > 0.0:
             step_pose(state.body_pose[body], scratch.goal[body], scratch.fraction[body])
-    for _ in range(WALL_ROUNDS if scratch.walls[0] > 0 else 0):
+    for _ in range(WALL_ROUNDS if scratch.n_walls[0] > 0 else 0):
         if not leave_wall(state, shapes, scratch):
             break
 
 
 @kernel
 def largest_speed(state: State, scratch: Scratch, body: int) -> float:
-    """Return the speed, m/s, at which a body may go to its goal where tissue is near."""
-    # Contact takes back what a pressing spring adds to the way: a bound on speed would bound its force.
+    """Return the largest speed, m/s, at which a body may move to its goal near tissue."""
+    # Contact undoes the motion that a pressing spring adds: a bound on speed would bound the spring's force.
     if scratch.give[body] > 0.0 and has_contact(state, body):
         return math.inf
     slips = state.bodies[body].slips
     if slips == 0 or not leads_inward(state, body, scratch.goal[body]):
-        return FASTEST
-    return CAREFUL if slips < HASTY else SLOW
+        return MAX_CATCH_UP_SPEED
+    return FIRST_RETRY_SPEED if slips < MAX_FAST_SLIPS else LATER_RETRY_SPEED
 
 
 @kernel
@@ -190,11 +190,11 @@ def has_contact(state: State, body: int) -> bool:
 
 @kernel
 def free_distance(state: State, shapes: Shapes, scratch: Scratch, body: int, most: float) -> float:
-    """Return the fraction of its way to its goal that a body may go in a step and meet all tissue on it.
+    """Return the fraction of the distance to its goal that a body may move in a step without missing any tissue.
 
-    most: m that it may go where tissue is near, at its speed. It goes no farther than the contact set knows the surface
-    around it, and waits for the next one; where there is tissue, it goes no faster than points before it can be pushed.
-    A body that no set has looked at yet waits; one that nothing resists goes freely.
+    most: m that it may move near tissue, at its largest speed. It moves no farther than the contact set reaches, and
+    waits for the next one; near tissue, it moves no faster than the points in front of it can be pushed. A body for
+    which no set was searched yet waits; one that nothing resists moves freely.
     """
     status, contacts, extent, goal = state.bodies[body], state.contacts, shapes.extent[body], scratch.goal[body]
     if not status.engaged:
@@ -207,19 +207,19 @@ def free_distance(state: State, shapes: Shapes, scratch: Scratch, body: int, mos
     # A blade in tissue is held by places of its own, without contact points.
     if (touches or status.cutting) and way > most:
         fraction = most / way
-    # Distances are convex: a fraction of the way adds at most that fraction of what the whole way adds.
+    # Distances are convex: a fraction of the motion adds at most that fraction of the change by the whole motion.
     now, then = distance_along_path(pose, place, extent), distance_along_path(goal, place, extent)
     if then > contacts.reach[body] and then > now:
         fraction = min(fraction, max(0.0, contacts.reach[body] - now) / (then - now))
-    # A coupling presses with no more by itself, see `couple_bodies`.
-    if is_held_back(status) and scratch.give[body] == 0.0 and leads_inward(state, body, goal):
-        fraction *= min(1.0, max(0.0, (1.0 - status.recent_force / status.bearable) / SLOWING))
+    # A coupling limits its own force, see `couple_bodies`.
+    if is_force_limited(status) and scratch.give[body] == 0.0 and leads_inward(state, body, goal):
+        fraction *= min(1.0, max(0.0, (1.0 - status.recent_force / status.bearable) / SLOWING_RANGE))
     return fraction
 
 
 @kernel
-def slip_caution(state: State) -> int:
-    """Return the factor on the substeps until tools that have slipped are free again.
+def slip_substep_factor(state: State) -> int:
+    """Return the factor on the number of substeps until all tools that have slipped are free again.
 
     Parameters
     ----------
@@ -233,25 +233,25 @@ def slip_caution(state: State) -> int:
 
 
 @kernel
-def is_held_back(status: BodyStatus) -> bool:
-    """Return whether a body presses with no more than `bearable`, since it has slipped."""
-    return status.slips > HASTY and not status.cutting
+def is_force_limited(status: BodyStatus) -> bool:
+    """Return whether the force of a body is limited to `bearable`, since it has slipped."""
+    return status.slips > MAX_FAST_SLIPS and not status.cutting
 
 
 @kernel
 def leads_inward(state: State, body: int, goal: Floats) -> bool:
-    """Return whether the way to a goal (7,) leads against the force of the tissue."""
+    """Return whether the motion to a goal (7,) is against the force of the tissue."""
     outward, pose, along, size, way = state.bodies[body].outward, state.body_pose[body], 0.0, 0.0, 0.0
     for c in range(3):
         along += outward[c] * (goal[c] - pose[c])
         size += outward[c] ** 2
         way += (goal[c] - pose[c]) ** 2
-    return along < -INWARD * math.sqrt(size * way)
+    return along < -INWARD_COSINE * math.sqrt(size * way)
 
 
 @kernel
 def note_forces(state: State, settings: Settings, scratch: Scratch) -> None:
-    """Update the recent forces of the tissue on every body; forget the slips of one that is free again at its hand.
+    """Update the recent forces of the tissue on every body; reset the slips of one that has reached its hand freely.
 
     Parameters
     ----------
@@ -265,10 +265,12 @@ def note_forces(state: State, settings: Settings, scratch: Scratch) -> None:
     for body in range(len(state.bodies)):
         status, impulse = state.bodies[body], scratch.impulse[body]
         size = math.sqrt(impulse[0] * impulse[0] + impulse[1] * impulse[1] + impulse[2] * impulse[2])
-        status.recent_force = max(size / settings.tick_time, RECENT * status.recent_force)
-        # The last forces before a slip may lead aside; a tool that has slipped keeps the side from which it came.
+        status.recent_force = max(size / settings.tick_time, RECENT_DECAY * status.recent_force)
+        # The last forces before a slip may point sideways; a tool that has slipped keeps the side from which it came.
         for c in range(3 if status.slips == 0 else 0):
-            status.outward[c] = RECENT * status.outward[c] - (1.0 - RECENT) * impulse[c] / settings.tick_time
+            status.outward[c] = (
+                RECENT_DECAY * status.outward[c] - (1.0 - RECENT_DECAY) * impulse[c] / settings.tick_time
+            )
         if size == 0.0 and status.slips > 0 and distance(state.body_pose[body], state.held_pose[body]) == 0.0:
             forget_slips(status)
 
@@ -277,11 +279,11 @@ def note_forces(state: State, settings: Settings, scratch: Scratch) -> None:
 def couple_bodies(
     state: State, shapes: Shapes, settings: Settings, scratch: Scratch, step: float, fraction: float
 ) -> None:
-    """Move where the bodies are held along their way, and each body after it through the virtual coupling.
+    """Move the held poses of the bodies along their paths, and each body after its held pose by the virtual coupling.
 
-    A body has no mass: B p' = K (h - p) + F, of which a step without contact is done here; the displacement per impulse
-    of the contact is scratch.give, m / (N s). The held pose moves evenly through the tick, so that its speed has no
-    jumps. A body is behind where it may not go as far, see `free_distance`.
+    A body has no mass: B p' = K (h - p) + F. This function computes a step without contact; the displacement per
+    impulse of the contact is scratch.give, m / (N s). The held pose moves at constant speed through the tick, so that
+    its speed has no jumps. A body lags behind if it may not move as far, see `free_distance`.
 
     Parameters
     ----------
@@ -296,7 +298,7 @@ def couple_bodies(
     step : float, s
         The substep.
     fraction : float
-        Fraction of the rest of the tick's way.
+        Fraction of the rest of the tick's motion.
     """
     stiffness, damping = settings.coupling_stiffness, settings.coupling_damping
     for body in range(len(state.body_pose)):
@@ -309,8 +311,8 @@ def couple_bodies(
         if stiffness > 0.0:
             scratch.give[body] = 1.0 / (damping + stiffness * step)
             pull, status = stiffness * distance(pose, held), state.bodies[body]
-            # Slowed as a rigid body is, it would be pushed out and come back for ever.
-            eased = status.bearable / pull if is_held_back(status) and pull > status.bearable else 1.0
+            # If it were slowed like a rigid body, it would be pushed out and return again and again.
+            eased = status.bearable / pull if is_force_limited(status) and pull > status.bearable else 1.0
             for c in range(3):
                 goal[c] = pose[c] + scratch.give[body] * stiffness * step * eased * (held[c] - pose[c])
     advance_bodies(state, shapes, scratch, step)
@@ -319,8 +321,8 @@ def couple_bodies(
 
 
 @kernel
-def keep_bodies(state: State, scratch: Scratch) -> None:
-    """Copy to the poses where contact has pushed the tools.
+def store_body_poses(state: State, scratch: Scratch) -> None:
+    """Copy the places to which contact has pushed the tools to their poses.
 
     Parameters
     ----------
@@ -336,7 +338,7 @@ def keep_bodies(state: State, scratch: Scratch) -> None:
 
 @kernel
 def restore_bodies(state: State, farthest: float) -> None:
-    """Return bodies that contact has pushed out of bounds, or to no number, to where their contact points were found.
+    """Return bodies that contact has pushed out of bounds, or to NaN, to the poses of their contact set.
 
     Parameters
     ----------

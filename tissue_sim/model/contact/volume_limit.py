@@ -1,11 +1,11 @@
-"""Volume limit of cells: a constraint beside those of contact, so that a tool inverts no cell.
+"""Volume limit of cells: a constraint besides those of contact, so that a tool inverts no cell.
 
-The resistance of a cell's material law is bounded by the step; the pressure of a tool is not. At LEAST of its rest
-volume a cell yields no more: its four nodes share an impulse along the gradient of that volume, found together with the
-contact's impulses by projected Gauss-Seidel. The gradients are those at the beginning of the substep: at rest that is
-where it ends, and the impulse then balances the load exactly, however far that would have moved the nodes. Impulses
-start from zero in every substep, and are bounded: cells between two tools may have no way out, and impulses that
-accumulate there throw their nodes.
+The resistance of a cell's material law is limited by the step; the pressure of a tool is not. At MIN_VOLUME_RATIO of
+its rest volume a cell can't be compressed further: an impulse along the gradient of its volume acts on its four nodes,
+solved together with the contact's impulses by projected Gauss-Seidel. The gradients are those at the beginning of the
+substep: in equilibrium that is also its end, and the impulse then balances the load exactly, however far the load would
+have moved the nodes. Impulses start from zero in every substep, and are bounded: for cells between two tools there may
+be no solution, and impulses that accumulate there throw their nodes.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.elasticity.cell_groups import CELLS, OWN, OWN_ROWS
 
-LEAST = 0.1  # of the rest volume; with 0.2 nodes are thrown under the deepest pinch
-NEARLY = 0.2  # above that; such a cell may fall below it while others are resolved
-RECOVERY_RATE = 200.0  # 1/s; at most so fast a cell that was below the limit returns
-HARDEST = 8.0  # limit of a cell's pressure, times that of its penalty for the whole volume
-MOST_COMPRESSED = 256  # cells resolved in a substep
-# Passes over cells and contact points while cells are compressed; the next of the many substeps resolves what is left.
+MIN_VOLUME_RATIO = 0.1  # of the rest volume; with 0.2 nodes are thrown under the deepest pinch
+NEARLY = 0.2  # volume ratio above the limit up to which cells are listed, as they may fall below it meanwhile
+RECOVERY_RATE = 200.0  # 1/s, largest rate at which a cell that was below the limit returns
+MAX_PRESSURE = 8.0  # largest pressure by the limit, relative to that of the penalty for the whole volume
+MAX_COMPRESSED = 256  # cells resolved in a substep
+# Passes over cells and contact points while cells are compressed; the remaining error is resolved in later substeps.
 COMPRESSED_PASSES = 4
 SETTLED = 0.2  # fraction of the impulses on cells that a pass may still change
 
 
 class CompressedCell(Record):
-    """Cell compressed to LEAST of its rest volume in a substep, or nearly so."""
+    """Cell compressed to MIN_VOLUME_RATIO of its rest volume in a substep, or nearly so."""
 
     node: Annotated[Longs, (4,)]
     inverse: float  # 1 / (6 V), 1/m^3
     least: float  # the least volume ratio allowed
     stiffness: float  # N m s, the impulse that corrects a ratio that is short by 1
-    impulse: float  # N m s, given so far
-    most: float  # N m s, the largest one allowed
-    size: float  # 1/m, length of the gradients together
+    impulse: float  # N m s, impulse so far
+    most: float  # N m s, largest impulse allowed
+    size: float  # 1/m, norm of all gradients together
     gradient: Annotated[Floats, (4, 3)]  # 1/m, of the volume ratio by each node
 
 
@@ -83,7 +83,7 @@ def volume_of(position: Floats, nodes: Longs | tuple[int, int, int, int], invers
 
 @kernel
 def slopes_of(position: Floats, velocity: Floats, back: float, nodes: Longs, inverse: float, slope: Floats) -> float:
-    """Return that ratio `back` seconds ago; write its gradient by each node to slope (4, 3) 1/m."""
+    """Return a cell's volume ratio `back` seconds ago; write its gradient by each node to slope (4, 3) 1/m."""
     for corner in range(4):
         node = nodes[corner]
         for axis in range(3):
@@ -129,7 +129,7 @@ def _none(model: Model, state: State, scratch: Scratch, step: float) -> int:
 
 @chosen(lambda model, *_: _find if has(model, "tissue") else _none)
 def find_compressed_cells(model: Model, state: State, scratch: Scratch, step: float) -> Any:
-    """List cells compressed to LEAST or nearly so in scratch.compressed; return their number.
+    """List cells compressed to MIN_VOLUME_RATIO, or nearly so, in scratch.compressed; return their number.
 
     Only the whole organ's cells are listed, not those of a local region.
 
@@ -149,7 +149,7 @@ def find_compressed_cells(model: Model, state: State, scratch: Scratch, step: fl
 @kernel
 def _take(state: State, mobility: Floats, cell: CompressedCell, inverse: float, penalty: float, step: float) -> bool:
     """Return whether a cell is to be resolved, and fill its record; its penalty J / 6 V."""
-    if volume_of(state.position, cell.node, inverse) > LEAST + NEARLY:
+    if volume_of(state.position, cell.node, inverse) > MIN_VOLUME_RATIO + NEARLY:
         return False
     gradient = cell.gradient
     before = slopes_of(state.position, state.velocity, step, cell.node, inverse, gradient)
@@ -162,8 +162,8 @@ def _take(state: State, mobility: Floats, cell: CompressedCell, inverse: float, 
             give += along * along * mobility[node]
     if give == 0.0:
         return False
-    cell.inverse, cell.least = inverse, min(LEAST, before + step * RECOVERY_RATE)
-    cell.stiffness, cell.impulse, cell.most = 1.0 / (step * give), 0.0, step * HARDEST * penalty / inverse
+    cell.inverse, cell.least = inverse, min(MIN_VOLUME_RATIO, before + step * RECOVERY_RATE)
+    cell.stiffness, cell.impulse, cell.most = 1.0 / (step * give), 0.0, step * MAX_PRESSURE * penalty / inverse
     cell.size = math.sqrt(square)
     return True
 
@@ -215,5 +215,5 @@ def add_volume_limit_impulses(scratch: Scratch, step: float, force: Floats) -> N
     force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
-    cells, count = scratch.compressed, scratch.compressing[0]
+    cells, count = scratch.compressed, scratch.n_compressed[0]
     np.add.at(force, cells.node[:count], cells.impulse[:count, None, None] / step * cells.gradient[:count])

@@ -1,4 +1,4 @@
-"""Walls: fixed tissue, out of which a tool is moved, as the tissue can't be."""
+"""Walls: fixed tissue, out of which the tool is moved, since the tissue can't move."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
 
-WALL = 0.5  # of a body's finest feature: it enters fixed tissue by at most that, so its middle stays outside
-MOVES = 0.5  # of a contact point's weights: with less on moving nodes it counts as fixed
+WALL = 0.5  # largest depth of a body in fixed tissue, relative to its finest feature, so its middle stays outside
+MOVES = 0.5  # fraction of a contact point's weights on moving nodes, below which it counts as fixed
 STEEPEST = 2.0  # bound on the slope of a distance: 1, and the root of 3 where it is interpolated on a grid
 
 
@@ -43,20 +43,20 @@ def find_walls(model: Model, state: State, scratch: Scratch) -> None:
         if moves < MOVES and status.engaged and not status.cutting:
             scratch.wall[count], scratch.wall_depth[count] = entry, 0.0 if moves == 0.0 else math.inf
             count += 1
-    scratch.walls[0], scratch.walls_measured[0] = count, 0
+    scratch.n_walls[0], scratch.walls_measured[0] = count, 0
 
 
 @kernel
 def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
-    """Move a tool out of the fixed point that lies deepest in it; return False where none lies deeper than WALL.
+    """Move a tool out of the fixed point that lies deepest in it; return False if none lies deeper than WALL.
 
-    Tissue that moves is pushed on by the tool; into fixed tissue it would go on until it has slipped inside.
+    A tool pushes moving tissue forward; into fixed tissue it would move on until it has slipped inside.
     """
     if scratch.walls_measured[0] == 0:
         measure_walls(state, shapes, scratch)
     deepest, chosen, body, moved = 0.0, -1, -1, 0.0
     x = y = z = 0.0
-    for index in range(scratch.walls[0]):
+    for index in range(scratch.n_walls[0]):
         entry = scratch.wall[index]
         if body != state.contacts.body[entry]:
             body = state.contacts.body[entry]
@@ -66,7 +66,7 @@ def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
         if scratch.wall_depth[index] + moved < 0.0:
             continue
         deep = depth_of_wall(state, shapes, scratch, entry)
-        if deep > deepest:  # hardly ever: only then the normal is looked at
+        if deep > deepest:  # rare; the normal is only computed here
             _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
             _, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
             if is_on_outer_side(state, entry, (nx, ny, nz)):
@@ -82,12 +82,12 @@ def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
 
 @kernel
 def measure_walls(state: State, shapes: Shapes, scratch: Scratch) -> None:
-    """Write how deep each fixed point lies in its tool: until the tool has moved as far, it needn't be looked at again.
+    """Write the depth of each fixed point in its tool; until the tool has moved as far, it needn't be examined again.
 
-    Points of which a part moves are looked at always.
+    Points that are partly on moving nodes are always examined.
     """
     body = -1
-    for index in range(scratch.walls[0]):
+    for index in range(scratch.n_walls[0]):
         entry = scratch.wall[index]
         if body != state.contacts.body[entry]:
             body = state.contacts.body[entry]
@@ -100,7 +100,7 @@ def measure_walls(state: State, shapes: Shapes, scratch: Scratch) -> None:
 
 @kernel
 def depth_of_wall(state: State, shapes: Shapes, scratch: Scratch, entry: int) -> float:
-    """Return how much deeper than WALL a point lies in its tool, m; the tool's frame has been set."""
+    """Return the depth of a point in its tool, m, beyond WALL; the tool's frame has been set."""
     body = state.contacts.body[entry]
     _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
     return -signed_distance(shapes, body, lx, ly, lz)[0] - WALL * shapes.finest[body]

@@ -1,4 +1,4 @@
-"""Where a blade has been in an organ at rest, and the sheet that it has swept there."""
+"""Path of a blade in an organ at rest, and the sheet that it has swept."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats
 from tissue_sim.directions import across
 from tissue_sim.errors import UserError
-from tissue_sim.model.cutting.sheet import LEAST_DEPTH, Coagulation, Sheet, heights
+from tissue_sim.model.cutting.sheet import MIN_DEPTH, Coagulation, Sheet, heights
 from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.line_hits import line_hits
 from tissue_sim.organ.surfaces.sizing import mean_edge
 from tissue_sim.organ.tool_resolution import CUT_EDGES
 
-BIN = 0.5  # mean edges of the surface, into which the length of a cut is divided
-STEEP = 0.3  # cosine between a blade's plane and the surface's normal, below which the cut goes where the edge does
-NEAR = 0.1  # mean edges, within which places count as on the surface
-MEETS = 0.2  # mean edges between the two blades of scissors, below which nothing holds what is between them
-ALIKE = 0.9  # cosine between the planes of a blade and of a cut that it goes on with
-GROWN = 0.35  # mean edges by which a cut has grown when it is opened again
+BIN_WIDTH = 0.5  # mean edges of the surface; the length of a cut is divided into such bins
+MIN_NORMAL_COSINE = 0.3  # between a blade's plane and the surface's normal; below it the cut follows the edge instead
+NEAR = 0.1  # mean edges within which places count as on the surface
+SCISSORS_GAP = 0.2  # mean edges between the blades of scissors, below which the tissue between them counts as cut
+MIN_PLANE_COSINE = 0.9  # between the planes of a blade and of a cut that it continues
+GROWTH = 0.35  # mean edges by which a cut must grow before it is opened again
 
 
 class _Extent(NamedTuple):
-    """How far a cut went when its sheet was made."""
+    """Extent of a cut when its sheet was made."""
 
     deepest: dict[int, float]  # m, by bin
     ends: tuple[float, float]  # m along the cut
@@ -37,15 +37,15 @@ class BladePath:
     """Places that the edge of one blade has passed in an organ, and the sheet through them.
 
     The sheet is ruled along one direction: into the organ, in the plane of the blade where it entered. Across that it
-    follows the blade, and its depth is the greatest at each place of its length. A blade that turns back, or by more
-    than a right angle, needs another path.
+    follows the blade, and its depth at each place of its length is the largest one reached. A blade that turns back, or
+    by more than a right angle, needs another path.
 
     Parameters
     ----------
     organ : Organ
         The organ, uncut.
     mark : int
-        Number of the cut, by which its later sheets take the place of earlier ones.
+        Number of the cut, by which later sheets of the same cut replace earlier ones.
     """
 
     def __init__(self, organ: Organ, mark: int) -> None:
@@ -58,11 +58,11 @@ class BladePath:
         self._coagulation = Coagulation()  # of the hottest tool that has been in it
         self._met: set[int] = set()  # bins in which both blades of scissors have passed each other
         self._ends = (np.inf, -np.inf)  # m along the cut
-        # As the last sheet was made, and as that was which has been opened: the organ may refuse one.
+        # Extents of the last sheet, and of the last one that was opened, since the organ may refuse a sheet.
         self._made = self._opened = _Extent({}, (np.inf, -np.inf), 0)
 
     def note(self, places: Floats, forward: Floats, along: Floats) -> None:
-        """Note where the edge is.
+        """Add the present place of the edge.
 
         Parameters
         ----------
@@ -77,11 +77,11 @@ class BladePath:
             self._axes = self._frame(places, forward, along)
         length, depth, aside = self._axes @ places.T
         self._ends = min(self._ends[0], float(length.min())), max(self._ends[1], float(length.max()))
-        order, size = np.argsort(length), BIN * self._edge
+        order, size = np.argsort(length), BIN_WIDTH * self._edge
         bins = np.floor(length / size).astype(int)
         for number in range(bins[order[0]], bins[order[-1]] + 1):
             within = bins == number
-            # Between two places of the edge, it is where the line between them is.
+            # Between two places, the edge is a straight line.
             middle = (number + 0.5) * size
             deep = float(depth[within].max()) if within.any() else float(np.interp(middle, length[order], depth[order]))
             off = float(aside[within].mean()) if within.any() else float(np.interp(middle, length[order], aside[order]))
@@ -90,17 +90,17 @@ class BladePath:
                 self._aside.setdefault(number, off)
 
     def heat(self, coagulation: Coagulation) -> None:
-        """Note that a tool is in the cut: its next sheets have the walls of the tool that stiffens them most.
+        """Add the heat of a tool in the cut: later sheets have the walls of the tool that stiffens them most.
 
         Parameters
         ----------
         coagulation : Coagulation
-            What the tool does to the walls.
+            Effect of the tool's heat on the walls.
         """
         self._coagulation = max(self._coagulation, coagulation)
 
     def meet(self, places: Floats) -> None:
-        """Note where the other edge of scissors is: where both have passed each other, all between them is cut.
+        """Add the place of the other edge of scissors: where both have passed each other, the tissue is cut.
 
         Parameters
         ----------
@@ -110,12 +110,12 @@ class BladePath:
         if self._axes is None:
             return
         length, depth, _ = self._axes @ places.T
-        order, size = np.argsort(length), BIN * self._edge
+        order, size = np.argsort(length), BIN_WIDTH * self._edge
         for number, deep in self._deepest.items():
             middle = (number + 0.5) * size
             if length.min() <= middle <= length.max():
                 other = float(np.interp(middle, length[order], depth[order]))
-                if other - deep < MEETS * self._edge:
+                if other - deep < SCISSORS_GAP * self._edge:
                     self._met.add(number)
 
     def _frame(self, places: Floats, forward: Floats, along: Floats) -> Floats:
@@ -123,14 +123,14 @@ class BladePath:
         surface = self._organ.surface_positions
         away, nearest = cKDTree(surface).query(places)
         normals = surface_normals(surface, self._organ.surface_triangles)[nearest]
-        # Mostly that of the surface where the edge is nearest to it, and of both sides of its sharp edges.
+        # Mostly the surface's normal at the place nearest to the edge, or the mean of both sides of a sharp edge.
         inward = -normals.T @ (1.0 / (away**2 + (NEAR * self._edge) ** 2))
         inward /= max(float(np.linalg.norm(inward)), 1e-300)
         normal = np.cross(along, forward)
         normal /= np.linalg.norm(normal)
         into = inward - (inward @ normal) * normal
         size = float(np.linalg.norm(into))
-        into = into / size if size > STEEP else forward / np.linalg.norm(forward)
+        into = into / size if size > MIN_NORMAL_COSINE else forward / np.linalg.norm(forward)
         return np.stack([np.cross(into, normal), into, normal])
 
     def continues(self, places: Floats, forward: Floats, along: Floats) -> bool:
@@ -148,7 +148,7 @@ class BladePath:
         if self._axes is None:
             return False
         normal = np.cross(along, forward)
-        if abs(normal @ self._axes[2]) < ALIKE * np.linalg.norm(normal):
+        if abs(normal @ self._axes[2]) < MIN_PLANE_COSINE * np.linalg.norm(normal):
             return False
         length, depth, aside = self._axes @ places.mean(axis=0)
         _, at, deepest, off = self._swept()
@@ -158,24 +158,24 @@ class BladePath:
         return bool(beside and deep and within)
 
     def _swept(self) -> tuple[list[int], Floats, Floats, Floats]:
-        """Return the bins in order, and of each its middle along the cut, the depth there and the offset aside, m."""
+        """Return the bins in order, and for each its middle along the cut, its depth and its lateral offset, m."""
         numbers = sorted(self._deepest)
         deep = np.array([self._deepest[number] for number in numbers])
         off = np.array([self._aside[number] for number in numbers])
-        return numbers, (np.array(numbers) + 0.5) * BIN * self._edge, deep, off
+        return numbers, (np.array(numbers) + 0.5) * BIN_WIDTH * self._edge, deep, off
 
     @property
     def has_grown(self) -> bool:
-        """Whether the cut has grown by so much since its last sheet that another one should be opened."""
-        return self._growth(self._made) >= GROWN * self._edge
+        """Whether the cut has grown enough since its last sheet to be opened again."""
+        return self._growth(self._made) >= GROWTH * self._edge
 
     @property
     def is_open(self) -> bool:
-        """Whether all of it but a hair has been opened."""
-        return self._growth(self._opened) < 0.25 * GROWN * self._edge
+        """Whether all of it has been opened, apart from rounding."""
+        return self._growth(self._opened) < 0.25 * GROWTH * self._edge
 
     def _growth(self, since: _Extent) -> float:
-        """Return by how much the cut is deeper or longer than it was, m."""
+        """Return the increase of the cut's depth or length, m."""
         if not self._deepest:
             return 0.0
         if not since.deepest:
@@ -186,7 +186,7 @@ class BladePath:
         return max(deeper, first - self._ends[0], self._ends[1] - last, through)
 
     def note_opened(self) -> None:
-        """Note that the organ was cut along the last sheet."""
+        """Record that the organ was cut along the last sheet."""
         self._opened = self._made
 
     def sheet(self) -> Sheet:
@@ -199,7 +199,7 @@ class BladePath:
         """
         if self._axes is None:
             raise UserError("the blade has not been in the organ")
-        size = BIN * self._edge
+        size = BIN_WIDTH * self._edge
         numbers, along, deep, off = self._swept()
         along = np.clip(along, *self._ends)
         more = np.where([self._is_through(number) for number in numbers], self._size, 0.0)
@@ -218,7 +218,7 @@ class BladePath:
         corners = bottom - depth[:, None] * into
         depth = depth + more
         rise, reached = heights(self._organ, corners, into, depth)
-        if reached < LEAST_DEPTH * self._edge:
+        if reached < MIN_DEPTH * self._edge:
             raise UserError(
                 f"the cut is {1e3 * max(reached, 0.0):.2g} mm deep, too shallow to open a surface with edges of"
                 f" {1e3 * self._edge:.2g} mm"
@@ -229,12 +229,12 @@ class BladePath:
         return Sheet(corners, into, far, rise, frame, reached, depth, self._mark, self._coagulation)
 
     def _is_through(self, number: int) -> bool:
-        """Return whether scissors have cut through at a bin: what is left beside that is less than an edge long."""
-        beside = round(1.0 / BIN)
+        """Return whether scissors have cut through at a bin, or the uncut part beside it is less than an edge long."""
+        beside = round(1.0 / BIN_WIDTH)
         return any(number + step in self._met for step in range(-beside, beside + 1))
 
     def _below(self, places: Floats, into: Floats) -> Floats:
-        """Return how deep below the surface places (k, 3) are, m (k,), at least a part of an edge."""
+        """Return the depths of places (k, 3) below the surface, m (k,), at least a fraction of an edge."""
         where = line_hits(self._organ, places, into)
         before = np.where(where <= 0.0, where, -np.inf).max(axis=1)
         depth = np.where(np.isfinite(before), -before, np.nan)

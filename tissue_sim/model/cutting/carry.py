@@ -1,4 +1,4 @@
-"""How the state of an organ continues in that of the same organ with more or fewer nodes, after a cut or its reset."""
+"""Transfer of the state of an organ to the same organ with more or fewer nodes, after a cut or a reset of cuts."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.data.records import array_of
 from tissue_sim.model.data.state import State, fields_of, state_like
 
-_MOVED = ("position", "velocity", "good_position")  # virtual nodes begin where and as fast as the nodes they copy
-# Of nodes, and carried over for those that the uncut organ has: what a user gave them.
+# Virtual nodes begin with the position and velocity of the nodes that they copy.
+_MOVED = ("position", "velocity", "good_position")
+# Inputs for nodes, which are copied for the nodes of the uncut organ.
 _GIVEN = (
     "nodal_force",
     "loaded_node",
@@ -39,7 +40,7 @@ _KEPT = (
     "contact_held",
     "blades",
 )
-# The tick finds out about cells again, and about the region, which is the whole organ.
+# The next tick computes these again; the region is the whole organ.
 _RENEWED = (
     "turned",
     "next_cell",
@@ -60,7 +61,7 @@ class CarryPlan(NamedTuple):
     source: Longs  # (k,) places in the words of the state before
     target: Longs  # (k,) places in the words of the state after
     divided: Longs  # (d,) places in the words of the state after
-    fraction: Floats  # (d,) of what was carried there that remains
+    fraction: Floats  # (d,) of the copied value that remains
 
 
 _NONE = np.zeros(0, dtype=np.int64)
@@ -68,10 +69,10 @@ NO_PLAN = CarryPlan(_NONE, _NONE, _NONE, np.zeros(0))
 
 
 def carry_plan(before: State, after: State, origin: Longs, own: int, mass: Floats) -> CarryPlan:
-    """Return how a state continues in that of the same organ after a cut.
+    """Return the plan by which a state continues in that of the same organ after a cut.
 
-    The words depend on the sizes of both states only, not on their values, so that the plan is made beside a running
-    loop, which only copies them. Contact points are carried over, too: their nodes keep their numbers.
+    The plan depends only on the sizes of both states, not on their values, so that it can be made in parallel to a
+    running loop, which only copies the words. Contact points are copied, too: their nodes keep their indices.
 
     Parameters
     ----------
@@ -80,7 +81,7 @@ def carry_plan(before: State, after: State, origin: Longs, own: int, mass: Float
     after : State
         A state of the organ after.
     origin : Longs, shape (n,)
-        The node before whose place each node after takes.
+        Node of the organ before which each node of the organ after replaces.
     own : int
         Number of nodes of the uncut organ.
     mass : Floats, shape (n,), kg
@@ -116,7 +117,7 @@ def _divided(after: State, origin: Longs, mass: Floats) -> tuple[Longs, Floats]:
 
 
 def _as_words(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an array, and of records their words: field by field NumPy would leave out what pads them."""
+    """Return an array, or the words of records, since NumPy would omit the padding if it copied field by field."""
     return array if array.dtype.names is None else array.reshape(-1).view(np.int64)
 
 

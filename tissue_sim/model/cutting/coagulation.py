@@ -1,4 +1,4 @@
-"""Walls that a hot tool's cut has coagulated: cells there are stiffer, by the part of them that the heat reaches."""
+"""Coagulated walls of a hot tool's cut: cells there are stiffer, in proportion to the part that the heat reaches."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from tissue_sim.organ.organ import Organ
 
 
 def stiffening_of(organ: Organ, parts: Parts, sheets: Sequence[Sheet], crossings: Sequence[Crossing]) -> Floats | None:
-    """Return the factor on the moduli of every cell of a cut organ, for the heat of the tools that have cut.
+    """Return the factor on the moduli of every cell of a cut organ, due to the heat of the tools that have cut.
 
-    Tissue within a tool's spread of its cut is stiffer by its factor. A cell has the mean of its volume, which is
+    Tissue within a tool's spread of its cut is stiffer by its factor. A cell has the mean over its volume, which is
     exact where it is stretched along the wall, and an upper bound across it (Voigt 1889). Where the heat of several
-    cuts meets, the greatest factor holds.
+    cuts overlaps, the largest factor applies.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def stiffening_of(organ: Organ, parts: Parts, sheets: Sequence[Sheet], crossings
     Returns
     -------
     Floats | None, shape (m,)
-        The factors; None where all cuts are cold.
+        The factors; None if all cuts are cold.
     """
     factor = np.ones(len(parts.cell_of))
     for number, (sheet, crossing) in enumerate(zip(sheets, crossings, strict=True)):
@@ -48,7 +48,7 @@ def stiffening_of(organ: Organ, parts: Parts, sheets: Sequence[Sheet], crossings
 def _reached(organ: Organ, parts: Parts, sheet: Sheet, crossing: Crossing, side: Longs) -> Floats:
     """Return the part (m,) of each cell that the heat of one cut reaches, by the side (m,) of it that the cell is on.
 
-    Of a cell that is torn in part, what is still whole stays cold.
+    The part of a cell that is still whole stays cold.
     """
     nodes = organ.cell_nodes[parts.cell_of]
     height, spread = crossing.height[nodes], sheet.coagulation.spread

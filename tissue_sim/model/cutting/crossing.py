@@ -12,15 +12,16 @@ from tissue_sim.array_types import Floats, Ints, Longs, Mask
 from tissue_sim.model.cutting.sheet import Place, Sheet
 from tissue_sim.organ.edges import CELL_EDGES
 
-# Mean edges of the crossed cells by which the front is moved: cells resist at it, as they are too coarse for the
-# stress there. Chosen on three cuts of a kidney, and confirmed on two others (docs/cutting.md).
+# Mean edges of the crossed cells by which the front is moved, since the cells there are too stiff: they are too coarse
+# for the stress. Chosen on three cuts of a kidney, and confirmed on two others (docs/cutting.md).
 ADVANCE = 0.6
-# Shares of a cell's section below which the front has not reached it, and above 1 minus which it is cut whole.
-LEAST_CUT = 0.02
-# Mean edges of the crossed cells that every node is off the sheet, at least: no fragment is a point.
-LEAST_HEIGHT = 0.02
-# Edges of a cell that its section may be off the sheet, where that turns; farther, the cell lies between two parts.
-MOST_BENT = 0.5
+# Fraction of a cell's section that is cut, below which it counts as uncut, and above 1 minus which as cut through.
+MIN_CUT = 0.02
+# Least distance of every node from the sheet, in mean edges of the crossed cells, so that no fragment is a point.
+MIN_HEIGHT = 0.02
+# Largest distance of a cell's section from a sheet that bends, in edges of the cell; a cell with a larger one lies
+# between two parts of the sheet.
+MAX_BENDING = 0.5
 MARGIN = 0.1  # of the front's advance, within which it counts as ending at another cut
 GRID = 12  # samples along each side of a section
 
@@ -45,7 +46,7 @@ class Samples(NamedTuple):
     """Points on the sections of divided cells. k cells, g points on each."""
 
     coordinates: Floats  # (k, g, 4) barycentric ones in the cell
-    weight: Floats  # (k, g) m^2, the area that each stands for
+    weight: Floats  # (k, g) m^2, the area that each represents
     covered: Mask  # (k, g) whether the sheet reaches it, with the front's advance
 
 
@@ -54,7 +55,7 @@ class Earlier(NamedTuple):
 
     cells: Longs  # (k,) which they are, ascending
     height: Floats  # (n,) m, of every node above that stage's sheet
-    covered: Mask  # (k, g) what it has cut of each section, with the front's advance
+    covered: Mask  # (k, g) samples of each section that it has cut, with the front's advance
 
 
 def _sections() -> Longs:
@@ -122,13 +123,13 @@ def crossing_among(
     others: Sequence[Sheet] = (),
     earlier: Earlier | None = None,
 ) -> tuple[Crossing, Samples]:
-    """Return the cells that a sheet divides, of an organ that others cut too.
+    """Return the cells that a sheet divides in an organ that other sheets may cut, too.
 
-    Heights above the sheet are linear in each cell, so that neighbours agree where it crosses their common edges.
+    Heights above the sheet are linear in each cell, so that neighbours agree on where it crosses their common edges.
 
-    The sheet of a blade that cuts on is not quite that of its earlier stage: it turns with the blade, and its front is
-    moved by another mean edge. Lips that are open can't close again, or change sides. So cells that the earlier stage
-    has divided stay divided where they were, and torn as far at least.
+    The sheet of a blade that continues to cut differs slightly from that of its earlier stage: it turns with the blade,
+    and its front is moved by another mean edge. Lips that are open can't close again, or change sides. So cells that
+    the earlier stage has divided stay divided at the same place, and at least as far.
 
     Parameters
     ----------
@@ -139,7 +140,7 @@ def crossing_among(
     sheet : Sheet
         The sheet.
     others : Sequence[Sheet], optional
-        Of other cuts, beyond which the front is not moved.
+        Sheets of other cuts, beyond which the front is not moved.
     earlier : Earlier | None, optional
         Of the same cut; None: there was none.
 
@@ -157,7 +158,7 @@ def crossing_among(
     corner = rest[cells[near]]
     edges = np.stack([np.linalg.norm(corner[:, a] - corner[:, b], axis=1) for a, b in CELL_EDGES], axis=1).mean(axis=1)
     typical = float(edges.mean()) if len(edges) else 0.0
-    least = LEAST_HEIGHT * typical
+    least = MIN_HEIGHT * typical
     height = np.where(np.abs(across) < least, np.copysign(least, across), across)
     height[held] = across[held]
     at = height[cells]
@@ -165,7 +166,7 @@ def crossing_among(
     size = edges[np.searchsorted(near, crossed)]  # no other cell is crossed
     corners, weight = _section_samples(rest[cells[crossed]], at[crossed])
     middle = sheet.place(corners.mean(axis=1))
-    real = np.abs(middle.across) < MOST_BENT * size
+    real = np.abs(middle.across) < MAX_BENDING * size
     if earlier is not None:
         real |= np.isin(crossed, earlier.cells)
     crossed, corners, weight, size = crossed[real], corners[real], weight[real], size[real]
@@ -186,8 +187,8 @@ def crossing_among(
 
 
 def rounded(cut_fraction: Floats) -> Floats:
-    """Return fractions (k,) of sections that are cut, of which small ones are 0 and large ones 1."""
-    found: Floats = np.where(cut_fraction < LEAST_CUT, 0.0, np.where(cut_fraction > 1.0 - LEAST_CUT, 1.0, cut_fraction))
+    """Return fractions (k,) of sections that are cut, with small ones set to 0 and large ones to 1."""
+    found: Floats = np.where(cut_fraction < MIN_CUT, 0.0, np.where(cut_fraction > 1.0 - MIN_CUT, 1.0, cut_fraction))
     return found
 
 
@@ -197,7 +198,7 @@ def _beyond(points: Floats, place: Place, sheet: Sheet, others: Sequence[Sheet],
     ask = np.flatnonzero(~sheet.covers(place)) if others else np.zeros(0, dtype=np.int64)
     if not len(ask):
         return beyond
-    # From a little before the front, which may lie on the other sheet.
+    # From a place slightly before the front, which may lie on the other sheet.
     start = sheet.nearest(Place(*(part[ask] for part in place)), margin)
     for other in others:
         here, there = other.place(points[ask]), other.place(start)
@@ -214,7 +215,7 @@ def _coordinates(corner: Floats, points: Floats) -> Floats:
 
 
 def _section_samples(corner: Floats, height: Floats) -> tuple[Floats, Floats]:
-    """Return points (k, GRID^2, 3) on cells' sections, and the area (k, GRID^2) m^2 that each stands for."""
+    """Return points (k, GRID^2, 3) on cells' sections, and the area (k, GRID^2) m^2 that each represents."""
     pairs = section_of(height > 0.0)
     row = np.arange(len(corner))[:, None]
     first, second = height[row, pairs[:, :, 0]], height[row, pairs[:, :, 1]]

@@ -14,7 +14,7 @@ from tissue_sim.model.cutting.coagulation import stiffening_of
 from tissue_sim.model.cutting.crossing import Crossing, Earlier, crossing_among
 from tissue_sim.model.cutting.cut_surface import CutSurface, cut_surface, uncut_surface
 from tissue_sim.model.cutting.masses import distributed_masses, fastest_mode
-from tissue_sim.model.cutting.parts import Parts, put_together, together
+from tissue_sim.model.cutting.parts import Parts, divided_by_cuts, merged_parts
 from tissue_sim.model.cutting.sheet import Sheet, finer_organ
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.tool_resolution import CUT_EDGES
@@ -28,17 +28,17 @@ class CutReport(NamedTuple):
     area: float  # m^2, of the sheet inside the tissue
     depth: float  # m below the surface, where it is deepest
     resolved: bool  # deep enough for the surface's edges
-    resolved_from: float  # m, depth from which it is
+    resolved_from: float  # m, least depth at which it is resolved
     advance: float  # m by which the front was moved, as the cells are too coarse for the stress there
     cells_cut: int  # divided cells
-    front_cells: int  # those of them that are torn in part
+    front_cells: int  # those of them that are cut partly
     new_cells: int
     new_nodes: int
     pieces: int  # that the organ consists of, all cuts together
     free_pieces: int  # those of them that no fixed node holds
     critical_step_before: float = math.nan  # s
     critical_step_after: float = math.nan  # s
-    finer: str = ""  # what resolves a cut that is not, and what that costs
+    finer: str = ""  # command that makes an organ which resolves the cut, and its cost
     stiffer_cells: int = 0  # at walls that a hot tool has coagulated, of all cuts together
 
     def __str__(self) -> str:
@@ -60,22 +60,22 @@ class CutReport(NamedTuple):
 
 
 class CutOrgan(NamedTuple):
-    """An organ after cuts. n nodes, m cells; those of the uncut organ come first and keep their numbers."""
+    """An organ after cuts. n nodes, m cells; those of the uncut organ come first and keep their indices."""
 
     organ: Organ  # with virtual nodes
     uncut: Organ
     frequency: float  # rad/s, largest of the uncut organ
     sheets: tuple[Sheet, ...]
-    cell_of: Longs  # (m,) the cell of the uncut organ that each stands for
-    side: Longs  # (m,) -1 or 1: copies on the two sides of the last cut through the cell; 0: what no cut has divided
-    fraction: Floats  # (m,) of the cell that each carries
+    cell_of: Longs  # (m,) the cell of the uncut organ of which each is a part
+    side: Longs  # (m,) -1 or 1: copies on the two sides of the last cut through the cell; 0: undivided cells
+    fraction: Floats  # (m,) of the cell that each represents
     surface: CutSurface
     reports: tuple[CutReport, ...]  # of each cut, as it was made
     sides: Longs  # (m, s) the same for each of the cuts
-    divided: tuple[Earlier, ...]  # what each of the cuts has divided
+    divided: tuple[Earlier, ...]  # cells that each of the cuts has divided
 
     def origin(self, earlier: CutOrgan) -> Longs:
-        """Return the node (n,) of the same organ after fewer cuts whose place each node takes over.
+        """Return the node (n,) of the same organ after fewer cuts which each node replaces.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class CutOrgan(NamedTuple):
         virtual = self.uncut.n_nodes
         nodes = self.organ.cell_nodes
         cells = np.flatnonzero((nodes >= virtual).any(axis=1))
-        # Of the earlier organ, the copy on the same sides; where it wasn't divided yet, the cell itself.
+        # The copy of the earlier organ on the same sides; the cell itself if it wasn't divided yet.
         place = [[one.deepens(other) for one in self.sheets].index(True) for other in earlier.sheets]
         mine = self.sides[cells][:, place]
         copies = np.flatnonzero(np.isin(earlier.cell_of, self.cell_of[cells]))
@@ -103,7 +103,7 @@ class CutOrgan(NamedTuple):
         return found
 
 
-def not_cut(organ: Organ) -> CutOrgan:
+def without_cuts(organ: Organ) -> CutOrgan:
     """Return an organ before its first cut.
 
     Parameters
@@ -114,7 +114,7 @@ def not_cut(organ: Organ) -> CutOrgan:
     Raises
     ------
     UserError
-        When it has no cells, or was cut before by others.
+        If it has no cells, or was loaded with cuts.
     """
     if organ.n_virtual:
         raise UserError(f"organ '{organ.name}' was cut before and saved; load the uncut organ, and cut it again")
@@ -129,8 +129,8 @@ def not_cut(organ: Organ) -> CutOrgan:
 def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     """Return an organ after one more cut.
 
-    The cut is made in the uncut organ together with the earlier ones, so that the order of cuts doesn't matter. One
-    that continues the last ones to a greater depth takes their place. What a blade has divided stays divided in the
+    The cut is made in the uncut organ together with the earlier ones, so that the order of cuts doesn't matter. A cut
+    that continues the last ones to a greater depth replaces them. Cells that a blade has divided stay divided in the
     later stages of its cut.
 
     Parameters
@@ -143,7 +143,7 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     Raises
     ------
     UserError
-        When the cut divides no cell, or meets an earlier one where the surface can't be split.
+        If the cut divides no cell, or meets an earlier one where the surface can't be split.
     """
     organ = before.uncut
     kept = tuple(one for one in before.sheets if not sheet.deepens(one))
@@ -161,13 +161,13 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     crossing = found[-1][0]
     if not len(crossing.cells):
         raise UserError(f"the cut divides no cell of organ '{organ.name}'; cut deeper, or elsewhere")
-    cuts = together(organ, found, organ.fixed)
-    parts = put_together(organ, len(sheets), cuts)
+    cuts = divided_by_cuts(organ, found, organ.fixed)
+    parts = merged_parts(organ, len(sheets), cuts)
     stiffening = stiffening_of(organ, parts, sheets, [one for one, _ in found])
     after = _organ_of(organ, parts, before.frequency, stiffening)
     surface = cut_surface(organ, cuts)
-    # Pieces are counted as if fixed nodes had virtual ones too.
-    free_parts = put_together(organ, len(sheets), together(organ, found, organ.fixed[:0]))
+    # Pieces are counted as if fixed nodes had virtual nodes, too.
+    free_parts = merged_parts(organ, len(sheets), divided_by_cuts(organ, found, organ.fixed[:0]))
     pieces, free = _count(organ, free_parts)
     stiffer = 0 if stiffening is None else int(np.count_nonzero(stiffening != 1.0))
     report = _report(organ, sheet, crossing)._replace(pieces=pieces, free_pieces=free, stiffer_cells=stiffer)
@@ -195,13 +195,13 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
 
 
 def _earlier(before: CutOrgan, sheet: Sheet) -> Earlier | None:
-    """Return what a blade's cut, whose sheet is given, has divided before."""
+    """Return the cells that earlier stages of a blade's cut, whose sheet is given, have divided."""
     stages = [number for number, one in enumerate(before.sheets) if sheet.mark and sheet.deepens(one)]
     return before.divided[stages[0]] if stages else None
 
 
 def _report(organ: Organ, sheet: Sheet, crossing: Crossing) -> CutReport:
-    """Return what is known of a cut from its sheet and the cells that it crosses."""
+    """Return the report of a cut from its sheet and the cells that it crosses."""
     resolved_from = CUT_EDGES * sheet.edge_at(organ)
     front = int(np.count_nonzero(crossing.cut_fraction < 1.0))
     x, y, z = organ.rest_positions[organ.cell_nodes[crossing.cells]].mean(axis=(0, 1)).tolist()
@@ -225,7 +225,7 @@ def _report(organ: Organ, sheet: Sheet, crossing: Crossing) -> CutReport:
 def _organ_of(organ: Organ, parts: Parts, frequency: float, stiffening: Floats | None) -> Organ:
     """Return the organ of cells that carry fractions of the fitted moduli, with virtual nodes.
 
-    Heat changes moduli (m,) and moves no mass: the critical step is shorter by the root of its factor at most.
+    Heat changes moduli, by the factors (m,), but no masses: the critical step is shorter by at most the factor's root.
     """
     source = np.concatenate([np.arange(organ.n_nodes), parts.virtual_of])
     made = replace(
@@ -240,7 +240,7 @@ def _organ_of(organ: Organ, parts: Parts, frequency: float, stiffening: Floats |
     )
     mass = distributed_masses(organ, made, frequency)
     part = mass / organ.mass[source]
-    # Each copy is damped as the whole node: pressed between lips, what is light would oscillate.
+    # Each copy has the damping of the whole node: pressed between lips, a light node would oscillate.
     made = replace(made, mass=mass, return_stiffness=organ.return_stiffness[source] * part)
     if stiffening is None:
         return made
@@ -248,7 +248,7 @@ def _organ_of(organ: Organ, parts: Parts, frequency: float, stiffening: Floats |
 
 
 def _count(organ: Organ, parts: Parts) -> tuple[int, int]:
-    """Return how many pieces the cells make, and how many of them no fixed node holds; 0 where none is fixed."""
+    """Return the number of pieces, and of those that no fixed node holds; the latter is 0 if no node is fixed."""
     source = np.concatenate([np.arange(organ.n_nodes), parts.virtual_of])
     label = cell_pieces(parts.nodes, len(source))
     used = np.unique(label[parts.nodes[:, 0]])

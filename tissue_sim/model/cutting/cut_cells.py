@@ -1,4 +1,4 @@
-"""Cells of an organ as blades find their places in them, before and after cuts."""
+"""Cells of an organ in which blades find their places, before and after cuts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Sides(NamedTuple):
 
     below: Longs  # (c, 4) their nodes on the negative side of cuts
     above: Longs  # (c, 4) and on the positive one
-    is_cut: Longs  # (c,) 1 for those whose middle a cut has passed
+    is_cut: Longs  # (c,) 1 for cells whose middle a cut has passed
 
 
 def sides_of(cut: CutOrgan) -> Sides:
@@ -38,7 +38,7 @@ def sides_of(cut: CutOrgan) -> Sides:
     is_cut = np.zeros(len(cells), dtype=np.int64)
     middle = cut.uncut.rest_positions[cells].mean(axis=1)
     for sheet, side in zip(cut.sheets, cut.sides.T, strict=True):
-        divided = np.unique(cut.cell_of[side != 0])  # others lie beside it, or in the front of another cut
+        divided = np.unique(cut.cell_of[side != 0])  # other cells lie beside it, or at the front of another cut
         is_cut[divided] |= sheet.covers(sheet.place(middle[divided]))
     return Sides(below, above, is_cut)
 

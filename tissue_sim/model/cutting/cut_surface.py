@@ -11,24 +11,24 @@ from tissue_sim.array_types import Floats, Ints, Longs, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.crossing import Crossing, section_of
 from tissue_sim.model.cutting.holes import hole_triangles, open_edges
-from tissue_sim.model.cutting.meeting_surface import Made, meeting_surface
+from tissue_sim.model.cutting.meeting_surface import SurfacePart, meeting_surface
 from tissue_sim.model.cutting.parts import CutCells
 from tissue_sim.model.cutting.virtual_nodes import Copies
 from tissue_sim.organ.edges import CELL_FACES
 from tissue_sim.organ.organ import Organ, signed_volume
 
-MOST_LOST = 1e-4  # of the volume, by holes that are filled where cuts meet
+MAX_LOST_VOLUME = 1e-4  # fraction of the volume that may be lost by filled holes where cuts meet
 
 
 class CutSurface(NamedTuple):
     """Closed surface whose points lie in cells. p points, t triangles; the organ's surface nodes come first."""
 
-    nodes: Longs  # (p, 4) that each point lies between; several may be the same
+    nodes: Longs  # (p, 4) between which each point lies; several may be the same
     weights: Floats  # (p, 4) of these, of sum 1
     triangles: Ints  # (t, 3) counter-clockwise seen from outside
-    wall: Longs  # (t,) 0 for the outer surface, else the number of the cut whose wall it is, from 1 on
-    partner: Longs  # (p,) the point at the same place on the other side of a cut; itself where there is none
-    side: Longs  # (p,) 1 or -1, the side of the cut that a point with a partner is on, else 0
+    wall: Longs  # (t,) 0 for the outer surface, otherwise the number of the cut whose wall it is, from 1 on
+    partner: Longs  # (p,) the point at the same place on the other side of a cut; itself if there is none
+    side: Longs  # (p,) 1 or -1, side of the cut on which a point with a partner lies, otherwise 0
 
     def at(self, positions: Floats) -> Floats:
         """Return the points (p, 3) m, for given positions (n, 3) m of the cut organ's nodes."""
@@ -65,20 +65,20 @@ def uncut_surface(organ: Organ) -> CutSurface:
 def cut_surface(organ: Organ, cuts: Sequence[CutCells]) -> CutSurface:
     """Return the surface of a cut organ.
 
-    Every point that it has more than the organ lies on an edge of cells, or on a face or in a cell where cuts meet, so
-    that neighbours have it in common.
+    Every additional point lies on an edge of cells, or, where cuts meet, on a face or in a cell, so that neighbours
+    have it in common.
 
     Parameters
     ----------
     organ : Organ
         The organ before.
     cuts : Sequence[CutCells]
-        What cuts, or those that meet, divide; no two have a node in common.
+        Cells that each cut, or group of meeting cuts, divides; no two have a node in common.
 
     Raises
     ------
     UserError
-        When two cuts come so close that they split the same triangle, or meet where the surface can't be closed.
+        If two cuts are so close that they split the same triangle, or meet where the surface can't be closed.
     """
     made = uncut_surface(organ)
     nodes, weights, triangles, wall = made.nodes, made.weights, made.triangles.astype(np.int64), made.wall
@@ -87,7 +87,7 @@ def cut_surface(organ: Organ, cuts: Sequence[CutCells]) -> CutSurface:
     owner = _owners(organ)
     for cut in cuts:
         new = _one_cut(organ, cut, owner, len(nodes)) if cut.copies else _meeting_cuts(organ, cut, owner, len(nodes))
-        # Triangles of the uncut organ come first, those that an earlier cut has split are marked.
+        # Triangles of the uncut organ come first; those that an earlier cut has split are marked.
         if np.any(triangles[new.gone, 0] < 0):
             raise UserError(
                 "the cut comes within a triangle of an earlier one, without meeting it; move it by a millimetre"
@@ -97,7 +97,7 @@ def cut_surface(organ: Organ, cuts: Sequence[CutCells]) -> CutSurface:
         rank = np.concatenate([rank, rank.max() + 1 + new.rank])
         partner, side = np.concatenate([partner, new.partner]), np.concatenate([side, new.side])
         triangles, wall = np.concatenate([triangles, new.triangles]), np.concatenate([wall, new.wall])
-        # Cells that were too flat to be made leave holes in the walls.
+        # Cells that the mesh lacks, as they would be too flat, leave holes in the walls.
         filling = hole_triangles(triangles[triangles[:, 0] >= 0], rank)
         triangles = np.concatenate([triangles, filling])
         wall = np.concatenate([wall, np.full(len(filling), cut.numbers[0] + 1)])
@@ -106,7 +106,7 @@ def cut_surface(organ: Organ, cuts: Sequence[CutCells]) -> CutSurface:
     found = without_idle_points(whole, organ.n_surface)
     if any(not cut.copies for cut in cuts):
         volume = signed_volume(found.at(organ.rest_positions[_sources(organ, cuts)]), found.triangles)
-        if len(open_edges(triangles[kept])) or abs(volume / organ.volume - 1.0) > MOST_LOST:
+        if len(open_edges(triangles[kept])) or abs(volume / organ.volume - 1.0) > MAX_LOST_VOLUME:
             raise UserError(
                 "the cuts meet where cells of the organ are too flat to be divided; move it by a millimetre"
             )
@@ -114,7 +114,7 @@ def cut_surface(organ: Organ, cuts: Sequence[CutCells]) -> CutSurface:
 
 
 def without_idle_points(surface: CutSurface, own: int) -> CutSurface:
-    """Return a surface without points that no triangle has, such as those inside a front, where both sides meet.
+    """Return a surface without unused points, such as those inside a front, where both sides meet.
 
     Parameters
     ----------
@@ -136,11 +136,11 @@ def without_idle_points(surface: CutSurface, own: int) -> CutSurface:
 
 
 def _sources(organ: Organ, cuts: Sequence[CutCells]) -> Longs:
-    """Return the node of the organ that each node of the cut one is, or is a copy of."""
+    """Return for each node of the cut organ the original node: itself, or that of which it is a copy."""
     return np.concatenate([np.arange(organ.n_nodes), *(cut.pieces.virtual_of for cut in cuts)])
 
 
-def _one_cut(organ: Organ, cut: CutCells, owner: Longs, first: int) -> Made:
+def _one_cut(organ: Organ, cut: CutCells, owner: Longs, first: int) -> SurfacePart:
     """Return the surface at a cut that meets no other one."""
     (crossing,), copies = cut.crossings, cut.copies
     assert copies is not None
@@ -152,10 +152,10 @@ def _one_cut(organ: Organ, cut: CutCells, owner: Longs, first: int) -> Made:
     number = cut.numbers[0] + 1
     wall = np.concatenate([np.zeros(len(outer), dtype=np.int64), np.full(len(walls), number)])
     triangles = np.concatenate([outer, walls])
-    return Made(points.nodes, points.weights, triangles, wall, partner, side, points.edge, gone)
+    return SurfacePart(points.nodes, points.weights, triangles, wall, partner, side, points.edge, gone)
 
 
-def _meeting_cuts(organ: Organ, cut: CutCells, owner: Longs, first: int) -> Made:
+def _meeting_cuts(organ: Organ, cut: CutCells, owner: Longs, first: int) -> SurfacePart:
     """Return the surface at cuts that meet."""
     made = meeting_surface(organ, cut.crossings, cut.pieces, owner, first)
     number = np.concatenate([[0], np.array(cut.numbers) + 1])
@@ -175,7 +175,7 @@ def _partners(points: _Points, crossing: Crossing, n: int) -> tuple[Longs, Longs
 
 
 def _owners(organ: Organ) -> Longs:
-    """Return the cell (t,) of which each triangle is a face; -1 where it was too flat to be made."""
+    """Return the cell (t,) of which each triangle is a face; -1 where the mesh has no cell, as it would be too flat."""
     n = organ.n_nodes
     faces = _face_keys(organ.cell_nodes[:, CELL_FACES].reshape(-1, 3), n)
     order = np.argsort(faces, kind="stable")
@@ -204,7 +204,7 @@ def _cell_edges(cells: Ints | Longs, n: int) -> Longs:
 
 
 def _lone_first(triangles: Longs, positive: Mask) -> tuple[Longs, Longs]:
-    """Return which triangles have corners on both sides, and these turned so that the one that is alone comes first."""
+    """Return which triangles have corners on both sides, and these rotated so that the single corner comes first."""
     up = positive[triangles]
     crossed = np.flatnonzero(up.any(axis=1) & ~up.all(axis=1))
     chosen, up = triangles[crossed], up[crossed]
@@ -213,7 +213,7 @@ def _lone_first(triangles: Longs, positive: Mask) -> tuple[Longs, Longs]:
 
 
 def _split(organ: Organ, crossing: Crossing, copies: Copies, owner: Longs) -> Mask:
-    """Return which triangles (t,) the cut splits: those of divided cells, and of flat ones that it goes on through."""
+    """Return which triangles (t,) the cut splits: those of divided cells, and those without a cell on its path."""
     n = organ.n_nodes
     divided = np.zeros(len(organ.cell_nodes), dtype=bool)
     divided[crossing.cells] = True
@@ -242,7 +242,7 @@ def _points(organ: Organ, crossing: Crossing, copies: Copies, split: Mask, first
     outer = np.concatenate([_edge_keys(turned[:, 0], turned[:, corner], n) for corner in (1, 2)])
     key = np.unique(np.concatenate([_edge_keys(seen, end, n), outer]))
     low, high = np.divmod(key, n)
-    # What stands for the lower node on the side of the higher one, and the other way round; edges of no divided cell
+    # The copy of the lower node on the side of the higher one, and vice versa; edges that belong to no divided cell
     # have both nodes themselves.
     pair, closed = np.stack([low, high], axis=1), np.ones(len(key), dtype=bool)
     for column, one, other in ((0, low, high), (1, high, low)):
@@ -251,7 +251,7 @@ def _points(organ: Organ, crossing: Crossing, copies: Copies, split: Mask, first
         pair[there, column] = copies.edges.node[place[there]]
         closed[there] = copies.edges.closed[place[there]]
     part = height[low] / (height[low] - height[high])
-    # An edge of flat cells only is open, and no cell says what moves the points there.
+    # An edge without any cell is open, and its points need a cell that moves them.
     alone = np.flatnonzero(~np.isin(key, _cell_edges(organ.cell_nodes, n)))
     closed[alone] = False
     edge = np.repeat(np.arange(len(key)), np.where(closed, 1, 2))
@@ -286,7 +286,7 @@ def _host(organ: Organ, crossing: Crossing, copies: Copies, node: int, where: Fl
 
 
 def _outer(triangles: Longs, points: _Points, positive: Mask) -> tuple[Longs, Longs]:
-    """Return what takes the place of triangles (k, 3) that carry points of a cut, and which these are."""
+    """Return the triangles that replace those (k, 3) with points of a cut, and which are replaced."""
     n = len(positive)
     crossed, turned = _lone_first(triangles, positive)
     a, b, c = turned.T
@@ -309,7 +309,7 @@ def _outer(triangles: Longs, points: _Points, positive: Mask) -> tuple[Longs, Lo
 
 
 def _walls(organ: Organ, crossing: Crossing, points: _Points) -> Longs:
-    """Return triangles of both walls of a cut; those where its sides meet are left out."""
+    """Return the triangles of both walls of a cut, without those where its sides meet."""
     quads = organ.cell_nodes[crossing.cells].astype(np.int64)
     pairs = section_of(crossing.positive[quads])
     row = np.arange(len(quads))[:, None]

@@ -13,8 +13,8 @@ from tissue_sim.organ.edges import directed_edges
 def hole_triangles(triangles: Longs, rank: Longs) -> Longs:
     """Return triangles that close the holes of a surface.
 
-    Each hole is filled by triangles around the point of its rim that has the lowest rank: two holes that lie on each
-    other, with points of the same ranks, are filled alike, and no volume is left between them.
+    Each hole is filled by triangles around the point of its rim that has the lowest rank: two holes at the same place,
+    with points of the same ranks, are filled in the same way, so that no volume remains between them.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def hole_triangles(triangles: Longs, rank: Longs) -> Longs:
     """
     ends = open_edges(triangles)
     following: dict[int, list[int]] = {}
-    for start, end in ends[::-1].tolist():  # the rim runs against the edges that are there
+    for start, end in ends[::-1].tolist():  # the rim runs opposite to the existing edges
         following.setdefault(end, []).append(start)
     filled = []
     for start in sorted(following):
@@ -43,14 +43,14 @@ def hole_triangles(triangles: Longs, rank: Longs) -> Longs:
 
 
 def _loop(start: int, following: dict[int, list[int]]) -> list[int]:
-    """Take a loop through a point out of the edges that follow each other: the shortest that doesn't cross itself."""
+    """Remove a loop through a point from the edges that follow each other: the shortest that doesn't cross itself."""
     way, place = [start], {start: 0}
     while True:
         point = following[way[-1]].pop()
         if point in place:
             again = place[point]
             loop = way[again:]
-            # What led to the loop is another one's.
+            # The edges that led to the loop belong to another one.
             for one, other in pairwise(way[: again + 1]):
                 following[one].append(other)
             return loop

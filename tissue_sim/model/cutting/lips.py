@@ -1,4 +1,4 @@
-"""The lips of cuts, from the surface of a cut organ: pairs of points that lay on each other before it opened."""
+"""The lips of cuts, from the surface of a cut organ: pairs of points that coincided before the cut opened."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def lips_of(surface: CutSurface, rest: Floats) -> Lips:
     Lips
         The lips; none where it has no cut.
     """
-    # Points that lie in no cell have a different one under them on each side; nothing else has more than two nodes.
+    # Points that lie in no cell have a different cell on each side; all other points have at most two nodes.
     on_edge = (surface.weights[:, ENDS:] == 0.0).all(axis=1)
     paired = on_edge & on_edge[surface.partner]
     upper = (surface.side[surface.triangles] > 0).any(axis=1)

@@ -11,30 +11,30 @@ from tissue_sim.model.elasticity.cells import shapes_of, strain_rows
 from tissue_sim.model.elasticity.diagonal import diagonal
 from tissue_sim.organ.organ import Organ
 
-MODES = 8  # the fastest ones, which are slowed together
-MOST_ROUNDS = 30
+MODES = 8  # number of the fastest modes, which are slowed together
+MAX_ROUNDS = 30
 ENOUGH = 1.006  # times the uncut organ's largest eigenvalue: a critical step shorter by 0.3 %
-MOST_MOVE = 0.3  # of a mass's logarithm in a round, and at most twice what the eigenvalue is still too large by
-LEAST_PART = 0.05  # of a node's mass that each of its copies has: a tool throws what is lighter
-SHARPNESS = 30.0  # how much less a mode counts than the fastest one
+MAX_MASS_CHANGE = 0.3  # of a mass's logarithm in a round; also at most twice the relative excess of the eigenvalue
+MIN_MASS_FRACTION = 0.05  # of a node's mass that each of its copies has: a tool would throw a lighter one
+SHARPNESS = 30.0  # exponent by which slower modes count less than the fastest one
 
 
 def distributed_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
-    """Return the masses of a cut organ's nodes. The copies of a node together have its mass; others keep theirs.
+    """Return the masses of a cut organ's nodes. The copies of a node together have its mass; other masses don't change.
 
-    At first it is distributed as the stiffness is, but each has LEAST_PART: every copy of a cell is then as slow
-    by itself as the cell was, or slower. The fastest modes of what is cut may still be faster than before, where a
-    light copy has lost neighbours that slowed it. There mass moves between copies towards those that take part in
-    these modes, by the slope of the eigenvalue.
+    At first mass is distributed in proportion to stiffness, but each copy has at least MIN_MASS_FRACTION: the largest
+    frequency of every copy of a cell is then that of the cell, or lower. The fastest modes at the cut may still be
+    faster than before, if a light copy has lost neighbours that slowed it. There mass is moved between copies towards
+    those that take part in these modes, along the gradient of the eigenvalue.
 
     Parameters
     ----------
     organ : Organ
         The organ before.
     cut : Organ
-        The organ after, whose masses don't count.
+        The organ after, whose masses are ignored.
     frequency : float, rad/s
-        Largest one of the organ before.
+        Largest frequency of the organ before.
 
     Returns
     -------
@@ -50,13 +50,13 @@ def distributed_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
     stiffness = np.bincount(cut.cell_nodes.ravel(), steep.ravel(), len(source))
 
     def shared(weight: Floats) -> Floats:
-        part = np.maximum(weight / np.bincount(source, weight, own)[source], LEAST_PART)
+        part = np.maximum(weight / np.bincount(source, weight, own)[source], MIN_MASS_FRACTION)
         part /= np.bincount(source, part, own)[source]
         mass: Floats = organ.mass[source]
         mass[several] *= part[several]
         return mass
 
-    # Modes of what is around the cut: with all else at rest none is faster than of the whole.
+    # Modes of the nodes around the cut: with all other nodes held, none is faster than the fastest of the whole organ.
     near = np.zeros(len(source), dtype=bool)
     near[cut.cell_nodes[several[cut.cell_nodes].any(axis=1)]] = True
     near[cut.fixed] = False
@@ -67,24 +67,25 @@ def distributed_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
     matrix = _stiffness(cut, among)
     most = ENOUGH * frequency**2
     best, least = mass, np.inf
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         square, part = _fastest(matrix, mass[among], MODES)
         if square[-1] < least:
             best, least = mass, square[-1]
         if least <= most:
             break
-        # The fastest modes count together, as slowing one alone quickens another.
+        # The fastest modes are slowed together, as slowing a single one makes another faster.
         sought = np.zeros(len(source))
         sought[among] = part @ np.exp(SHARPNESS * (square / square[-1] - 1.0))
         sought /= max(float(sought[several].max()), 1e-300)
-        mass = shared(mass * np.exp(sought * min(MOST_MOVE, 2.0 * (square[-1] / most - 1.0))))
+        mass = shared(mass * np.exp(sought * min(MAX_MASS_CHANGE, 2.0 * (square[-1] / most - 1.0))))
     return best
 
 
 def fastest_mode(organ: Organ) -> float:
     """Return the largest angular frequency of an organ of cells about rest, rad/s, by Lanczos' method.
 
-    Where several modes are nearly as fast, as at a cut, the power iteration of `frequency.py` can end at a slower one.
+    If several modes are nearly as fast, as at a cut, the power iteration of `frequency.py` can converge to a slower
+    one.
 
     Parameters
     ----------

@@ -14,10 +14,10 @@ from tissue_sim.model.cutting.crossing import Crossing, Samples, rounded
 from tissue_sim.model.cutting.virtual_nodes import copies_of
 from tissue_sim.organ.organ import Organ
 
-LEAST_PIECE = 1e-9  # of a cell, below which a piece is rounding
-SCARCE = 1e-6  # of a section: less of it in a copy's part, and its fraction is that of the whole section
-# Tetrahedra that fill what is left of one below a plane, by how many of its corners are; each corner is a pair of
-# corners of the whole one, the same twice for a corner itself, and a crossed edge otherwise.
+MIN_PIECE = 1e-9  # fraction of a cell, below which a piece is rounding
+MIN_SECTION = 1e-6  # fraction of a section in a copy, below which the copy has the cut fraction of the whole section
+# Tetrahedra that fill the part of one below a plane, by the number of its corners there; each corner is a pair of
+# corners of the original tetrahedron: twice the same for a corner itself, otherwise a crossed edge.
 _LEFT = {
     1: [[(0, 0), (0, 1), (0, 2), (0, 3)]],
     2: [
@@ -35,18 +35,18 @@ _LEFT = {
 
 
 class Pieces(NamedTuple):
-    """What the cells of an organ are divided into. m pieces, s sheets; the first piece of each cell has its number."""
+    """Pieces into which cells of an organ are divided. m pieces, s sheets; the first piece of a cell has its index."""
 
     nodes: Longs  # (m, 4)
     cell: Longs  # (m,) of which it is a part
-    sides: Longs  # (m, s) -1 or 1; 0 where a sheet doesn't divide it, and of what a front hasn't torn yet
+    sides: Longs  # (m, s) -1 or 1; 0 if a sheet doesn't divide it, and for the part that a front hasn't cut yet
     fraction: Floats  # (m,) of the cell's stiffness
-    bears: Mask  # (m,) whether it has a part of the surface: all but what fronts haven't torn yet
-    virtual_of: Longs  # (v,) nodes of the organ that virtual nodes, which follow its own, are copies of
+    bears: Mask  # (m,) whether it has a part of the surface: all but the parts that fronts haven't cut yet
+    virtual_of: Longs  # (v,) nodes of the organ of which virtual nodes are copies; these follow its own nodes
 
 
-def meeting(cells: Ints, crossings: Sequence[Crossing]) -> list[list[int]]:
-    """Return groups of cuts that meet, each ascending: the divided cells of those in a group have nodes in common.
+def groups_of_meeting_cuts(cells: Ints, crossings: Sequence[Crossing]) -> list[list[int]]:
+    """Return groups of cuts that meet, each in ascending order: the cells divided by a group's cuts share nodes.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ def meeting(cells: Ints, crossings: Sequence[Crossing]) -> list[list[int]]:
 
 
 def pieces_of(organ: Organ, crossings: Sequence[Crossing], samples: Sequence[Samples], fixed: Ints) -> Pieces:
-    """Return what the sheets of cuts that meet divide the cells into.
+    """Return the pieces into which the sheets of cuts that meet divide the cells.
 
     The sheets divide them one after another: each divides the copies that those before it have made, whose virtual
-    nodes have the heights of the nodes that they copy. A copy keeps the volume between all its sheets; one without
-    any is left out, so that nothing ties the sides of a cut where there is no tissue.
+    nodes have the heights of the nodes that they copy. A copy has the volume between all its sheets; one without
+    volume is omitted, so that nothing ties the sides of a cut where there is no tissue.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def pieces_of(organ: Organ, crossings: Sequence[Crossing], samples: Sequence[Sam
 def _order(crossings: Sequence[Crossing]) -> list[int]:
     """Return the sheets in the order in which they divide cells, which does not depend on the order of the cuts.
 
-    One that ends at another comes after it, so that its front isn't where that one has parted the tissue.
+    A sheet that ends at another one comes after it, so that its front doesn't lie in tissue that the other has divided.
     """
     cells, times = np.unique(np.concatenate([crossing.cells for crossing in crossings]), return_counts=True)
     several = cells[times > 1]
@@ -120,7 +120,7 @@ def _order(crossings: Sequence[Crossing]) -> list[int]:
 def _divided(
     organ: Organ, before: Pieces, height: Floats, number: int, cut: tuple[Crossing, Samples], fixed: Ints
 ) -> Pieces:
-    """Return the pieces that one more sheet makes of those before."""
+    """Return the pieces after one more sheet."""
     crossing, sample = cut
     place = np.full(len(organ.cell_nodes), -1)
     place[crossing.cells] = np.arange(len(crossing.cells))
@@ -134,7 +134,7 @@ def _divided(
     above[:, number], below[:, number] = 1, -1
     up, down = (_volumes(height[cell], one) for one in (above, below))
     whole = np.maximum(up + down, 1e-300)
-    # What has tissue on one side only isn't torn in part: there is no front in it.
+    # A piece with tissue on one side only isn't cut partly: there is no front in it.
     severed = np.where((up > 0.0) & (down > 0.0), severed, 1.0)
     source = np.concatenate([np.arange(organ.n_nodes), before.virtual_of])
     made = copies_of(
@@ -169,15 +169,15 @@ def _cut_fractions(sample: Samples, severed: Floats, row: Longs, sides: Longs, h
         weight = sample.weight[row[part]]
         size = (weight * within).sum(axis=1)
         cut = (weight * (within & sample.covered[row[part]])).sum(axis=1)
-        known = size > SCARCE * weight.sum(axis=1)
+        known = size > MIN_SECTION * weight.sum(axis=1)
         found[part] = np.where(known, cut / np.maximum(size, 1e-300), found[part])
     return rounded(found)
 
 
 def _volumes(height: Floats, sides: Longs) -> Floats:
-    """Return the fractions (k,) of cells where linear functions (k, s, 4) have the signs (k, s), of which 0 is any.
+    """Return the fractions (k,) of cells where linear functions (k, s, 4) have the signs (k, s); 0 allows either sign.
 
-    What is next to nothing is 0.
+    Fractions below MIN_PIECE are set to 0.
     """
     corner = np.broadcast_to(np.eye(4), (len(height), 4, 4))
     owner = np.arange(len(height))
@@ -187,12 +187,12 @@ def _volumes(height: Floats, sides: Longs) -> Floats:
         at[~asked] = 1.0
         corner, owner = _clipped(corner, owner, at)
     found = np.bincount(owner, np.abs(np.linalg.det(corner)), len(height))
-    real: Floats = np.where(found < LEAST_PIECE, 0.0, found)
+    real: Floats = np.where(found < MIN_PIECE, 0.0, found)
     return real
 
 
 def _clipped(corner: Floats, owner: Longs, at: Floats) -> tuple[Floats, Longs]:
-    """Return tetrahedra (k, 4, 4) that fill where a function (k, 4) on others is positive, and their owners."""
+    """Return tetrahedra (k, 4, 4) filling the part of others where a function (k, 4) is positive, and their owners."""
     order = np.argsort(at <= 0.0, axis=1, kind="stable")
     row = np.arange(len(at))[:, None]
     corner, at = corner[row, order], at[row, order]
@@ -213,7 +213,7 @@ def _clipped(corner: Floats, owner: Longs, at: Floats) -> tuple[Floats, Longs]:
 
 
 def _in_order(organ: Organ, found: Pieces) -> Pieces:
-    """Return the pieces with the first one of each cell at its number, and virtual nodes that some piece has."""
+    """Return the pieces with the first one of each cell at its index, and only virtual nodes that a piece uses."""
     first = np.unique(found.cell, return_index=True)[1]
     rest = np.setdiff1d(np.arange(len(found.cell)), first)
     order = np.concatenate([first, rest])

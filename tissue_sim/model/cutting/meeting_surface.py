@@ -1,4 +1,4 @@
-"""The surface of an organ at cuts that meet: faces of cells and walls, clipped by every sheet that passes there."""
+"""The surface of an organ at cuts that meet: faces of cells and walls, clipped by every sheet that crosses them."""
 
 from __future__ import annotations
 
@@ -18,20 +18,22 @@ from tissue_sim.organ.organ import Organ
 _PAIRS = ((0, 1), (1, 2), (0, 2))
 
 
-class Made(NamedTuple):
-    """Points and triangles at cuts that meet, as of CutSurface. q points, r triangles."""
+class SurfacePart(NamedTuple):
+    """Points and triangles at cuts that meet; see CutSurface. q points, r triangles."""
 
     nodes: Longs  # (q, 4)
     weights: Floats  # (q, 4)
     triangles: Longs  # (r, 3)
-    wall: Longs  # (r,) 0, or 1 and more, the place of the sheet among those given, plus 1
+    wall: Longs  # (r,) 0 for the outer surface, otherwise the index of the sheet among those given, plus 1
     partner: Longs  # (q,)
     side: Longs  # (q,)
     rank: Longs  # (q,) the same for points at the same place
-    gone: Longs  # which triangles of the organ's surface these take the place of
+    gone: Longs  # triangles of the organ's surface that these replace
 
 
-def meeting_surface(organ: Organ, crossings: Sequence[Crossing], pieces: Pieces, owner: Longs, first: int) -> Made:
+def meeting_surface(
+    organ: Organ, crossings: Sequence[Crossing], pieces: Pieces, owner: Longs, first: int
+) -> SurfacePart:
     """Return the surface of an organ at cuts that meet.
 
     Parameters
@@ -41,16 +43,16 @@ def meeting_surface(organ: Organ, crossings: Sequence[Crossing], pieces: Pieces,
     crossings : Sequence[Crossing]
         The cells that each sheet divides.
     pieces : Pieces
-        What these are divided into.
+        Pieces into which these are divided.
     owner : Longs, shape (t,)
-        The cell of each triangle of the surface, -1 where that is flat and left out.
+        The cell of each triangle of the surface, -1 where there is none, as it would be too flat.
     first : int
         Number of the first point.
 
     Returns
     -------
-    Made
-        What takes the place of triangles there.
+    SurfacePart
+        Points and triangles that replace those there.
     """
     builder = SurfaceBuilder(organ, crossings, pieces, first)
     builder.add_pieces(owner)
@@ -70,7 +72,7 @@ def meeting_surface(organ: Organ, crossings: Sequence[Crossing], pieces: Pieces,
     kept = _apart(triangles)
     partner, side = builder.partners()
     names = {name: rank for rank, name in enumerate(dict.fromkeys(builder.named))}
-    return Made(
+    return SurfacePart(
         nodes=np.array([nodes for nodes, _ in builder.points], dtype=np.int64).reshape(-1, 4),
         weights=np.array([weights for _, weights in builder.points]).reshape(-1, 4),
         triangles=np.array(triangles, dtype=np.int64).reshape(-1, 3)[kept],
@@ -83,7 +85,7 @@ def meeting_surface(organ: Organ, crossings: Sequence[Crossing], pieces: Pieces,
 
 
 def _apart(triangles: list[list[int]]) -> list[int]:
-    """Return which triangles are kept: not those on both sides of a wall whose sides meet in all corners."""
+    """Return which triangles are kept: all but those on both sides of a wall whose sides meet in all corners."""
     found: dict[tuple[int, ...], list[int]] = {}
     for number, (a, b, c) in enumerate(triangles):
         opposite = found.get(min((a, c, b), (c, b, a), (b, a, c)))
@@ -109,7 +111,7 @@ def _beside(builder: SurfaceBuilder, lines: dict[Line, set[Name]]) -> list[Polyg
 
 
 class _FlatCells:
-    """Triangles of flat cells, which were left out: a cut goes on through them, and no cell says what moves them."""
+    """Triangles without a cell, as it would be too flat: cuts continue through them, but no cell moves their points."""
 
     def __init__(self, builder: SurfaceBuilder, owner: Longs, lines: dict[Line, set[Name]]) -> None:
         self.builder, self.lines = builder, lines
@@ -123,7 +125,7 @@ class _FlatCells:
         self.joined = {(min(a, b), max(a, b)) for quad in around.tolist() for i, a in enumerate(quad) for b in quad[:i]}
 
     def polygons(self) -> list[Polygon]:
-        """Return the polygons that take their place."""
+        """Return the polygons that replace them."""
         through = self._through()
         found = []
         for number, sheets in through.items():
@@ -152,7 +154,7 @@ class _FlatCells:
         return bool(positive[edge[0]] != positive[edge[1]])
 
     def _through(self) -> dict[int, set[int]]:
-        """Return the sheets that split each triangle: open at one of its edges, or going on from another triangle."""
+        """Return the sheets that split each triangle: open at one of its edges, or continued from another triangle."""
         found: dict[int, set[int]] = {}
         open_ = {name for name in self.builder.at_sides if self.builder.is_open(name)}
         while True:
@@ -173,7 +175,7 @@ class _FlatCells:
                 return found
 
     def _settle(self, name: Name, sides: dict[int, int]) -> None:
-        """See to it that a point has nodes on given sides of the sheets."""
+        """Assign nodes on given sides of the sheets to a point."""
         nodes, sheets = name
         builder = self.builder
         if not sheets or builder.known(name, sides) is not None:

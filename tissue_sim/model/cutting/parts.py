@@ -1,4 +1,4 @@
-"""Cells of an organ after all of its cuts: those of every cut by itself, and of cuts that meet."""
+"""Cells of an organ after all of its cuts: of single cuts, and of cuts that meet."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.model.cutting.crossing import Crossing, Samples
-from tissue_sim.model.cutting.meeting import Pieces, meeting, pieces_of
+from tissue_sim.model.cutting.meeting import Pieces, groups_of_meeting_cuts, pieces_of
 from tissue_sim.model.cutting.virtual_nodes import Copies, copies_of
 from tissue_sim.organ.organ import Organ
 
 
 class CutCells(NamedTuple):
-    """Cells that a cut divides, or cuts that meet."""
+    """Cells that a cut, or a group of meeting cuts, divides."""
 
-    numbers: tuple[int, ...]  # which cuts, ascending
+    numbers: tuple[int, ...]  # of the cuts, ascending
     crossings: tuple[Crossing, ...]  # of each of them
-    pieces: Pieces  # of all cells of the organ, with sides of these cuts
+    pieces: Pieces  # of all cells of the organ, with their sides of these cuts
     copies: Copies | None  # of a cut that meets no other one
 
 
 class Parts(NamedTuple):
-    """Cells of a cut organ, the cells for which they stand, and virtual nodes. m cells, s cuts."""
+    """Cells of a cut organ, the cells of which they are parts, and virtual nodes. m cells, s cuts."""
 
     nodes: Longs  # (m, 4)
     cell_of: Longs  # (m,)
     sides: Longs  # (m, s)
-    side: Longs  # (m,) on that side of the last cut that divides it
+    side: Longs  # (m,) of the last cut that divides it
     fraction: Floats  # (m,)
     virtual_of: Longs  # (v,)
 
 
-def together(organ: Organ, found: Sequence[tuple[Crossing, Samples]], fixed: Ints) -> list[CutCells]:
-    """Return what cuts divide: each by itself, or those that meet together.
+def divided_by_cuts(organ: Organ, found: Sequence[tuple[Crossing, Samples]], fixed: Ints) -> list[CutCells]:
+    """Return the cells that cuts divide, for each single cut or group of meeting cuts.
 
     Parameters
     ----------
@@ -49,10 +49,10 @@ def together(organ: Organ, found: Sequence[tuple[Crossing, Samples]], fixed: Int
     Returns
     -------
     list[CutCells]
-        In the order of the first cut of each; virtual nodes are numbered on from one to the next.
+        In the order of the first cut of each; virtual nodes are numbered consecutively.
     """
     first, made = organ.n_nodes, []
-    for group in meeting(organ.cell_nodes, [crossing for crossing, _ in found]):
+    for group in groups_of_meeting_cuts(organ.cell_nodes, [crossing for crossing, _ in found]):
         crossings = tuple(found[number][0] for number in group)
         copies = None
         if len(group) == 1:
@@ -70,7 +70,7 @@ def together(organ: Organ, found: Sequence[tuple[Crossing, Samples]], fixed: Int
 def _of_one(organ: Organ, crossing: Crossing, copies: Copies) -> Pieces:
     """Return the pieces of all cells after one cut: a divided one becomes its negative copy, and others are added.
 
-    These are the positive copies and, of cells at the front, one whole cell for what is not torn yet.
+    These are the positive copies and, for cells at the front, one whole cell for the part that is not cut yet.
     """
     cells, cut, part = crossing.cells, crossing.cut_fraction, crossing.fraction
     nodes = organ.cell_nodes.astype(np.int64)
@@ -91,8 +91,8 @@ def _of_one(organ: Organ, crossing: Crossing, copies: Copies) -> Pieces:
     )
 
 
-def put_together(organ: Organ, count: int, cuts: Sequence[CutCells]) -> Parts:
-    """Return all cells: those of the organ, of which divided ones become their first piece, and those that are added.
+def merged_parts(organ: Organ, count: int, cuts: Sequence[CutCells]) -> Parts:
+    """Return all cells: those of the organ, with divided ones replaced by their first piece, and the added ones.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def put_together(organ: Organ, count: int, cuts: Sequence[CutCells]) -> Parts:
     count : int
         Number of cuts.
     cuts : Sequence[CutCells]
-        What they divide; no two have a node in common.
+        Cells that they divide; no two have a node in common.
     """
     own = len(organ.cell_nodes)
     nodes: list[Longs] = [organ.cell_nodes.astype(np.int64)]

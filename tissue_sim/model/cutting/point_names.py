@@ -1,8 +1,8 @@
 """Names of points on the surface of an organ at cuts that meet, and convex polygons of them.
 
-A point is named by the nodes that it lies between and the sheets that it lies on: a node itself, an edge where a sheet
-crosses it, a face where two do, a cell where three do. What its coordinates are follows from these alone, so that
-pieces of neighbouring cells agree to the last bit.
+A point is named by the nodes between which it lies and the sheets on which it lies: a node itself, an edge that a sheet
+crosses, a face that two sheets cross, a cell that three cross. Its coordinates depend on these alone, so that pieces of
+neighbouring cells agree to the last bit.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from tissue_sim.array_types import Floats
 from tissue_sim.model.cutting.crossing import Crossing
 from tissue_sim.organ.organ import Organ
 
-Name = tuple[tuple[int, ...], tuple[int, ...]]  # nodes that a point lies between, and sheets that it lies on
-Line = tuple[tuple[int, ...], tuple[int, ...]]  # an edge; or a face, and the sheet whose trace it is
+Name = tuple[tuple[int, ...], tuple[int, ...]]  # nodes between which a point lies, and sheets on which it lies
+Line = tuple[tuple[int, ...], tuple[int, ...]]  # an edge; or a face and a sheet, whose intersection the line is
 
 
 class Names:
-    """Coordinates of points by their names, and on which side of each sheet they are.
+    """Coordinates of points by their names, and their sides of each sheet.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Names:
                 part = at[0, 0] / (at[0, 0] - at[0, 1])
                 found = np.array([1.0 - part, part])
             else:
-                # Orthogonal to all heights: the minors of their matrix, with alternating signs.
+                # The weights are orthogonal to all heights: the minors of their matrix, with alternating signs.
                 signs = (-1.0) ** np.arange(len(nodes))
                 minors = [np.linalg.det(np.delete(at, k, axis=1)) for k in range(len(nodes))] if sheets else [1.0]
                 found = signs * minors
@@ -59,13 +59,13 @@ class Names:
         return float(self.weights(name) @ self._height[sheet][list(name[0])])
 
     def place(self, name: Name) -> tuple[float, ...]:
-        """Return where a point is at rest, (3,) m."""
+        """Return the position of a point at rest, (3,) m."""
         if name not in self._place:
             self._place[name] = tuple((self.weights(name) @ self.rest[list(name[0])]).tolist())
         return self._place[name]
 
     def clipped(self, polygon: list[Name], sides: Mapping[int, int]) -> list[Name]:
-        """Return the part of a convex polygon that is on given sides of sheets; empty where nothing is."""
+        """Return the part of a convex polygon that is on given sides of sheets; empty if there is none."""
         for sheet, side in sides.items():
             up = [(side * self.height(name, sheet)) > 0.0 for name in polygon]
             if all(up):

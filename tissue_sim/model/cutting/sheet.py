@@ -18,22 +18,22 @@ from tissue_sim.organ.surfaces.sizing import local_edges, mean_edge
 from tissue_sim.organ.tool_resolution import CUT_EDGES
 from tissue_sim.organ.winding import inside
 
-MOST_CORNERS = 1000  # of a polyline
-MOST_DEPTH = 10.0  # m
-# Fraction of a mean edge of the surface below which a cut is refused: the front is moved by about as much.
-LEAST_DEPTH = 0.5
+MAX_CORNERS = 1000  # of a polyline
+MAX_DEPTH = 10.0  # m
+# Depth in mean edges of the surface, below which a cut is refused: the front is moved by about as much.
+MIN_DEPTH = 0.5
 NEAR = 1.5  # mean edges from a sheet within which the surface's edges are those at the cut
 FINER_WITHIN = 1.5  # mean edges around a cut within which a finer surface is proposed
-MOST_REPORTED = 8  # points of a polyline in a message
-SAMPLES = 4  # points of the polyline on a mean edge, at which the surface is looked for
-CLOSEST = 2.0  # mean edges, nearer than which a polyline must not come to another part of itself
+MAX_REPORTED = 8  # points of a polyline in a message
+SAMPLES = 4  # points of the polyline per mean edge, at which its depth below the surface is computed
+CLOSEST = 2.0  # mean edges, least distance between different parts of a polyline
 
 
 class Place(NamedTuple):
     """Places of k points relative to a sheet."""
 
-    across: Floats  # (k,) m, signed distance from the sheet, which goes on straight beyond its ends
-    along: Floats  # (k,) m of the polyline, below 0 and beyond its length where it has ended
+    across: Floats  # (k,) m, signed distance from the sheet, which is continued straight beyond its ends
+    along: Floats  # (k,) m along the polyline; negative before its beginning, larger than its length after its end
     below: Floats  # (k,) m from the polyline along the direction
 
 
@@ -50,11 +50,11 @@ class Sheet(NamedTuple):
     polyline: Floats  # (m, 3) m
     direction: Floats  # (3,) unit vector
     depth: float  # m
-    rise: float  # m by which it goes on against the direction, so that it opens the surface
+    rise: float  # m by which it is continued against the direction, so that it opens the surface
     frame: Floats  # (2, 3) axes of the plane across the direction
-    reached: float  # m, how deep below the surface it ends, where it is deepest
+    reached: float  # m, largest depth of its end below the surface
     depths: Floats  # (m,) m, of each corner of the polyline, and linear between them
-    mark: int = 0  # number of the blade's cut that it is a stage of; 0: it is no blade's
+    mark: int = 0  # number of the blade's cut of which it is a stage; 0: not made by a blade
     coagulation: Coagulation = Coagulation()
 
     @property
@@ -64,7 +64,7 @@ class Sheet(NamedTuple):
         return flat
 
     def place(self, points: Floats) -> Place:
-        """Return where points lie beside the sheet.
+        """Return the places of points relative to the sheet.
 
         Parameters
         ----------
@@ -77,7 +77,7 @@ class Sheet(NamedTuple):
         unit = edge / length[:, None]
         offset = (points @ self.frame.T)[:, None, :] - start
         run = np.einsum("kmx,mx->km", offset, unit)
-        # The first and the last segment go on, so that what lies before and behind the cut has a side too.
+        # The first and the last segment are continued, so that points before and behind the cut have a side, too.
         least = np.where(np.arange(len(unit)) == 0, -np.inf, 0.0)
         most = np.where(np.arange(len(unit)) == len(unit) - 1, np.inf, length)
         held = np.clip(run, least, most)
@@ -86,7 +86,7 @@ class Sheet(NamedTuple):
         row = np.arange(len(points))
         run, away = held[row, nearest], away[row, nearest]
         normal = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
-        # At a corner the side is that of both segments' mean normal (Baerentzen and Aanaes 2005).
+        # At a corner, the mean normal of both segments determines the side (Baerentzen and Aanaes 2005).
         before, after = np.maximum(nearest - 1, 0), np.minimum(nearest + 1, len(unit) - 1)
         facing = normal[nearest]
         facing = facing + np.where((run <= least[nearest])[:, None], normal[before], 0.0)
@@ -98,14 +98,14 @@ class Sheet(NamedTuple):
         return Place(side * np.linalg.norm(away, axis=1), along, points @ self.direction - top)
 
     def covers(self, place: Place, more: float = 0.0) -> Mask:
-        """Return which points that lie on the sheet, or on its continuation, it reaches.
+        """Return which of the points on the sheet or its continuation are on the sheet itself.
 
         Parameters
         ----------
         place : Place
             Where the points lie.
         more : float, m, optional
-            How much farther than its front it reaches.
+            Distance by which its front is moved.
         """
         begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.flat, axis=0), axis=1))])
         within = (place.along >= -more) & (place.along <= begins[-1] + more)
@@ -114,14 +114,14 @@ class Sheet(NamedTuple):
         return covered
 
     def nearest(self, place: Place, margin: float) -> Floats:
-        """Return the points (k, 3) m of the sheet that are nearest along it to places on its continuation.
+        """Return the points (k, 3) m of the sheet nearest to places on its continuation, measured along it.
 
         Parameters
         ----------
         place : Place
             The places.
         margin : float, m
-            How far from the sheet's edge they are.
+            Their distance from the sheet's edge.
         """
         begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.flat, axis=0), axis=1))])
         along = np.clip(place.along, min(margin, 0.5 * begins[-1]), max(begins[-1] - margin, 0.5 * begins[-1]))
@@ -144,7 +144,7 @@ class Sheet(NamedTuple):
         return float(local_edges(positions, triangles)[near].mean()) if near.any() else edge
 
     def deepens(self, other: Sheet) -> bool:
-        """Return whether the sheet is another one continued to the same or a greater depth, or by the same blade."""
+        """Return whether the sheet continues another one to the same or a greater depth, or by the same blade."""
         if self.mark or other.mark:
             return self.mark == other.mark
         return (
@@ -165,9 +165,9 @@ def sheet_of(organ: Organ, polyline: ArrayLike, direction: ArrayLike, depth: flo
     polyline : ArrayLike, shape (m, 3), m
         Where the blade's edge begins, on the surface or above it: two points or more.
     direction : ArrayLike, shape (3,)
-        Where it is moved to; of any length.
+        Direction in which it is moved; of any length.
     depth : float, m
-        How far it is moved.
+        Distance by which it is moved.
 
     Raises
     ------
@@ -176,15 +176,13 @@ def sheet_of(organ: Organ, polyline: ArrayLike, direction: ArrayLike, depth: flo
         itself, one that begins deep inside, and a cut that misses the organ or hardly scratches it.
     """
     corners = floats_of(polyline)
-    if corners.ndim != 2 or corners.shape[1:] != (3,) or not 2 <= len(corners) <= MOST_CORNERS:
-        raise UserError(
-            f"the cut's polyline has shape {corners.shape}, expected (m, 3) with m from 2 to {MOST_CORNERS}"
-        )
+    if corners.ndim != 2 or corners.shape[1:] != (3,) or not 2 <= len(corners) <= MAX_CORNERS:
+        raise UserError(f"the cut's polyline has shape {corners.shape}, expected (m, 3) with m from 2 to {MAX_CORNERS}")
     if not np.all(np.isfinite(corners)):
         raise UserError("the cut's polyline contains values that are not finite")
     way, far = finite(direction, 3, "the cut's direction"), float(finite([depth], 1, "the cut's depth")[0])
-    if not 0.0 < far <= MOST_DEPTH:
-        raise UserError(f"the cut's depth is {far:g} m, outside 0..{MOST_DEPTH:g}")
+    if not 0.0 < far <= MAX_DEPTH:
+        raise UserError(f"the cut's depth is {far:g} m, outside 0..{MAX_DEPTH:g}")
     size = float(np.linalg.norm(way))
     if not 1e-9 < size < 1e9:
         raise UserError("the cut's direction has no length")
@@ -205,16 +203,16 @@ def sheet_of(organ: Organ, polyline: ArrayLike, direction: ArrayLike, depth: flo
         )
     found = Sheet(corners, way, far, rise + edge, frame, reached, np.full(len(corners), far))
     here = found.edge_at(organ)
-    if reached < LEAST_DEPTH * here:
+    if reached < MIN_DEPTH * here:
         raise UserError(
             f"a cut {1e3 * reached:.2g} mm deep is too shallow for a surface with edges of {1e3 * here:.2g} mm;"
-            f" cut at least {1e3 * LEAST_DEPTH * here:.2g} mm deep, or {finer_organ(organ, found)}"
+            f" cut at least {1e3 * MIN_DEPTH * here:.2g} mm deep, or {finer_organ(organ, found)}"
         )
     return found
 
 
 def finer_organ(organ: Organ, sheet: Sheet) -> str:
-    """Return what makes a finer organ that resolves a cut, and what that costs, as words.
+    """Return the text of a command that makes an organ which resolves a cut, and of its cost.
 
     Parameters
     ----------
@@ -230,7 +228,7 @@ def finer_organ(organ: Organ, sheet: Sheet) -> str:
     near = (np.abs(place.across) < NEAR * edge) & sheet.covers(place, 0.5 * edge)
     sunk = float(np.median(place.below[near])) if near.any() else 0.0
     corners = sheet.polyline[
-        np.linspace(0, len(sheet.polyline) - 1, min(len(sheet.polyline), MOST_REPORTED)).astype(int)
+        np.linspace(0, len(sheet.polyline) - 1, min(len(sheet.polyline), MAX_REPORTED)).astype(int)
     ]
     line = corners + sunk * sheet.direction
     count = points_with(Refinement(places=(Along(line, radius, wanted),)), positions, triangles, organ.fixed)
@@ -243,7 +241,7 @@ def finer_organ(organ: Organ, sheet: Sheet) -> str:
 
 
 def _samples(corners: Floats, step: Floats, spacing: float) -> Floats:
-    """Return points (k, 3) on a polyline, at most so far apart."""
+    """Return points (k, 3) on a polyline, at most `spacing` apart."""
     parts = [np.ceil(length / spacing).clip(1, 1000).astype(int) for length in step]
     pieces = [
         first + np.arange(count)[:, None] / count * (last - first)
@@ -263,7 +261,7 @@ def _check_apart(flat: Floats, step: Floats, least: float) -> None:
 
 
 def heights(organ: Organ, points: Floats, direction: Floats, depth: float | Floats) -> tuple[float, float]:
-    """Return how deep inside the organ a polyline is at most, and how deep below the surface its cut ends, m.
+    """Return the largest depth of a polyline inside the organ, and of the end of its cut below the surface, m.
 
     Parameters
     ----------
@@ -274,7 +272,7 @@ def heights(organ: Organ, points: Floats, direction: Floats, depth: float | Floa
     direction : Floats, shape (3,)
         Unit direction of the cut.
     depth : float | Floats, shape (k,), m
-        How far it is moved, at all points or at each.
+        Distance by which it is moved, for all points or for each.
     """
     where = line_hits(organ, points, direction)  # comparisons with NaN, for a miss, are false
     before = np.where(where <= 0.0, where, -np.inf).max(axis=1)

@@ -1,4 +1,4 @@
-"""Polygons of the surface of pieces at cuts that meet, and the points that they share."""
+"""Polygons of the surface of pieces at cuts that meet, and their shared points."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class Polygon(NamedTuple):
     """Part of the surface."""
 
     corners: list[Name]
-    nodes: Mapping[int, int]  # what stands for each node of the organ there
-    sides: Mapping[int, int]  # of the piece that has it, by sheet
+    nodes: Mapping[int, int]  # node of the piece for each node of the organ: itself, or a virtual node
+    sides: Mapping[int, int]  # sides of the piece that has it, by sheet
     wall: int
 
 
 class SurfaceBuilder:
-    """What is gathered of the surface of pieces."""
+    """Builder of the surface of pieces from polygons."""
 
     def __init__(self, organ: Organ, crossings: Sequence[Crossing], pieces: Pieces, first: int) -> None:
         self.organ, self.crossings, self.pieces, self.first = organ, crossings, pieces, first
@@ -44,7 +44,7 @@ class SurfaceBuilder:
             self.of_cell[int(pieces.cell[piece])].append(piece)
 
     def sides_of(self, piece: int) -> dict[int, int]:
-        """Return the sides of a piece by sheet, of those that divide it."""
+        """Return the sides of a piece, by the sheets that divide it."""
         return {sheet: side for sheet, side in enumerate(self.pieces.sides[piece].tolist()) if side}
 
     def add_pieces(self, owner: Longs) -> None:
@@ -86,7 +86,7 @@ class SurfaceBuilder:
             self.polygons.append(polygon)
 
     def lines(self) -> dict[Line, set[Name]]:
-        """Return the points inside each line: where a sheet crosses an edge, and another one the trace of a sheet."""
+        """Return the points inside each line: where a sheet crosses an edge, or the line of another sheet in a face."""
         found: dict[Line, set[Name]] = defaultdict(set)
         for polygon in self.polygons:
             for name in polygon.corners:
@@ -99,7 +99,7 @@ class SurfaceBuilder:
         return found
 
     def filled_in(self, polygon: Polygon, lines: Mapping[Line, set[Name]]) -> Polygon:
-        """Return a polygon with all points on its sides that neighbours have there."""
+        """Return a polygon with all points that neighbours have on its sides."""
         corners: list[Name] = []
         for k, name in enumerate(polygon.corners):
             after = polygon.corners[(k + 1) % len(polygon.corners)]
@@ -130,14 +130,14 @@ class SurfaceBuilder:
         return bool(sides[0]) and bool(sides[1]) and not sides[0] & sides[1]
 
     def known(self, name: Name, sides: Mapping[int, int]) -> int | None:
-        """Return the number of a point on given sides of the sheets; None where it has none yet."""
+        """Return the index of a point on given sides of the sheets; None if it has none yet."""
         for have, number in self.at_sides.get(name, ()):
             if all(have.get(sheet, side) == side for sheet, side in sides.items()):
                 return number
         return None
 
     def standing(self, cell: int, sides: Mapping[int, int]) -> list[list[int]]:
-        """Return the nodes of those pieces of a cell that may be on given sides of the sheets."""
+        """Return the nodes of the pieces of a cell that may be on given sides of the sheets."""
         if cell not in self.of_cell:
             return [self.organ.cell_nodes[cell].tolist()]
         fit = [
@@ -148,11 +148,11 @@ class SurfaceBuilder:
         return [self.pieces.nodes[piece].tolist() for piece in fit]
 
     def point(self, name: Name, polygon: Polygon) -> int:
-        """Return the number of a point of a polygon, which others share whose nodes are the same there."""
+        """Return the index of a point of a polygon, shared by polygons with the same nodes there."""
         nodes, sheets = name
         if not sheets:
             return nodes[0]
-        if not polygon.nodes:  # of a flat cell
+        if not polygon.nodes:  # of a triangle without a cell
             found = self.known(name, polygon.sides)
             if found is not None:
                 return found
@@ -160,7 +160,7 @@ class SurfaceBuilder:
         return self.place(name, there, self.names.weights(name).tolist(), polygon.sides)
 
     def place(self, name: Name, nodes: tuple[int, ...], weights: list[float], sides: Mapping[int, int]) -> int:
-        """Return the number of the point of a name that lies between nodes."""
+        """Return the index of the point with a name that lies between given nodes."""
         key = name, nodes
         if key not in self.number:
             self.number[key] = self.first + len(self.points)
@@ -175,7 +175,7 @@ class SurfaceBuilder:
         """Return triangles of a polygon, the same for the one on the other side of its wall."""
         corners = polygon.corners
         count = len(corners)
-        # Seen from both sides in the same order: from the first name on, towards the lesser neighbour.
+        # The order is the same for both sides: from the lowest name on, towards its lower neighbour.
         start = corners.index(min(corners))
         turned = corners[start - 1] < corners[(start + 1) % count]
         order = [(start + (-k if turned else k)) % count for k in range(count)]
@@ -205,7 +205,7 @@ class SurfaceBuilder:
 
 
 def _apex(place: list[tuple[float, ...]]) -> int:
-    """Return the corner of a convex polygon from which triangles fan out whose smallest is largest."""
+    """Return the corner of a convex polygon whose fan of triangles has the largest smallest triangle."""
     count, best, apex = len(place), -1.0, 0
     for k in range(count):
         least = np.inf

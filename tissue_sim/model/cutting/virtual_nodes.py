@@ -15,19 +15,19 @@ _PAIRS = np.array([(a, b) for a in range(4) for b in range(4) if a != b])  # cor
 
 
 class DividedEdges(NamedTuple):
-    """Edges that divided cells have across a cut, once for each end. e edges with a direction."""
+    """Edges of divided cells across a cut, once for each end. e directed edges."""
 
     key: Longs  # (e,) n times the node that is seen, plus the end from which it is seen; ascending
-    node: Longs  # (e,) the node that stands for the seen one on the end's side: itself, or a virtual node
+    node: Longs  # (e,) the node that replaces the seen one on the end's side: itself, or a virtual node
     closed: Mask  # (e,) whether a cell around the edge is undivided, so that both sides meet there
 
 
 class Copies(NamedTuple):
-    """Cells that stand for divided ones. k divided cells, v virtual nodes."""
+    """Copies that replace divided cells. k divided cells, v virtual nodes."""
 
     below: Longs  # (k, 4) nodes of the copy on the negative side
     above: Longs  # (k, 4) nodes of the copy on the positive side
-    virtual_of: Longs  # (v,) nodes that virtual ones copy
+    virtual_of: Longs  # (v,) nodes of which virtual ones are copies
     edges: DividedEdges
 
 
@@ -62,7 +62,7 @@ def copies_of(cells: Ints | Longs, crossing: Crossing, fixed: Ints, first: int) 
     seen, end = quads[cell, _PAIRS[pair, 0]], quads[cell, _PAIRS[pair, 1]]
     key, edge = np.unique(seen * n + end, return_inverse=True)
     edge = edge.ravel()
-    # A copy has one virtual node for each corner on the other side, whichever of its edges it is seen along.
+    # A copy has one virtual node for each corner on the other side, the same along all of its edges.
     corner = 4 * cell + _PAIRS[pair, 0]
     size = len(key) + 4 * len(quads)
     links = coo_array((np.ones(len(edge)), (edge, len(key) + corner)), shape=(size, size))
@@ -89,7 +89,7 @@ def copies_of(cells: Ints | Longs, crossing: Crossing, fixed: Ints, first: int) 
 
 
 def _undivided(cells: Ints | Longs, crossing: Crossing, n: int) -> Longs:
-    """Return keys, as of DividedEdges, of the edges between both sides in cells that are not divided."""
+    """Return the keys, see DividedEdges, of edges between both sides in cells that are not divided."""
     whole = np.ones(len(cells), dtype=bool)
     whole[crossing.cells] = False
     others = cells[whole].astype(np.int64)

@@ -1,1 +1,1 @@
-"""What a tick reads and writes: records and their layout, settings, state, contact sets, the arrays of a model."""
+"""Data that a tick reads and writes: records and their layout, settings, state, contact sets, arrays of a model."""

@@ -1,4 +1,4 @@
-"""Blades: places on their edges and flanks, where each of them is in the tissue, and the cells that they cut."""
+"""Blades: points on their edges and flanks, their places in the tissue, and the cells that they cut."""
 
 from __future__ import annotations
 
@@ -21,48 +21,48 @@ class Blades(NamedTuple):
     at: Floats  # (S, 3) m
     forward: Floats  # (S, 3) unit direction in which the edge cuts
     normal: Floats  # (S, 3) unit direction across the flank
-    width: Floats  # (S,) m of the edge that each stands for; 0 on a flank
+    width: Floats  # (S,) m of the edge that each represents; 0 on a flank
     flank: Floats  # (S,) m^2 of both flanks, likewise
-    speed: Floats  # (S,) m/s at which tissue parts without force, as under a cautery hook; 0: it is cut by force
+    speed: Floats  # (S,) m/s at which tissue is cut without force, as by a cautery hook; 0: it is cut by force
 
 
 class BladeSample(Record):
-    """Place of a blade in the tissue; what it was there counts no more once it is outside."""
+    """Place of a blade in the tissue; its values don't count once it is outside."""
 
     load: float  # N on the edge before it enters, smoothed; of the first place of each body
     embedded: bool  # it is in tissue
-    free: bool  # in a cut that was there when it entered: nothing is left to cut
+    free: bool  # in a cut that existed when it entered: nothing is left to cut
     cell: int  # the cell of the uncut organ that holds it
     rest: Vector  # m, where it is in the organ at rest
     offset: Vector  # m in the body's frame, from the blade to the tissue that holds it, as it was when it entered
-    depth: float  # m that it has come forward since it entered, at rest
-    deepest: float  # m, the most of that
+    depth: float  # m by which it has advanced since it entered, at rest
+    deepest: float  # m, largest value of that
     area: float  # m^2 that it has cut since the organ was whole, at rest
     force: Vector  # N on the tissue in the last substep: forward, along the edge, across the flank
 
 
 class BladeRow(Record):
-    """Place of a blade in the tissue, as a substep resolves it."""
+    """Place of a blade in the tissue while a substep resolves it."""
 
     sample: int
     body: int
     node: Annotated[Longs, (LIP_NODES,)]  # of the cell's copies on both sides of a cut
     weight: Annotated[Floats, (LIP_NODES,)]  # of each between both sides
-    across_weight: Annotated[Floats, (LIP_NODES,)]  # in what the flank touches: the middle, or one lip
+    across_weight: Annotated[Floats, (LIP_NODES,)]  # in the place that the flank touches: the middle, or one lip
     side: float  # of the lip that the flank touches, along the normal: -1 or 1; 0 where both are one
     arm: Vector  # m, from the tool's origin
     forward: Vector
     along: Vector
     normal: Vector
-    back: Annotated[Floats, (9,)]  # from displacements to those at rest, row by row
-    borrowed: bool  # of another place, as its own cell is inverted
+    back: Annotated[Floats, (9,)]  # matrix from displacements to those at rest, row by row
+    borrowed: bool  # this matrix is that of another place, as its own cell is inverted
     stiffness: float  # N s/m, impulse that moves the middle by a metre
-    across_stiffness: float  # likewise what the flank touches
-    at_front: bool  # of what its edge has cut: further on there is something to cut
+    across_stiffness: float  # likewise for the place that the flank touches
+    at_front: bool  # it is at the front of its cut: beyond it there is tissue to cut
     resistance: float  # N s against cutting
-    lag: float  # m that it is behind the blade besides what its force explains, where cutting takes force
+    lag: float  # m by which it is behind the blade, beyond the yielding to its force, if cutting takes force
     lag_across: float  # m, likewise across the flank
-    pace: float  # ratio of the way that it cuts to that of the blade past the tissue
+    pace: float  # ratio of the distance that it cuts to the motion of the blade past the tissue
     drag: float  # N s of friction on the flank, besides that by the normal force
     most: float  # N s, the largest impulse across the flank
     pushed: Vector  # N s on the tissue in this substep: forward, along, across
@@ -72,12 +72,12 @@ class BladeRow(Record):
 
 
 class CutCells(NamedTuple):
-    """Cells of the uncut organ, in which blades find their places; none where nothing can be cut. c cells."""
+    """Cells of the uncut organ, in which blades find their places; none if nothing can be cut. c cells."""
 
     nodes: Longs  # (c, 4) as they are, or of the copy on the negative side of a cut
     others: Longs  # (c, 4) of the copy on the positive side
-    # (c, 4) of the mass of both copies of a corner, what `others` has; 0 where they are one. What is held or pressed
-    # there is the middle of this mass: when copies part, their forces move it no more than the whole node.
+    # (c, 4) part of the mass of both copies of a corner that `others` has; 0 where they are one node. Constraints act
+    # on their centre of mass: when copies separate, their forces move it no more than the whole node.
     part: Floats
     base: Floats  # (c, 4) barycentric weights of a place X at rest: base + slope X
     slope: Floats  # (c, 4, 3) 1/m
@@ -121,12 +121,12 @@ def make_blades(
 
 
 def blade_rows(count: int) -> Records:
-    """Return room for so many rows, (count,) BladeRow."""
+    """Return buffers for (count,) BladeRow records."""
     return BladeRow.rows(np.zeros(count * BladeRow.words(), dtype=np.int64))
 
 
 def no_cut_cells() -> CutCells:
-    """Return cells that no blade can cut: none."""
+    """Return no cells, for an organ that no blade can cut."""
     none, weights = np.zeros((0, CORNERS), dtype=np.int64), np.zeros((0, CORNERS))
     slope, flags = np.zeros((0, CORNERS, 3)), np.zeros(0, dtype=np.int64)
     return CutCells(none, none, weights, weights, slope, none[:, 0], none, flags)

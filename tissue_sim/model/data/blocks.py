@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Ints
 
-BLOCK = 16  # springs in a block: a few vectors of the processor; more would only pad small regions
+BLOCK = 16  # springs in a block: a few vectors of the processor; larger blocks would only pad small regions
 LINE = 64  # bytes of the processor's cache
 
 
@@ -30,7 +30,7 @@ def pack(nodes: Ints, constants: Floats, filling: Floats) -> Blocks:
     constants : Floats, shape (s, k)
         Constants of the springs.
     filling : Floats, shape (k,)
-        Constants of springs that only fill the last block.
+        Constants of springs that pad the last block.
     """
     blocks = -(-len(nodes) // BLOCK)
     ends = np.zeros((blocks * BLOCK, nodes.shape[1]), dtype=np.int32)

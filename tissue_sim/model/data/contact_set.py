@@ -1,4 +1,4 @@
-"""Contact set: the surface points that tools may touch, in one piece from the finder to the bag."""
+"""Contact set: the surface points that tools may touch, with one layout from the finder to the bag."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from tissue_sim.jit import inner, kernel
 from tissue_sim.model.data.layout import carve, size_of
 from tissue_sim.model.data.records import Record
 
-MOST_POINTS = 2048
-POINT_NODES = 4  # that a point lies between, at most
+MAX_CONTACT_POINTS = 2048
+POINT_NODES = 4  # largest number of nodes between which a point lies
 
 
 class Engaged(IntEnum):
     """State of a body in a contact set."""
 
-    # Not searched; it may touch; it appeared inside; it has slipped inside; it is in tissue with a blade.
+    # Not searched; may touch; appeared inside; has slipped inside; is in tissue with a blade.
     NO, YES, HELD_OFF, SLIPPED, CUTS = range(5)
 
 
@@ -29,11 +29,11 @@ class ContactSetHeader(Record):
 
     sequence: int  # its number
     points: int  # number of points
-    dropped: int  # number of points without room, the farthest ones
+    dropped: int  # number of points that didn't fit, the farthest ones
 
 
 class ContactSet(NamedTuple):
-    """Points on the surface that bodies may touch, and those under the bodies' tips; B bodies, C points at most.
+    """Surface points that bodies may touch, and those under the bodies' tips; B bodies, at most C points.
 
     All fields are views of `words`, of which the first `used_words` are the set.
     """
@@ -42,18 +42,18 @@ class ContactSet(NamedTuple):
     header: ContactSetHeader
     engaged: Longs  # (B,) Engaged
     place: Floats  # (B, 7) pose of each body when its points were found; for one that has slipped, its goal
-    reach: Floats  # (B,) m that its points may move from there without touching anything outside the set
+    reach: Floats  # (B,) m by which a body's points may move from there without touching any point outside the set
     n_points: Longs  # (B,) number of its points
-    releases: Longs  # (B,) number of its releases and slips by then
-    tip_node: Longs  # (B, 4) nodes that the point under the tip lies between, -1 where none is near
+    releases: Longs  # (B,) number of its releases and slips at that time
+    tip_node: Longs  # (B, 4) nodes between which the point under the tip lies, -1 if none is near
     tip_weight: Floats  # (B, 4) barycentric weights there
     body: Longs  # (C,)
-    # Nodes that each lies between: those of a triangle, and once more the first; or, at a cut, those of a cell.
+    # Nodes between which each point lies: those of a triangle, with the first repeated, or, at a cut, those of a cell.
     node: Longs  # (C, 4)
     weight: Floats  # (C, 4) barycentric weights, the last one 0 within a triangle
     normal: Floats  # (C, 3) outward unit normals of the tissue
     compliance: Floats  # (C, 2) m/N of the tissue between nodes, along a tool's normal and across it
-    most_give: Floats  # (C,) m by which it yields at most
+    most_give: Floats  # (C,) m, largest yielding by this compliance
 
 
 PER_POINT = ("body", "node", "weight", "normal", "compliance", "most_give")
@@ -84,7 +84,7 @@ def _fields(n_bodies: int) -> dict[str, Any]:
     }
 
 
-def contact_set_words(n_bodies: int, points: int = MOST_POINTS) -> int:
+def contact_set_words(n_bodies: int, points: int = MAX_CONTACT_POINTS) -> int:
     """Return the number of words of a contact set.
 
     Parameters
@@ -97,7 +97,7 @@ def contact_set_words(n_bodies: int, points: int = MOST_POINTS) -> int:
     return size_of(_fields(n_bodies)) + _POINT_WORDS * points
 
 
-def contact_set(n_bodies: int, points: int = MOST_POINTS, words: Longs | None = None) -> ContactSet:
+def contact_set(n_bodies: int, points: int = MAX_CONTACT_POINTS, words: Longs | None = None) -> ContactSet:
     """Return an empty contact set.
 
     Parameters
@@ -131,7 +131,7 @@ def used_words(contacts: ContactSet) -> int:
 
 @inner
 def nodes_of(contacts: ContactSet, entry: int) -> int:
-    """Return how many of a point's nodes count: 3, or 4 where a cut has made the surface.
+    """Return how many of a point's nodes have weights: 3, or 4 where a cut has made the surface.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def nodes_of(contacts: ContactSet, entry: int) -> int:
 
 
 def padded(name: str, found: NDArray[Any]) -> NDArray[Any]:
-    """Return a field of a contact set with POINT_NODES nodes a point; earlier bags have the 3 of a triangle.
+    """Return a field of a contact set with POINT_NODES nodes per point; earlier bags have the 3 of a triangle.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def padded(name: str, found: NDArray[Any]) -> NDArray[Any]:
     Returns
     -------
     NDArray[Any]
-        The field with the first node once more, of weight 0; others as they are.
+        The field with the first node repeated, with weight 0; other fields unchanged.
     """
     if name not in _BETWEEN_NODES or found.ndim != 2 or found.shape[1] != POINT_NODES - 1:
         return found

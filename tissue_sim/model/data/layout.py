@@ -1,4 +1,4 @@
-"""Layout of named arrays and records one after the other in one array of words."""
+"""Layout of named arrays and records, one after the other in one array of words."""
 
 from __future__ import annotations
 

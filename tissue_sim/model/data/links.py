@@ -1,4 +1,4 @@
-"""Links: what ligaments are to the kernels."""
+"""Links, of which ligaments consist in the kernels."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ POINT = -1  # in place of an organ
 
 
 class Links(NamedTuple):
-    """A number l of links, each of which joins two ends.
+    """Links between two ends each; l links.
 
-    An end is a node of an organ, or, where the organ is POINT, a point that may move with the breath.
+    An end is a node of an organ, or, if the organ is POINT, a point that may move with the breath.
     """
 
     organ: Longs  # (l, 2)
     node: Longs  # (l, 2)
-    point: Floats  # (l, 2, 3) m, breathed out
+    point: Floats  # (l, 2, 3) m, exhaled
     moves: Floats  # (l, 2) motion of points with the breath, as a factor
     slack: Floats  # (l,) m, length up to which they don't pull
     stiffness: Floats  # (l,) N/m
     damping: Floats  # (l,) N s/m
-    lightness: Floats  # (l,) 1/kg of both ends, each times the links on its node
-    added: Floats  # (1,) (rad/s)^2, bound of what they add to the square of the largest frequency
-    force: Floats  # (l, 3) N on the first end in this substep; its organ may feel only a fraction
+    lightness: Floats  # (l,) 1/kg, sum of the inverse masses of both ends, each times the number of links on its node
+    added: Floats  # (1,) (rad/s)^2, bound on the increase of the squared largest frequency by links
+    force: Floats  # (l, 3) N on the first end in this substep; only a fraction may act on its organ
 
 
 def make_links(count: int) -> Links:

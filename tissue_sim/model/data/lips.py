@@ -1,4 +1,4 @@
-"""Lips of cuts: points of both walls that lay on each other before, as the kernels read them."""
+"""Lips of cuts: points of both walls that coincided before the cut, as the kernels read them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.model.data.records import Record, Records, Vector
 
-ENDS = 2  # of the edge of cells that a point lies on
+ENDS = 2  # nodes of the cell edge on which a point lies
 
 
 class LipContact(Record):
@@ -20,22 +20,22 @@ class LipContact(Record):
     normal: Vector  # from the lower side to the upper one
     least: float  # m, the least gap allowed
     stiffness: float  # N s/m, the impulse that opens it by a metre
-    pressed: float  # N s, given so far
-    most: float  # N s, the largest one allowed
+    pressed: float  # N s, impulse so far
+    most: float  # N s, largest impulse allowed
 
 
 class Lips(NamedTuple):
-    """Points of q places on the walls of cuts, none where nothing is cut. The upper side is the positive one."""
+    """Points at q places on the walls of cuts; none in an uncut organ. The upper side is the positive one."""
 
     upper: Longs  # (q, ENDS) nodes between which each lies on that side
-    lower: Longs  # (q, ENDS) those of the other side: of each, the other copy, or the same node where both sides meet
+    lower: Longs  # (q, ENDS) those of the other side: the other copy of each, or the same node where both sides meet
     weight: Floats  # (q, ENDS) the same on both sides
-    slide: Floats  # (q,) m that the sides may have slid along each other and still touch there
+    slide: Floats  # (q,) m by which the sides may have slid along each other and still touch
     triangles: Longs  # (f, 3) of the upper wall, between places; counter-clockwise seen from the lower one
     place: Floats  # (2, q, 3) buffer: where they are on the upper side and on the lower one, m
     normal: Floats  # (2, q, 3) buffer: that of the wall there, m^2, from the lower side to the upper one
     contacts: Records  # (q,) LipContact: buffer
-    counts: Longs  # (3,) searches so far; places that touched in the last substep, and those that were listed
+    counts: Longs  # (3,) searches so far; places that touched in the last substep; places that were listed in it
 
 
 def make_lips(places: int = 0, triangles: int = 0) -> Lips:

@@ -1,4 +1,4 @@
-"""What a model consists of: the arrays that the kernels read."""
+"""Arrays of a model, which the kernels read."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from tissue_sim.model.data.lips import Lips
 
 
 class CellGroups(NamedTuple):
-    """Cell groups in blocks; filling, groups and cells in them, has no stiffness."""
+    """Cell groups in blocks; groups and cells that pad the blocks have no stiffness."""
 
     nodes: Ints  # (f, BLOCK, 6)
     constants: Floats  # (f, cell_groups.CONSTANTS BLOCK)
     stiffening: Floats  # (f, stiffening.ROWS BLOCK) of groups that stiffen; (0, stiffening.ROWS BLOCK): neo-Hookean
-    cells: Longs  # (f BLOCK, CELLS) which cell each is, -1 where one only fills up
+    cells: Longs  # (f BLOCK, CELLS) index of each cell, -1 for padding
 
 
 class Tissue(NamedTuple):
@@ -27,14 +27,15 @@ class Tissue(NamedTuple):
 
     nodes: Ints  # (b, BLOCK, 4)
     constants: Floats  # (b, cells.CONSTANTS BLOCK)
-    groups: CellGroups  # the same cells as the whole organ takes them
-    rows: Floats  # (n, ROW) of each node its position, m, and what cells push it with, N
+    groups: CellGroups  # the same cells in groups, for the whole organ
+    rows: Floats  # (n, ROW) position of each node, m, and the force of the cells on it, N
     work: Floats  # (ROOM BLOCK,)
-    # (f BLOCK CELLS,) places among the groups' cells of those under COMPRESSED in blocks with one under STIFF, as the
-    # last forces of the whole organ found them; and (1,) how many. Of some cells: not 0 where these found stiff ones.
+    # (f BLOCK CELLS,) indices among the groups' cells of those below COMPRESSED in blocks with one below STIFF, as
+    # found by the last forces of the whole organ; and (1,) their number. For a region: not 0 if its forces found stiff
+    # cells.
     compressed_cells: Longs
     stiff: Longs
-    shortening: Longs  # (1,) factor on the substeps that groups which have stiffened require, by these forces
+    shortening: Longs  # (1,) factor on the substeps that groups require which have stiffened, as found by these forces
 
 
 class Adjacency(NamedTuple):
@@ -49,15 +50,15 @@ class Adjacency(NamedTuple):
 
 
 class Reduction(NamedTuple):
-    """Data of a modal region about the rest of the organ; empty without one."""
+    """Data of a modal region that represent the rest of the organ; empty without such a region."""
 
     frequency: Floats  # (m,) rad/s of the lowest modes
     shape: Floats  # (n, 3, m) 1/sqrt(kg)
     peak: Floats  # (m,) the shapes' largest components
     compliance: NDArray[np.float32]  # (3n, 3n) m/N of the model about rest; (0, 0) when it would be too large
-    edge_slopes: Floats  # (b, 21 BLOCK) what forces.subtract_linear_edges takes
-    link_slopes: Floats  # (b, 6 BLOCK) what forces.subtract_linear_springs takes
-    cell_slopes: Floats  # (b, SLOPES BLOCK) what cells.subtract_linear_cells takes
+    edge_slopes: Floats  # (b, 21 BLOCK) for forces.subtract_linear_edges
+    link_slopes: Floats  # (b, 6 BLOCK) for forces.subtract_linear_springs
+    cell_slopes: Floats  # (b, SLOPES BLOCK) for cells.subtract_linear_cells
 
 
 class Model(NamedTuple):
@@ -83,18 +84,18 @@ class Model(NamedTuple):
     return_nodes: Ints  # (r,) nodes with a return spring
     return_stiffness: Floats  # (n,) N/m, of springs to the rest positions
     damping_rate: float  # 1/s, nodal damping over mass, the mean
-    cells: Ints  # (c, 4) what is inside: the tissue's cells, or tetrahedra of a triangle and its nearest medial atom
+    cells: Ints  # (c, 4) tetrahedra inside: the tissue's cells, or those of a triangle and its nearest medial atom
     cell_volume: Floats  # (c,) m^3 at rest
     neighbour_start: Ints  # (n + 1,) compressed rows of the surface edges' graph, for hop distances
     neighbours: Ints
-    hops: NDArray[np.uint8]  # (n_surface, n_surface) hop distances, or (0, 0): searched on demand
+    hops: NDArray[np.uint8]  # (n_surface, n_surface) hop distances, or (0, 0) if they are searched on demand
     adjacency: Adjacency | None  # None: without a local region
     reduction: Reduction
-    borne: Floats  # (n, 3) N that holds the rest shape of cells against what they push there; (0, 3): nothing does
-    shape_gravity: Floats  # (3,) m/s^2, that the rest shape is the shape under
+    borne: Floats  # (n, 3) N, load that balances the forces of cells in the rest shape; (0, 3): none
+    shape_gravity: Floats  # (3,) m/s^2, gravity under which the organ has its rest shape
     unloaded: Floats  # (n, 3) m, shape of the cells without it
     tissue: Tissue | None  # of cells; None: springs
     work: Floats  # (9 BLOCK,) buffer of the force kernels
     lips: Lips  # of cuts
-    cut_cells: CutCells  # in which blades find their places; none where no blade can be
+    cut_cells: CutCells  # in which blades find their places; none if no blade can be there
     relaxation: Floats  # (2,) rate 1/T, 1/s, and g / (1 - g) of tissue that relaxes; (0,): elastic

@@ -1,4 +1,4 @@
-"""Records with named, typed fields, which kernels and Python read alike: `settings.friction`, `count.faults`."""
+"""Records with named, typed fields, which both kernels and Python read: `settings.friction`, `count.faults`."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ Records = np.recarray[Any, np.dtype[np.record]]  # an array of records: its fiel
 class Record:
     """Base of records: annotations of a class are the fields of its `dtype`, in whole words.
 
-    A field is an int, float or bool, or an array with its shape, as `Vector`. An object is a NumPy record that views
-    the words it was made on; writing to a field writes there.
+    A field is an int, float or bool, or an array with a fixed shape, such as `Vector`. An object is a NumPy record that
+    views the words from which it was made; writing to a field changes these.
     """
 
     dtype: ClassVar[np.dtype[Any]]
@@ -72,7 +72,7 @@ class Record:
 
 
 def array_of(value: Any) -> NDArray[Any]:
-    """Return an array as it is, and a record as an array without dimensions that views it.
+    """Return an array unchanged, or a record as an array without dimensions that views it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Working memory: what a tick would otherwise allocate."""
+"""Working memory, which a tick would otherwise have to allocate."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ class Plan(Record):
     """Plan of a tick."""
 
     substeps: int
-    handled: bool  # a hand touches, pulls or leads nodes, not a link, another organ or the weight
-    forced: bool  # anything pulls or leads nodes
+    handled: bool  # a hand touches, pulls or prescribes nodes; links, other organs and weight don't count
+    forced: bool  # anything pulls or prescribes nodes
     whole: bool  # the whole organ moves
     regional: bool  # a region of cells moves
-    looking: bool  # its last substep is checked for oscillation
+    is_checked: bool  # its last substep is checked for oscillation
     coarse: bool  # its steps are coarse, with the larger masses that they need
     mass_scaled: bool  # nodes of compressed cells are heavier, see stepping.mass_scaling
 
 
 class Scratch(NamedTuple):
-    """Working arrays of a tick; nothing in them outlives it except the region's lists."""
+    """Working arrays of a tick; only the region's lists are used after it."""
 
     plan: Plan
     force: Floats  # (n, 3) N
     impulse: Floats  # (T, 6) N s on the tissue
-    slew_part: Floats  # (T,) of each tool's slew limit that this organ has
+    slew_part: Floats  # (T,) fraction of each tool's slew limit that applies to this organ
     mobility: Floats  # (n,) 1/kg
     mass: Floats  # (n,) kg, 0 where held
     push: Floats  # (3n,) s/kg, and
@@ -42,11 +42,11 @@ class Scratch(NamedTuple):
     rotation: Floats  # (T, 9)
     last_origin: Floats  # (T, 3) at its beginning
     last_rotation: Floats  # (T, 9)
-    held: Floats  # (T, 7) where it is held at the substep's end
-    goal: Floats  # (T, 7) where it would be then, if it may move there, and
-    before: Floats  # (T, 7) where it was
-    fraction: Floats  # (T,) of that way, which it may move
-    give: Floats  # (T,) m, yielding of a tool to an impulse of 1 N s
+    held: Floats  # (T, 7) pose in which it is held at the substep's end
+    goal: Floats  # (T, 7) pose that it would have then, if it may move there
+    before: Floats  # (T, 7) pose that it had before
+    fraction: Floats  # (T,) of the distance between these that it may move
+    give: Floats  # (T,) m / (N s), displacement of a coupled tool by an impulse; 0 for a rigid one
     active: Records  # (N,) ActiveContact: contact points resolved in this substep
     work: Floats  # (9 BLOCK,)
     blade_rows: Records  # (S,) BladeRow: places of blades resolved in this substep
@@ -56,22 +56,22 @@ class Scratch(NamedTuple):
     blade_at: Floats  # (3,)
     blade_weight: Floats  # (8,) buffer for barycentric weights
     compressed: Records  # (S,) CompressedCell: cells resolved in this substep
-    compressing: Longs  # (1,) how many
+    n_compressed: Longs  # (1,) how many
     candidates: Longs  # (C,) contact points that may touch in this tick
     candidate_gap: Floats  # (C,) m, least distance from the tools
-    candidate_speed: Floats  # (C,) m/s, at which it may shrink by the tool's motion
-    watching: Longs  # (1,) how many
-    wall: Longs  # (C,) contact points that are mostly held
+    candidate_speed: Floats  # (C,) m/s, at which this distance may shrink by the tool's motion
+    n_candidates: Longs  # (1,) their number
+    wall: Longs  # (C,) contact points on mostly fixed nodes
     wall_depth: Floats  # (C,) m, see walls.measure_walls, with
     wall_pose: Floats  # (T, 7) poses of the bodies
-    walls: Longs  # (1,) how many
+    n_walls: Longs  # (1,) their number
     walls_measured: Longs  # (1,) 1 where their depths are those of this tick
-    # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
-    fresh: Ints
-    was: Longs
+    # Lists of the region. new_node, previous_hop (n,): nodes that are new in it, and the hops they had.
+    new_node: Ints
+    previous_hop: Longs
     region_node: Ints  # (n,)
     moved_node: Ints  # (n,) those with mass
-    moved: Longs  # (1,) how many
+    n_moved: Longs  # (1,) how many
     boundary_node: Ints  # (n,)
     edges: Blocks
     links: Blocks
@@ -83,8 +83,8 @@ class Scratch(NamedTuple):
     link_mark: Longs
     cell_mark: Longs
     node_mark: Longs
-    stamp: Longs  # (1,) value of the marks of valid lists
-    stale: Longs  # (1,) 1 when the region's lists have to be made again
+    stamp: Longs  # (1,) value of marks in the present lists
+    stale: Longs  # (1,) 1 when the region's lists must be made again
     # Of the modal region: m modes, r = 3 MOST_BOUNDARY rows, d = 3 MOST_DRIVE columns.
     drive_node: Ints  # (n,) nodes of the region, then those at its edge
     drive: Floats  # (n, 3) N

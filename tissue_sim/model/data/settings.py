@@ -28,7 +28,7 @@ class Settings(Record):
 
     tick_time: float  # s
     friction: float  # Coulomb coefficient
-    toughness: float  # J/m^2, that a blade needs to cut
+    toughness: float  # J/m^2, energy that a blade needs for new area
     flank_friction: float  # Pa of a blade's flanks in a cut
     force_clamp: float  # N
     force_slew: float  # N/s, fastest change of the haptic output
@@ -37,22 +37,22 @@ class Settings(Record):
     stiffness_scale: float
     damping_scale: float
     region_force: float  # N above which the region is skipped
-    region_inertia: float  # factor on mass and damping of a modal region, so that it needs no more substeps
+    region_inertia: float  # factor on mass and damping of a modal region, so that it doesn't need additional substeps
     runaway_span: float  # m, displacement from which the guard assumes a runaway
-    coupling_stiffness: float  # N/m between a body and where it is held; 0: it is there
+    coupling_stiffness: float  # N/m between a body and the pose in which it is held; 0: rigid
     coupling_damping: float  # N s/m on the tool
     gravity_x: float  # m/s^2, in the organ's frame
     gravity_y: float
     gravity_z: float
     substeps: int  # in a tick, from the critical step
-    least_substeps: int  # that links require of all organs that they join
+    least_substeps: int  # number that links require of all organs that they join
     region_substeps: int  # in a tick of a local region
     integrator: int  # Integrator
     local_region: int  # LocalRegion
 
 
 def default_settings(tick_time: float, local_region: str, integrator: str) -> Settings:
-    """Return the settings of a simulation before those that depend on its organ.
+    """Return the settings of a simulation, except for those that depend on its organ.
 
     Parameters
     ----------

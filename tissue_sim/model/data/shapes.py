@@ -17,8 +17,8 @@ SPHERE, CAPSULE, CONVEX, GRID = 0, 1, 2, 3
 class Shapes(NamedTuple):
     """Shapes of T rigid bodies, each in its own frame, whose origin is the tip.
 
-    A capsule runs from the origin along -z, where an instrument's shaft lies. A shape that is not convex is a grid of
-    signed distances. The bodies of one tool, as the two jaws of a gripper, are held as one.
+    A capsule runs from the origin along -z, like an instrument's shaft. A shape that is not convex is a grid of signed
+    distances. The bodies of one tool, such as the two jaws of a gripper, are held together.
     """
 
     kind: Longs  # (T,) SPHERE, CAPSULE, CONVEX or GRID
@@ -31,7 +31,7 @@ class Shapes(NamedTuple):
     grid_frame: Floats  # (T, 4) m: first point, and the spacing
     tool: Longs  # (T,) which tool each body belongs to
     finest: Floats  # (T,) m, smallest radius of each body
-    extent: Floats  # (T,) m, from the origin to the farthest point that a turn moves
+    extent: Floats  # (T,) m, from the origin to the farthest point that a rotation moves
     smoothing: Floats  # (T,) fraction of the time between two poses in which a body moves to the newer one
     blades: Blades  # places on the edges and flanks of blades
 
@@ -45,8 +45,6 @@ def make_shapes(
     measures: Sequence[tuple[float, float]] | None = None,
 ) -> Shapes:
     """Return the shapes of bodies.
-
-    measures (T, 2) m: `Shapes.finest` and `Shapes.extent` of each; those of spheres and capsules unless given.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Everything that changes from tick to tick, in one array of words: one copy is a snapshot."""
+"""Everything that changes from tick to tick, in one array of words, so that a copy of it is a snapshot."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.model.data.blades import BladeSample
 from tissue_sim.model.data.contact_set import (
-    MOST_POINTS,
+    MAX_CONTACT_POINTS,
     PER_POINT,
     ContactSet,
     contact_set,
@@ -45,14 +45,14 @@ class Status(Record):
     asleep: bool  # at rest and untouched
     snapped: bool  # recovering from a false rest shape
     collapsing: bool  # more cells are inverted than can recover by themselves
-    region: int  # Region, how the last tick was solved
-    fault_kind: int  # Fault, what the guard found last
+    region: int  # Region, part that the last tick has solved
+    fault_kind: int  # Fault, the last one that the guard found
     substeps: int  # of the last tick
     backoff: int  # factor on the substeps after a fault
     faulted: bool  # the guard has found a fault since the last reset to the rest shape
     oscillating: int  # ticks for which a step that was too long remains halved
-    halving: int  # ticks for which the next such step is halved; 0: the shortest time
-    turning: float  # m^2/s^2, of nodes that reversed at the last check
+    halving: int  # ticks for which the next such step will be halved; 0: the smallest number
+    turning: float  # m^2/s^2, squared speeds of nodes that reversed at the last check
     quiet: int  # ticks in a row that were nearly at rest
     alone: int  # ticks in a row in which no hand touched or loaded it or a joined organ
     calm: int  # ticks in a row with a load small enough for a local region
@@ -60,10 +60,10 @@ class Status(Record):
     active: int  # nodes that were integrated in the last tick
     loaded: int  # nodes that nodal_force loads in this tick, listed in loaded_node
     prescribed: int  # nodes whose position is prescribed, listed in prescribed_node
-    prescriptions: int  # times that these changed
+    prescriptions: int  # number of changes of these
     turned: int  # cells of the inside that are inverted
-    next_cell: int  # where the rolling check of the cells goes on
-    good_age: int  # ticks since the last good shape was kept; more than KEEP_EVERY right after a fault
+    next_cell: int  # with which the rolling check of the cells continues
+    good_age: int  # ticks since the last valid shape was kept; more than KEEP_EVERY right after a fault
     shown: int  # tick in which the nodes outside a modal region were last updated
     region_nodes: int  # nodes in the local region
     region_springs: int
@@ -75,13 +75,13 @@ class Status(Record):
 class Counts(Record):
     """Numbers of events so far; a reset leaves them."""
 
-    faults: int  # times the guard restored the last good state
+    faults: int  # times that the guard restored the last valid shape
     oscillations: int  # times that a step was found too long under load
-    snaps: int  # times that the organ recovered from a false rest shape
+    snaps: int  # recoveries from a false rest shape
     asleep_ticks: int  # ticks that were skipped asleep
     frozen_ticks: int  # ticks that moved only a frozen region
     modal_ticks: int  # ticks that moved a modal region
-    clamped_ticks: int  # ticks in which a wrench was cut to the clamp
+    clamped_ticks: int  # ticks in which a wrench was limited by the clamp
     slips: int  # times that a tool had slipped into the organ and was put back on its surface
     slewed_ticks: int  # ticks in which the rate of a wrench was limited
 
@@ -91,41 +91,41 @@ class BodyStatus(Record):
 
     age: int  # ticks since the newest pose; -1 before the first one
     stamp: int  # ns of the newest pose; 0 where it has none
-    remaining: float  # s until the tool stands at the newest pose
-    speed: float  # m/s, the highest of the poses on the rest of its way
+    remaining: float  # s until the tool reaches the newest pose
+    speed: float  # m/s, largest speed of the poses on the rest of its path
     turning: float  # 1/s, the same for its quaternion
     force_age: int  # ticks since the newest external force; -1 before the first one
     engaged: bool  # it may touch: fresh, and outside the organ when it appeared
     cutting: bool  # it is in tissue with a blade
     held_off: bool  # it appeared inside the organ, and nothing resists it until it has been outside
-    released: bool  # poses stopped: the next one begins a new life, wherever it is
-    placed: bool  # a hand began here, or is resisted here: the body stays while poses pause
-    resisted: bool  # it was when poses stopped: if they resume soon, it is put back on the surface, not held off
-    releases: int  # number of these, of resets and of slips; an older contact set says nothing about where it is
+    released: bool  # poses stopped: the next one may be anywhere, as if it were the first
+    placed: bool  # a hand began here, or is resisted here: the body remains while poses pause
+    resisted: bool  # it was resisted when poses stopped: if they resume soon, it is put back on the surface
+    releases: int  # number of releases, resets and slips; an older contact set doesn't belong to its present place
     pose_sequence: int  # which pose is in use
     force_sequence: int  # which external force is in use
     recent_force: float  # N, the largest of the tissue on it since it slipped, unclamped; it decays
     recent_speed: float  # m/s, the largest of its poses; it decays
-    slips: int  # slips since it touched; the first counts as three unless the body was hasty
-    bearable: float  # N, up to which it presses after three slips; before, it presses more slowly
+    slips: int  # slips since it first touched; the first one counts as three unless the body was fast
+    bearable: float  # N, largest force with which it presses after three slips; before that, it presses more slowly
     outward: Vector  # N, mean recent force of the tissue on it, until it slips: towards the side from which it came
 
 
 class Relaxing(Record):
-    """What tissue that relaxes remembers besides its forces."""
+    """State of tissue that relaxes, besides its forces."""
 
     step: float  # s, of the last substep; 0: the last elastic forces are unknown
-    energy: float  # J, that the unrelaxed forces have received and not given back
+    energy: float  # J that the unrelaxed forces have received and not yet returned
 
 
 class Results(NamedTuple):
-    """Everything that is posted after every tick, with T rigid bodies."""
+    """Results that are posted after every tick, of T rigid bodies."""
 
     status: Status
     count: Counts  # type: ignore[assignment]  # hides the tuple's method, which nobody needs
-    bodies: Records  # (T,) of ToolStatus
-    wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
-    body_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
+    bodies: Records  # (T,) of BodyStatus
+    wrench: Floats  # (T, 6) N and N m about the tool's origin: the haptic output
+    body_pose: Floats  # (T, 7) m and quaternion xyzw: pose of the body
 
 
 class State(NamedTuple):
@@ -136,22 +136,22 @@ class State(NamedTuple):
     shape: Longs  # the words of shape_tick, carried and position
     status: Status
     count: Counts  # type: ignore[assignment]  # hides the tuple's method, which nobody needs
-    bodies: Records  # (T,) of ToolStatus
-    wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
-    body_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
+    bodies: Records  # (T,) of BodyStatus
+    wrench: Floats  # (T, 6) N and N m about the tool's origin: the haptic output
+    body_pose: Floats  # (T, 7) m and quaternion xyzw: pose of the body
     shape_tick: Longs  # (1,) tick of the positions that were posted last
-    carried: Floats  # (3,) m by which breathing has moved the clamp, in whose frame the positions are
+    carried: Floats  # (3,) m, displacement of the clamp by breathing; positions are in the clamp's frame
     position: Floats  # (n, 3) m
     velocity: Floats  # (n, 3) m/s
-    good_position: Floats  # (n, 3) m, a shape that passed the guard, at most KEEP_EVERY ticks old
+    good_position: Floats  # (n, 3) m, last valid shape, at most KEEP_EVERY ticks old
     nodal_force: Floats  # (n, 3) N, for the coming tick
     contact_impulse: Floats  # (n, 3) N s on the tissue in this tick, kept for the modal region
     static_load: Floats  # (n, 3) N that bends the organ outside a modal region: loads, and its springs' forces
-    offset: Floats  # (n, 3) m, error of the reduced organ when the region was made
+    offset: Floats  # (n, 3) m, error of the reduced model when the region was made
     blend: Floats  # (1,) fraction of the offset that is left
     mode_position: Floats  # (m,) sqrt(kg) m
     mode_velocity: Floats  # (m,) sqrt(kg) m/s
-    held_pose: Floats  # (T, 7) where the hand holds it, on its way to the newest pose
+    held_pose: Floats  # (T, 7) pose in which the hand holds it, on its way to the newest pose
     body_goal: Floats  # (T, 7) the newest pose
     body_force: Floats  # (T, 3) N, external force on the tissue at the tool's tip
     unfaded_wrench: Floats  # (T, 6) N and N m, the wrench before it fades with a stale pose
@@ -161,13 +161,13 @@ class State(NamedTuple):
     is_loaded: Longs  # (n,) 1 for those
     prescribed_node: Longs  # (n,) the nodes whose position is prescribed
     is_prescribed: Longs  # (n,) 1 for those
-    prescribed_ticks: Longs  # (n,) until they are there
-    prescribed_from: Floats  # (n, 3) m, where they are, on their way to
-    prescribed_to: Floats  # (n, 3) m
+    prescribed_ticks: Longs  # (n,) until they arrive
+    prescribed_from: Floats  # (n, 3) m, present prescribed positions
+    prescribed_to: Floats  # (n, 3) m, final ones
     is_turned: Longs  # (c,) 1 for cells of the inside that are inverted
     region_hop: Longs  # (n,) 0 loaded, 1, 2 hops away, -1 outside the local region
     blades: Records  # (S,) of BladeSample
-    relaxing: Records  # (1,) of Relaxing; this and what follows is empty of elastic tissue
+    relaxing: Records  # (1,) of Relaxing; for elastic tissue, this field and the next two are empty
     unrelaxed: Floats  # (n, 3) N that relaxes
     last_elastic: Floats  # (n, 3) N, of the last substep
     contacts: ContactSet  # which points may touch
@@ -239,8 +239,8 @@ def make_state(
         "body_goal": (real, (n_bodies, 7)),
         "body_force": (real, (n_bodies, 3)),
         "unfaded_wrench": (real, (n_bodies, 6)),
-        "contact_pressed": (real, (2, MOST_POINTS)),
-        "contact_held": (real, (2, MOST_POINTS, 3)),
+        "contact_pressed": (real, (2, MAX_CONTACT_POINTS)),
+        "contact_held": (real, (2, MAX_CONTACT_POINTS, 3)),
         "loaded_node": (whole, (n,)),
         "is_loaded": (whole, (n,)),
         "prescribed_node": (whole, (n,)),
@@ -267,7 +267,7 @@ def make_state(
 
 
 def state_like(state: State) -> State:
-    """Return a state of zeros, with room for another one's words.
+    """Return a state of zeros of the same size as another one.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def state_like(state: State) -> State:
     return make_state(*sizes, len(state.blades), len(state.relaxing) > 0)
 
 
-# Fields of records that older bags lack, and that are 0 there.
+# Fields of records that older bags don't have; they are 0 then.
 _ADDED = tuple(f"bodies.{name}" for name in ("cutting", "recent_force", "recent_speed", "slips", "bearable", "outward"))
 # Names in bags that were recorded before fields were renamed, by their present names; accepted for one version.
 _RENAMED = {"unfaded_wrench": "felt", "status.oscillating": "shivering", "count.oscillations": "shivers"}
@@ -323,13 +323,13 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
         if header is None or "points" not in (header.dtype.names or ()) or header.size != 1
         else header["points"].item()
     )
-    if not 0 <= points <= MOST_POINTS:
-        raise ValueError(f"its state counts {points} contact points; there is room for {MOST_POINTS}")
+    if not 0 <= points <= MAX_CONTACT_POINTS:
+        raise ValueError(f"its state counts {points} contact points; there is room for {MAX_CONTACT_POINTS}")
     state.contacts.header.points = points
     for name, target in fields_of(state).items():
         found = fields.get(name, fields.get(_RENAMED.get(name, "")))
         if found is None and target.size == 0:
-            continue  # a state from before it had this field
+            continue  # an older state, without this field
         if found is not None and name.startswith("contacts."):
             found = padded(name.removeprefix("contacts."), found)
         if found is None or found.shape != target.shape:

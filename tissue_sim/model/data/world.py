@@ -1,4 +1,4 @@
-"""Everything that a tick works on, as one argument that costs nothing to pass."""
+"""All data of a tick as one argument, which is passed at no cost."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class World(NamedTuple):
 
 
 def make_world(model: Model, state: State, shapes: Shapes, settings: Settings, scratch: Scratch) -> World:
-    """Return everything that a tick works on.
+    """Return the data of a tick as one argument.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Elastic forces of springs and cells, gravity, and how a model is assembled from an organ."""
+"""Elastic forces of springs and cells, gravity, and the assembly of a model from an organ."""

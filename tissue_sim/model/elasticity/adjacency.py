@@ -31,7 +31,7 @@ def adjacency_of(model: Model) -> Adjacency:
 
 
 def with_cell_neighbours(model: Model) -> Model:
-    """Return the model with neighbours along the edges of its cells, so that inner nodes have hop distances, too.
+    """Return the model with neighbours along the edges of its cells, so that interior nodes have hop distances, too.
 
     Parameters
     ----------
@@ -50,12 +50,12 @@ def with_cell_neighbours(model: Model) -> Model:
 
 
 def _links(model: Model) -> int:
-    """Return how many of the links' slots are springs and not filling."""
+    """Return how many of the links' slots are springs, without the padding."""
     return int(np.count_nonzero(model.links.constants[:, BLOCK:]))
 
 
 def _rows(nodes: Ints, real: Longs, n: int) -> tuple[Ints, Ints]:
-    """Return compressed rows node -> slots, of the real ones (r,), in ascending order, of nodes (b, BLOCK, c)."""
+    """Return compressed rows node -> slots, in ascending order, for nodes (b, BLOCK, c) of the slots `real` (r,)."""
     ends = nodes.reshape(-1, nodes.shape[2])[real].astype(np.int64)
     slots = np.repeat(real, ends.shape[1])
     order = np.argsort(ends.ravel(), kind="stable")

@@ -1,4 +1,4 @@
-"""Assembly of an organ and a model variant into the arrays that the kernels run on."""
+"""Assembly of the arrays for the kernels from an organ and a variant of the model."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from tissue_sim.organ.organ import Organ, SpringKind
 from tissue_sim.organ.topology import cell_pieces, tetrahedral_edges
 
 ModelName = Literal["auto", "surface", "volume", "hybrid", "cells"]
-LEAST_CELL = 0.05  # of the mean cell's volume, below which the sign of a cell's volume means nothing
-# Fraction of the rest area below which a pair of triangles counts as collapsed. Its normal turns as 1 / area: with 0.1
-# the largest frequency of a pressed organ was up to three times that at rest, with 0.6 it is the same.
+LEAST_CELL = 0.05  # of the mean cell's volume, below which the sign of a cell's volume is unreliable
+# Fraction of the rest area below which a pair of triangles counts as collapsed. Its normal rotates in proportion to
+# 1 / area: with 0.1 the largest frequency of a pressed organ was up to three times that at rest, with 0.6 it is equal.
 LEAST_AREA = 0.6
 MODEL_NAMES: tuple[str, ...] = get_args(ModelName)
 
@@ -44,7 +44,7 @@ NO_REDUCTION = Reduction(
 
 
 def free_nodes(organ: Organ) -> Longs:
-    """Return 1 for each node (n,) of a piece that was cut off and has no fixed node; (0,) where no piece is free.
+    """Return 1 for each node (n,) of a piece that was cut off and has no fixed node; (0,) if no piece is free.
 
     Parameters
     ----------
@@ -67,24 +67,24 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
 
     `surface` has edge, angular and return springs of the surface alone (equation 1); `volume` a spring on every edge of
     a tetrahedral mesh of the surface nodes and interior points; `hybrid` the surface with spokes, virtual springs and
-    skeleton (section 3.3). `cells` has linear tetrahedra between the nodes in place of springs. Nodes that a variant
-    doesn't use stay at rest.
+    skeleton (section 3.3). `cells` has linear tetrahedra between the nodes instead of springs. Nodes that a variant
+    doesn't use remain at rest.
 
     Parameters
     ----------
     organ : Organ
         The organ.
     model : str, optional
-        One of MODEL_NAMES; `auto` for the variant that the organ was made for.
+        One of MODEL_NAMES; `auto` for the variant for which the organ was made.
     shape_gravity : ArrayLike, shape (3,), m/s^2, optional
-        Gravity under which the organ's shape was taken. Cells get the shape that they would have without it; springs
-        keep theirs.
+        Gravity under which the organ has its shape. The unloaded shape of cells is computed from it; springs keep their
+        shape.
 
     Raises
     ------
     UserError
-        For an unknown variant, `volume` on an organ without interior points, `cells` on one without cells, springs on
-        one that was cut, and where the tissue is too soft for shape_gravity.
+        For an unknown variant, `volume` for an organ without interior points, `cells` for one without cells, springs
+        for one that was cut, and tissue that is too soft for shape_gravity.
 
     References
     ----------
@@ -121,13 +121,13 @@ def assemble(organ: Organ, model: str = "auto", shape_gravity: ArrayLike = (0.0,
         length, stiffness = organ.spring_rest_length[kept], organ.spring_stiffness[kept]
     used = np.zeros(n, dtype=bool)
     used[(organ.cell_nodes if by_cells else nodes).ravel()] = True
-    # The mass of nodes that a variant leaves out goes to those that it keeps.
+    # The mass of nodes that a variant leaves out is added to those that it keeps.
     scale = mass.sum() / mass[used].sum()
     moving = used.copy()
     moving[organ.fixed] = False
     inverse_mass = np.where(moving, 1.0 / (mass * scale), 0.0)
 
-    # A part without stiffness is off, and costs nothing.
+    # A component without stiffness is left out, and costs nothing.
     on = stiffness > 0.0
     nodes, length, stiffness = nodes[on], length[on], stiffness[on]
     bending = (organ.angular_stiffness > 0.0) & (model in ("surface", "hybrid"))
@@ -196,7 +196,7 @@ def _tissue_of(organ: Organ, rest: Floats) -> Tissue:
 
 
 def _quickness(organ: Organ, inverse_mass: Floats) -> Floats:
-    """Return the stiffness of the cells around each node over its mass (n,), over the largest of all."""
+    """Return the ratio of the cells' stiffness to the mass at each node (n,), relative to the largest ratio."""
     slope, volume = shapes_of(organ.rest_positions, organ.cell_nodes)
     stiff = np.einsum("cax,cax->ca", slope, slope) * (volume * (4.0 * organ.cell_mu + organ.cell_lambda))[:, None]
     rate: Floats = np.bincount(organ.cell_nodes.ravel(), stiff.ravel(), organ.n_nodes) * inverse_mass
@@ -210,7 +210,7 @@ def _relaxation_of(organ: Organ) -> Floats:
 
 
 def _bearing(model: Model, cells: Ints, law: Law) -> Model:
-    """Return the model whose cells push as those of the unloaded shape, and whose nodes bear their weight at rest."""
+    """Return the model with cells of the unloaded shape, whose nodes bear their weight in the rest shape."""
     free = model.inverse_mass > 0.0
     weight = np.zeros_like(model.rest)
     weight[free] = model.shape_gravity / model.inverse_mass[free, None]
@@ -224,7 +224,7 @@ def _bearing(model: Model, cells: Ints, law: Law) -> Model:
 
 
 def model_of(organ: Organ) -> ModelName:
-    """Return the variant that an organ was made for: cells where it has them, or else hybrid.
+    """Return the variant for which an organ was made: cells if it has them, otherwise hybrid.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def _real_cells(organ: Organ) -> tuple[Ints, Floats]:
 def _cells(organ: Organ) -> tuple[Ints, Floats]:
     """Return tetrahedra (c, 4) of every triangle and its nearest medial atom, of positive volume (c,) m^3 at rest.
 
-    A cell that the surface folds over at rest is left out.
+    Cells over which the surface folds at rest are left out.
     """
     x, triangles = organ.rest_positions, organ.surface_triangles
     if organ.n_atoms == 0:
@@ -315,7 +315,7 @@ def _cotangent(a: Floats, b: Floats) -> Floats:
 def _volume_springs(organ: Organ, rest: Floats) -> tuple[Ints, Floats, Floats]:
     """Return springs on the edges of a tetrahedral mesh, k = E sum(V)/l^2 (Van Gelder 1998).
 
-    These are Delaunay tetrahedra whose centroid lies inside the surface; surface edges that they miss are added with
+    These are Delaunay tetrahedra with their centroid inside the surface; surface edges that they lack are added with
     the stiffness of the hybrid model's edge springs.
     """
     if organ.n_nodes == organ.n_surface:

@@ -1,7 +1,7 @@
 """Cell groups of the whole organ: three cells around an edge, each sharing a face with the next.
 
-Three separate cells read and push twelve nodes, a group of them six; the common parts of their energies are one
-quadratic form. Nodes of a group: two at the ends of the edge, then four around it.
+Three separate cells read and write twelve nodes, a group of them six; the common parts of their energies are one
+quadratic form. The nodes of a group are two at the ends of the edge, then four around it.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from tissue_sim.model.elasticity.vectors import WIDTH, fused, gather_group, put_
 from tissue_sim.model.elasticity.volumes import triple_product
 
 CELLS = 3  # in a group
-ARMS = 5  # from its first node to the others
+ARMS = 5  # vectors from its first node to the others
 # Arms of each cell, and pairs of arms in one cell: rows of the quadratic form, as the kernel reads them.
 CORNERS = ((0, 1, 2), (0, 2, 3), (0, 3, 4))
 PAIRS = ((0, 0), (1, 1), (2, 2), (3, 3), (4, 4), (0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4))
-# Rows of the first cell: 1 / (6 V), lambda / 12, mu / 6 and the penalty by six; the others' follow.
+# Rows of the first cell: 1 / (6 V), lambda / 12, mu / 6 and a sixth of the penalty; those of the others follow.
 OWN, OWN_ROWS = len(PAIRS), 4
 CONSTANTS = OWN + CELLS * OWN_ROWS
 # Rows of the buffer: arms and volumes over those at rest; of groups that stiffen the exponent, its factor and 3 ARMS.
@@ -97,9 +97,9 @@ def set_penalty(groups: CellGroups, penalty: Floats) -> None:
 
 
 def paths(rest: Floats, cells: Longs) -> Longs:
-    """Return the cells (f, CELLS) of groups: each in one, the middle one always present, -1 for a missing one.
+    """Return the cells (f, CELLS) of groups: each cell in one, the middle one always present, -1 for a missing one.
 
-    The search is greedy, from cells with the fewest free neighbours, so that hardly any is left alone.
+    The search is greedy, from cells with the fewest free neighbours, so that hardly any remains single.
     """
     neighbours = _neighbours(rest, cells)
     count = len(cells)
@@ -110,7 +110,7 @@ def paths(rest: Floats, cells: Longs) -> Longs:
 
 
 def _neighbours(rest: Floats, cells: Longs) -> Longs:
-    """Return cells (c, 4) across the face opposite to each node; -1 without one, or where both are on one side."""
+    """Return cells (c, 4) across the face opposite to each node; -1 if there is none, or if both are on one side."""
     faces = np.sort(np.stack([np.delete(cells, corner, axis=1) for corner in range(4)], axis=1), axis=2).reshape(-1, 3)
     key = (faces[:, 0] * len(rest) + faces[:, 1]) * len(rest) + faces[:, 2]
     _, face, shared = np.unique(key, return_inverse=True, return_counts=True)
@@ -165,7 +165,7 @@ def _follow(neighbours: Longs, free: Longs, waiting: Longs, waits: Longs, found:
 
 @kernel
 def _take(neighbours: Longs, free: Longs, waiting: Longs, waits: Longs, cell: int) -> None:
-    """Take a cell; its free neighbours have one less."""
+    """Mark a cell as used, and reduce the number of free neighbours of its neighbours."""
     free[cell] = -1
     for side in range(4):
         other = neighbours[cell, side]
@@ -177,7 +177,7 @@ def _take(neighbours: Longs, free: Longs, waiting: Longs, waits: Longs, cell: in
 
 @kernel
 def _freest(neighbours: Longs, free: Longs, cell: int) -> int:
-    """Return the free neighbour of a cell that has the fewest free ones itself; -1 when none is free."""
+    """Return the free neighbour of a cell that has the fewest free neighbours itself; -1 if none is free."""
     best, least = -1, 5
     for side in range(4):
         other = neighbours[cell, side]
@@ -187,7 +187,7 @@ def _freest(neighbours: Longs, free: Longs, cell: int) -> int:
 
 
 def _nodes_of(rest: Floats, cells: Longs, members: Longs) -> Longs:
-    """Return nodes (f, 6) of groups (f, CELLS). A missing cell gets the nodes of the middle one, turned."""
+    """Return nodes (f, 6) of groups (f, CELLS). A missing cell gets the nodes of the middle one, reordered."""
     middle = cells[members[:, 1]]
     apex, opposite = [], []
     for other in (members[:, 0], members[:, 2]):
@@ -196,7 +196,7 @@ def _nodes_of(rest: Floats, cells: Longs, members: Longs) -> Longs:
         apex.append(np.take_along_axis(quad, np.argmin(same.any(axis=2), axis=1)[:, None], axis=1)[:, 0])
         opposite.append(np.where(other >= 0, np.argmin(same.any(axis=1), axis=1), -1))
     before, after = opposite
-    # Without a neighbour there, any remaining face is used.
+    # If there is no neighbour there, any remaining face is used.
     before = np.where(before >= 0, before, np.where(after == 0, 1, 0))
     after = np.where(after >= 0, after, np.where(before == 0, 1, 0))
     rest_of = np.ones(middle.shape, dtype=bool)
@@ -218,7 +218,7 @@ def _order(points: Floats) -> Longs:
 
 
 def _apart(count: int) -> Longs:
-    """Return an order in which consecutive groups share no nodes, as a processor would wait for the earlier sum."""
+    """Return an order in which consecutive groups share no nodes, as the processor would wait for the earlier sum."""
     size = CHUNK * BLOCK
     chunks = [np.arange(first, min(first + size, count)) for first in range(0, count, size)]
     return np.concatenate([chunk.reshape(BLOCK, -1).T.ravel() for chunk in chunks])
@@ -281,10 +281,10 @@ def _push_stiffening(tissue: Tissue) -> int:
 
 @kernel
 def _resist(work: Floats, constant: Floats) -> int:
-    """Turn the arms of a block of groups into the forces of its last five nodes on the first.
+    """Replace the arms of a block of groups by the forces of their last five nodes on the first.
 
-    The number of stiff cells is returned. e is along the edge, a to d around it. The cells' volume ratios stay in the
-    last rows of work.
+    Returns the number of stiff cells. e is along the edge, a to d are around it. The last rows of work contain the
+    cells' volume ratios afterwards.
     """
     stiff = 0
     for c in range(BLOCK):
@@ -336,9 +336,9 @@ def _resist(work: Floats, constant: Floats) -> int:
 
 @kernel
 def _list_compressed(work: Floats, constant: Floats, block: int, listed: Longs, count: int) -> int:
-    """Add the compressed cells of a block with a stiff one to those listed; return how many there are now.
+    """Append the compressed cells of a block with a stiff one to the list; return the new count.
 
-    Filling is left out.
+    Padding is left out.
     """
     for c in range(BLOCK):
         for which in range(CELLS):

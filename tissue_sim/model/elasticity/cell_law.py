@@ -1,9 +1,9 @@
-"""Law of a cell: a compressible neo-Hookean solid, whose pressure is bounded where a cell is nearly flat.
+"""Law of a cell: a compressible neo-Hookean solid, whose pressure is bounded if a cell is nearly flat.
 
 Energy of a cell of volume V at rest, F its deformation gradient, J = det F (Simo & Pister 1984's volumetric part): V
 (mu/2 (F:F - 3 - 2 ln J) + lambda/4 (J^2 - 1 - 2 ln J)), whose pressure needs no logarithm. A cell that is nearly flat
-would move too far in any step, however short: under STEEPEST of its volume the pressure continues in a straight line,
-and under COMPRESSED a penalty is added, as stiff as the masses of its nodes allow.
+would move too far in a step of any length: below STEEPEST of its volume the pressure continues linearly, and below
+COMPRESSED a penalty is added, as stiff as the masses of its nodes allow.
 """
 
 from __future__ import annotations
@@ -18,9 +18,7 @@ STIFF = 0.6  # of the volume at rest, below which a cell needs shorter substeps 
 
 @kernel
 def pressure_of(volume: float, bulk: float, shear: float, penalty: float) -> float:
-    """Return the derivative of a cell's energy by its volume over six, without mu/2 F:F.
-
-    bulk lambda / 12, shear mu / 6, penalty by six: Pa.
+    """Return a sixth of the derivative of a cell's energy by its volume, without mu/2 F:F.
 
     Parameters
     ----------
@@ -31,7 +29,7 @@ def pressure_of(volume: float, bulk: float, shear: float, penalty: float) -> flo
     shear : float, Pa
         mu / 6.
     penalty : float, Pa
-        Penalty over six.
+        A sixth of the penalty.
 
     Returns
     -------

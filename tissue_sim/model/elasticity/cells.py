@@ -1,6 +1,6 @@
 """Cells: linear tetrahedra of a compressible neo-Hookean solid (cell_law), each with its own stiffness.
 
-Those of the whole organ are evaluated in cell groups, those of a local region one by one.
+Cells of the whole organ are evaluated in cell groups, those of a local region one by one.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from tissue_sim.model.elasticity.stiffening import stiffening_energy
 from tissue_sim.model.elasticity.vectors import ROW, WIDTH, fused, gather_arms, put_node, scatter_arms
 from tissue_sim.model.elasticity.volumes import triple_product
 
-# Squared frequency of one cell's penalty over the largest at rest. With 1 the step is too long for several compressed
-# cells together, with 0.1 cells are inverted (measured under a pinch).
+# Ratio of the squared frequency of one cell's penalty to the largest at rest. With 1 the step is too long for several
+# compressed cells together, with 0.1 cells are inverted (measured under a pinch).
 PENALTY = 0.3
 CONSTANTS = 10
 SLOPES = 20  # constants of a cell that is linear about rest
 
 
 def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats, stiffening: float = 0.0) -> Tissue:
-    """Return cells as kernels read them; the penalty is left out, see `with_penalty`.
+    """Return cells in blocks for the kernels, without the penalty; see `with_penalty`.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats, stiffening: fl
         constants[:, row] = metric[:, a, b]
     constants[:, 6] = 1.0 / (6.0 * volume)
     constants[:, 7], constants[:, 8] = lam / 12.0, mu / 6.0
-    # The filling is the first cell without stiffness: it has a volume, so that it isn't taken for a compressed one.
+    # The padding is the first cell without stiffness: it has a volume, so that it doesn't count as compressed.
     spare = -len(cells) % BLOCK
     filling = np.zeros((spare, CONSTANTS))
     filling[:, 6] = constants[0, 6]
@@ -109,7 +109,7 @@ def penalty_of(rest: Floats, cells: Ints, inverse_mass: Floats, frequency: float
     Floats, shape (c,), J/m^3
         Penalty.
     """
-    slope, volume = shapes_of(rest, cells)  # slopes of J by each node, too
+    slope, volume = shapes_of(rest, cells)  # these are also the gradients of J by each node
     give = np.einsum("cnx,cnx,cn->c", slope, slope, inverse_mass[cells])  # of J to an impulse, 1/(m^2 kg)
     penalty = np.zeros(len(cells))
     free = give > 0.0
@@ -143,7 +143,7 @@ def _pull(s: float, j: float, t: float, k: float, u: float, m: float, pressure: 
 
 @kernel
 def _resist(work: Floats, constant: Floats) -> int:
-    """Turn the arms of a block into the forces of its last three nodes on the first; return how many are stiff."""
+    """Replace the arms of a block by the forces of the last three nodes on the first; return how many are stiff."""
     stiff = 0
     for c in range(BLOCK):
         jx, jy, jz = work[c], work[BLOCK + c], work[2 * BLOCK + c]
@@ -171,14 +171,14 @@ def _resist(work: Floats, constant: Floats) -> int:
 
 @kernel
 def _spread(position: Floats, among: Ints, tissue: Tissue) -> None:
-    """Put the positions of nodes among (k,) where blocks are gathered from, and clear where they are scattered to."""
+    """Write the positions of nodes among (k,) to the rows from which blocks are gathered, and clear their forces."""
     for index in range(len(among)):
         put_node(position, among[index], tissue.rows)
 
 
 @kernel
 def _add_scattered(tissue: Tissue, among: Ints, fraction: float, force: Floats) -> None:
-    """Add a fraction of what was scattered to nodes among (k,) to force (n, 3) N."""
+    """Add a fraction of the forces scattered to nodes among (k,) to force (n, 3) N."""
     for index in range(len(among)):
         node = among[index]
         for axis in range(3):
@@ -222,7 +222,7 @@ def cell_forces_among(
 def subtract_linear_cells(
     position: Floats, among: Ints, nodes: Ints, slopes: Floats, tissue: Tissue, work: Floats, force: Floats
 ) -> None:
-    """Subtract the forces of some of the cells if they were linear about rest.
+    """Subtract the forces that some of the cells would have if they were linear about rest.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def subtract_linear_cells(
 
 @kernel
 def _resist_linearly(work: Floats, slope: Floats) -> None:
-    """Turn the arms of a block into the forces of its last three nodes on the first, by Hooke's law."""
+    """Replace the arms of a block by the forces of the last three nodes on the first, by Hooke's law."""
     for c in range(BLOCK):
         jx, jy, jz = work[c] - slope[c], work[BLOCK + c] - slope[BLOCK + c], work[2 * BLOCK + c] - slope[2 * BLOCK + c]
         kx, ky = work[3 * BLOCK + c] - slope[3 * BLOCK + c], work[4 * BLOCK + c] - slope[4 * BLOCK + c]
@@ -310,7 +310,7 @@ def _rows_of(tissue: Tissue) -> Floats:
 
 
 def slots_of(tissue: Tissue) -> Longs:
-    """Return the slots in the blocks that hold a cell, in ascending order; the others are filling.
+    """Return the slots in the blocks that contain a cell, in ascending order; the others are padding.
 
     Parameters
     ----------
@@ -345,7 +345,7 @@ def cells_of(tissue: Tissue) -> tuple[Ints, Floats, Floats]:
 
 
 def swelling(model: Model, position: Floats) -> Floats:
-    """Return the volume over that at rest of every cell that the guard checks; below 0 it is inverted.
+    """Return the volume ratio of every cell that the guard checks; it is negative for inverted cells.
 
     Parameters
     ----------
@@ -365,9 +365,10 @@ def swelling(model: Model, position: Floats) -> Floats:
 
 
 def strain_rows(rest: Floats, cells: Ints | Longs) -> tuple[csc_array, Longs]:
-    """Return the strains of cells about rest as a matrix, of which each modulus weighs the squares.
+    """Return the strains of cells about rest as a matrix; the energy is the sum of their squares times the moduli.
 
-    Rows are in the root of m^3: for mu the strains times the root of two and the shear angles, for lambda the swelling.
+    Rows are in the root of m^3: for mu the strains times the root of two and the shear angles, for lambda the change of
+    volume.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ class Energy(NamedTuple):
     """Kinetic and elastic energy, J."""
 
     kinetic: float
-    elastic: float  # of springs, angular springs and return springs, or of cells; 0 without load
+    elastic: float  # of springs, angular springs and return springs, or of cells; 0 at rest without load
 
     @property
     def total(self) -> float:

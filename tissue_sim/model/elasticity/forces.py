@@ -1,7 +1,7 @@
 """Forces of the hybrid elastic model, added to `force` (n, 3) N at `position` (n, 3) m.
 
-Springs come in blocks of equal length, constants in rows (see blocks): what a block needs is gathered, computed and
-scattered in three short loops, the middle one of which the compiler vectorises to four springs at a time.
+Springs are in blocks of equal length, with constants in rows (see blocks): the data of a block is gathered, processed
+and scattered in three short loops, the middle one of which the compiler vectorises to four springs at a time.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from tissue_sim.model.data.blocks import BLOCK
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.elasticity.cell_groups import cell_forces
 
-# Of its rest length, below which a spring's push decreases to zero where its ends meet. Equation (1) alone reverses
-# there by twice its largest force: no step is short enough for that, and energy is created.
+# Fraction of a spring's rest length below which its force decreases to zero, where its ends meet. With equation (1)
+# alone it reverses there by twice its largest value: no step is short enough for that, and energy is created.
 SHORTEST = 0.2
 
 
 @kernel
 def stored(stretch: float) -> float:
-    """Return the energy of a spring, the integral of spring_forces.
+    """Return the energy of a spring, the integral of its force in spring_forces.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def stored(stretch: float) -> float:
     """
     strain = max(stretch, SHORTEST) - 1.0
     total = 0.5 * strain * strain
-    if stretch < SHORTEST:  # there the push is proportional to the length
+    if stretch < SHORTEST:  # there the force is proportional to the length
         total -= 0.5 * (1.0 / SHORTEST - 1.0) * (stretch * stretch - SHORTEST * SHORTEST)
     return total
 
@@ -45,7 +45,7 @@ def stored(stretch: float) -> float:
 def spring_forces(position: Floats, nodes: Ints, constants: Floats, work: Floats, force: Floats) -> None:
     """Add axial springs, equation (1): f = k (l - l0) along the spring, geometrically nonlinear.
 
-    The length counts at least as SHORTEST l0.
+    Shorter lengths count as SHORTEST l0.
 
     Parameters
     ----------
@@ -102,9 +102,9 @@ def edge_forces(position: Floats, nodes: Ints, constants: Floats, work: Floats, 
 
     Angular springs have the energy k/2 (s - s0)^2. s = n.(w_i x_i + w_j x_j + w_k x_k + w_l x_l), n the unit normal of
     the pair, is the edge's length times the angle between the triangles to first order, signed: positive where convex.
-    Its stiffness stays what it is at rest when triangles are compressed; that of an angle grows without bound and makes
-    any step too long. A spring on the cosine between two arms (Nedel & Thalmann 1998) has hardly a gradient where the
-    surface is flat.
+    Its stiffness remains that at rest when triangles are compressed; that of a spring on the angle grows without bound,
+    which makes any step too long. A spring on the cosine between two arms (Nedel & Thalmann 1998) has hardly any
+    gradient where the surface is flat.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def _gather_arms(position: Floats, ends: Ints, work: Floats) -> None:
 
 @kernel
 def _bend_and_stretch(work: Floats, constant: Floats) -> None:
-    """Turn the arms of a block into the forces on j, k and l."""
+    """Replace the arms of a block by the forces on j, k and l."""
     for e in range(BLOCK):
         ex, ey, ez = work[e], work[BLOCK + e], work[2 * BLOCK + e]
         kx, ky, kz = work[3 * BLOCK + e], work[4 * BLOCK + e], work[5 * BLOCK + e]
@@ -167,7 +167,7 @@ def _bend_and_stretch(work: Floats, constant: Floats) -> None:
         nx, ny, nz = nx * inverse, ny * inverse, nz * inverse
         bent = bx * nx + by * ny + bz * nz
         push = -constant[4 * BLOCK + e] * (bent - constant[3 * BLOCK + e])
-        # Turning of the normal; a collapsed pair has none, and only the length of n counts there.
+        # Rotation of the normal; it is left out for a collapsed pair, of which only the length of n counts.
         along = bent if square > least else 0.0
         turn = push * inverse
         gx, gy, gz = (bx - along * nx) * turn, (by - along * ny) * turn, (bz - along * nz) * turn
@@ -211,10 +211,7 @@ def _scatter_arms(work: Floats, ends: Ints, force: Floats) -> None:
 
 @kernel
 def subtract_linear_springs(position: Floats, nodes: Ints, slopes: Floats, work: Floats, force: Floats) -> None:
-    """Subtract the forces of axial springs if they were linear about rest.
-
-    nodes (b, BLOCK, 2); slopes (b, 6 BLOCK): from the first to the second node at rest, m, and the unit vector that way
-    times the root of the stiffness.
+    """Subtract the forces that axial springs would have if they were linear about rest.
 
     Parameters
     ----------
@@ -243,10 +240,7 @@ def subtract_linear_springs(position: Floats, nodes: Ints, slopes: Floats, work:
 
 @kernel
 def subtract_linear_edges(position: Floats, nodes: Ints, slopes: Floats, work: Floats, force: Floats) -> None:
-    """Subtract the forces of edges between two triangles if their springs were linear about rest.
-
-    nodes (b, BLOCK, 4); slopes (b, 21 BLOCK): arms from node i to j, k, l at rest, m, the gradient of the curvature for
-    j, k, l and the unit vector from i to j, these times the root of their stiffness.
+    """Subtract the forces that edges between two triangles would have if their springs were linear about rest.
 
     Parameters
     ----------
@@ -256,7 +250,7 @@ def subtract_linear_edges(position: Floats, nodes: Ints, slopes: Floats, work: F
         Edge i, j and the opposite corners k, l.
     slopes : Floats, shape (b, 21 BLOCK)
         Arms from node i to j, k, l at rest, m, the gradient of the curvature for j, k, l and the unit vector from i to
-        j, these times the root of their stiffness.
+        j; the latter two are multiplied by the root of their stiffness.
     work : Floats, shape (9 BLOCK,)
         Buffer.
     force : Floats, shape (n, 3), N
@@ -271,7 +265,7 @@ def subtract_linear_edges(position: Floats, nodes: Ints, slopes: Floats, work: F
 
 @kernel
 def _bend_and_stretch_linearly(work: Floats, slope: Floats) -> None:
-    """Turn the arms of a block into the opposite of the linear forces on j, k and l."""
+    """Replace the arms of a block by the opposite of the linear forces on j, k and l."""
     for e in range(BLOCK):
         jx, jy, jz = work[e] - slope[e], work[BLOCK + e] - slope[BLOCK + e], work[2 * BLOCK + e] - slope[2 * BLOCK + e]
         kx, ky = work[3 * BLOCK + e] - slope[3 * BLOCK + e], work[4 * BLOCK + e] - slope[4 * BLOCK + e]
@@ -297,8 +291,6 @@ def _bend_and_stretch_linearly(work: Floats, slope: Floats) -> None:
 def return_forces(position: Floats, rest: Floats, nodes: Ints, stiffness: Floats, force: Floats) -> None:
     """Add return springs of zero rest length towards the rest position: f = k (x0 - x).
 
-    nodes (r,) the nodes that have one; rest (n, 3) m; stiffness (n,) N/m.
-
     Parameters
     ----------
     position : Floats, shape (n, 3), m
@@ -306,7 +298,7 @@ def return_forces(position: Floats, rest: Floats, nodes: Ints, stiffness: Floats
     rest : Floats, shape (n, 3), m
         Positions of the nodes at rest.
     nodes : Ints, shape (r,)
-        Nodes that have one.
+        Nodes that have a return spring.
     stiffness : Floats, shape (n,), N/m
         Stiffness at every node.
     force : Floats, shape (n, 3), N

@@ -1,4 +1,4 @@
-"""The largest frequency of the assembled model, which the critical step depends on."""
+"""The largest frequency of the assembled model, on which the critical step depends."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from tissue_sim.model.elasticity.forces import elastic_forces
 def largest_frequency(model: Model, iterations: int = 200, tolerance: float = 1e-4) -> float:
     """Return the largest angular frequency of the model about its rest shape.
 
-    Power iteration on M^-1 K; K v is the central difference of the force kernels, so every kind of spring counts
-    without being assembled a second time.
+    Power iteration on M^-1 K; K v is the central difference of the force kernels, so all kinds of springs are included
+    without a second assembly.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def largest_frequency(model: Model, iterations: int = 200, tolerance: float = 1e
 
 
 def _dot(one: Floats, other: Floats) -> float:
-    """Return the sum of products, without BLAS, whose rounding depends on the processor, which a replay must not."""
+    """Return the sum of products, without BLAS, whose rounding depends on the processor, unlike a replay."""
     return float((one * other).sum())
 
 

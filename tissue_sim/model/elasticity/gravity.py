@@ -1,4 +1,4 @@
-"""Gravity: the weight of every node, and the part of it that the organ's own shape bears already.
+"""Gravity: the weight of every node, and the part of it that is in equilibrium in the organ's rest shape.
 
 An organ is scanned, or measured, under gravity, so its shape is in equilibrium with it: `Model.borne` is the force on
 every node that balances the forces of the tissue of the unloaded shape (`unloaded`). The shape changes by the
@@ -22,14 +22,14 @@ MOST_GRAVITY = 100.0  # m/s^2
 
 @kernel
 def excess(model: Model, settings: Settings) -> tuple[float, float, float]:
-    """Return gravity minus that which the organ's shape bears, m/s^2."""
+    """Return gravity minus that under which the organ has its rest shape, m/s^2."""
     borne = model.shape_gravity
     return settings.gravity_x - borne[0], settings.gravity_y - borne[1], settings.gravity_z - borne[2]
 
 
 @kernel
 def is_heavy(model: Model, settings: Settings) -> bool:
-    """Return whether nodes have a weight to add, or the organ's equilibrium differs from its unloaded shape.
+    """Return whether nodes have weight, or the organ's equilibrium differs from its unloaded shape.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def write_masses(model: Model, mass: Floats) -> None:
 
 @kernel
 def add_weight(model: Model, settings: Settings, mass: Floats, force: Floats) -> None:
-    """Add the nodes' weight; at rest in equilibrium the sum of forces is zero to the last bit.
+    """Add the nodes' weight; in equilibrium at rest the sum of forces is exactly zero.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def add_weight(model: Model, settings: Settings, mass: Floats, force: Floats) ->
     settings : Settings
         Settings of the simulation.
     mass : Floats, shape (n,), kg
-        Masses, see write_masses: a division for each node would take longer than all the rest.
+        Masses, see write_masses: a division for each node would take longer than the rest of the function.
     force : Floats, shape (n, 3), N
         Forces on the nodes; updated.
     """
@@ -113,7 +113,7 @@ def acceleration_of(given: ArrayLike, name: str) -> Floats:
     Raises
     ------
     UserError
-        When it is not three finite numbers of at most MOST_GRAVITY together.
+        If it is not three finite numbers with a norm of at most MOST_GRAVITY.
     """
     values = floats_of(given)
     if values.shape != (3,) or not np.all(np.isfinite(values)) or np.linalg.norm(values) > MOST_GRAVITY:

@@ -10,13 +10,13 @@ from scipy.sparse.csgraph import dijkstra
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.elasticity.assembly import NO_HOPS
 
-LARGEST_TABLE = 4096  # surface nodes: 16 MiB; above it the region is searched on demand
+LARGEST_TABLE = 4096  # surface nodes: 16 MiB; for more nodes the region is searched on demand
 _ROWS = 256
 _FAR = np.iinfo(np.uint8).max  # this many hops or more
 
 
 def hop_table(model: Model, largest: int = LARGEST_TABLE) -> NDArray[np.uint8]:
-    """Return the hops between every two surface nodes over triangle edges; every edge counts as one.
+    """Return the number of hops between every two surface nodes along triangle edges; every edge counts as one.
 
     Dijkstra's algorithm, as in the paper.
 

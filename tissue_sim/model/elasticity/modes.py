@@ -15,7 +15,7 @@ from tissue_sim.model.data.model import Model
 from tissue_sim.model.elasticity.cells import cells_of, strain_rows
 from tissue_sim.model.elasticity.diagonal import diagonal
 
-N_MODES = 144  # a third as many triples the error of the region's surroundings
+N_MODES = 144  # with a third of them, the error of the region's surroundings is three times as large
 _RIGID = 1e-9  # square of a frequency over the largest diagonal, below which it counts as 0
 
 
@@ -43,7 +43,7 @@ def free_axes(model: Model) -> NDArray[np.int64]:
 
 
 def stiffness_matrix(model: Model) -> csc_array:
-    """Return the tangent stiffness at rest, where nothing carries a force.
+    """Return the tangent stiffness at rest without forces.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class Strains(NamedTuple):
     """Strains of springs or cells about rest: the energy is the sum of stiffness[owner] strain^2 / 2."""
 
     rows: csc_array  # (s, 3n) of the nodes' coordinates
-    owner: Longs  # (s,) which stiffness weighs each
+    owner: Longs  # (s,) index of the stiffness of each
     stiffness: Floats  # (p,) axial, angular, return springs, N/m; or mu of every cell, then lambda, Pa
 
 
@@ -102,23 +102,23 @@ def lowest_modes(model: Model, count: int = N_MODES) -> Modes:
     model : Model
         Constants of the model.
     count : int, optional
-        Number of modes; fewer when the model has fewer.
+        Number of modes; fewer if the model has fewer.
 
     Raises
     ------
     UserError
-        Where the organ can move as a whole without any force.
+        If the organ can move as a whole without any force.
     """
     n, moving, free = len(model.rest), model.moving, free_axes(model)
     count = min(count, len(free) - 2)
     if count < 1:
         return Modes(np.zeros(0), np.zeros((n, 3, 0)))
-    # Scaled by the root of the mass, the problem is an ordinary symmetric one.
+    # With coordinates scaled by the root of the mass, this is a standard symmetric eigenvalue problem.
     root = diagonal(np.repeat(np.sqrt(model.inverse_mass[moving]), 3))
     scaled = (root @ stiffness_matrix(model)[free][:, free] @ root).tocsc()
     start = np.random.default_rng(0).standard_normal(len(free))
     try:
-        # An ordering that uses the symmetry fills half as much as SciPy's own: a third of the time at 16,000 points.
+        # An ordering that uses the symmetry has half the fill-in of SciPy's own: a third of the time at 16,000 points.
         factor = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         solve = LinearOperator(scaled.shape, factor.solve, dtype=np.float64)
         square, vectors = eigsh(scaled, k=count, sigma=0.0, v0=start, OPinv=solve)

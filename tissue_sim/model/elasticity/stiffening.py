@@ -6,10 +6,10 @@ of volume alone. At constant volume this is the energy M/(2b) (exp(b (I1 - 3)) -
 Fung's. Its second derivative is 0 at rest, so that frequencies, modes and the compliance about rest are those of
 neo-Hookean cells. In the kernel 3 J^(2/3) is a parabola, within 0.0014 from J = 0.8 to 1.2.
 
-The exponent stops at MOST: a group that is distorted further continues as a neo-Hookean one that is exp(MOST) times as
-stiff. Otherwise no substep would be short enough. From which exponent on a group needs shorter substeps depends on its
-nodes: where masses are large or cells soft, they vibrate so slowly at rest that they may stiffen before they become the
-fastest ones.
+The exponent is limited to MOST: a group that is distorted further continues as a neo-Hookean one that is exp(MOST)
+times as stiff. Otherwise no substep would be short enough. The exponent from which a group needs shorter substeps
+depends on its nodes: if masses are large or cells soft, they vibrate so slowly at rest that they may stiffen before
+they become the fastest ones.
 
 References
 ----------
@@ -35,18 +35,18 @@ from tissue_sim.model.elasticity.vectors import fused
 # which on substeps must be half and a quarter as long.
 ROWS = 6
 MOST = 3.0  # largest exponent b z
-# Growth of a group's squared frequency is 1 + GROWTH (4 y exp(y) + exp(y) - 1); the bracket is that of its stiffness in
-# shear, in the direction of the strain, and GROWTH is measured on bars and balls that were strained as a whole.
+# The squared frequency of a group grows by the factor 1 + GROWTH (4 y exp(y) + exp(y) - 1); the bracket is the growth
+# of its stiffness in shear, in the direction of the strain. GROWTH was measured on bars and balls under uniform strain.
 GROWTH = 0.03
-ALLOWED = (1.15, 3.6)  # times the largest squared frequency at rest, in steps as at rest, and half as long
-# Rows of a group's constants as cell_groups stores them: of each cell 1 / (6 V), and mu / 6.
+ALLOWED = (1.15, 3.6)  # times the largest squared frequency at rest: in steps as at rest, and in steps half as long
+# Rows of a group's constants in cell_groups: 1 / (6 V) and mu / 6 of each cell.
 _INVERSE, _SHEAR = (12, 16, 20), (14, 18, 22)
 # Rows of the buffer besides the arms: volume ratios, the exponent, forces of the quadratic form, and the factor.
 _VOLUMES, _EXPONENT, _FORM, _GROWN = 15 * BLOCK, 18 * BLOCK, 19 * BLOCK, 34 * BLOCK
 
 
 def stiffening_rows(constants: Floats, stiffening: float) -> Floats:
-    """Return what groups need in addition to their neo-Hookean constants.
+    """Return the constants that groups need in addition to their neo-Hookean ones.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def stiffening_rows(constants: Floats, stiffening: float) -> Floats:
     Returns
     -------
     Floats, shape (f, ROWS BLOCK)
-        Constants in blocks; of shape (0, ROWS BLOCK) for neo-Hookean cells. Those of filling are 0.
+        Constants in blocks; shape (0, ROWS BLOCK) for neo-Hookean cells. Those of padding are 0.
     """
     if stiffening == 0.0:
         return np.zeros((0, ROWS * BLOCK))
@@ -72,7 +72,7 @@ def stiffening_rows(constants: Floats, stiffening: float) -> Floats:
 
 
 def growth_of(exponent: Floats) -> Floats:
-    """Return the growth of a group's squared frequency by an exponent.
+    """Return the factor by which an exponent increases a group's squared frequency.
 
     Parameters
     ----------
@@ -85,12 +85,12 @@ def growth_of(exponent: Floats) -> Floats:
 
 
 def exponents_for(growth: Floats) -> Floats:
-    """Return the exponents at which the squared frequency has grown so, at most MOST.
+    """Return the exponents at which the squared frequency has grown by given factors, at most MOST.
 
     Parameters
     ----------
     growth : Floats
-        The growth.
+        The factors.
     """
     exponent = np.linspace(0.0, MOST, 1001)
     found: Floats = np.interp(growth, growth_of(exponent), exponent)
@@ -98,15 +98,15 @@ def exponents_for(growth: Floats) -> Floats:
 
 
 def set_step_limits(groups: CellGroups, quickness: Floats) -> None:
-    """Set from which exponents on each group needs shorter substeps.
+    """Set the exponents from which each group needs shorter substeps.
 
     Parameters
     ----------
     groups : CellGroups
         The groups; updated.
     quickness : Floats, shape (n,)
-        Stiffness over mass around each node, over the largest of all: about the square of the frequency at which it
-        vibrates over that of the fastest mode.
+        Ratio of stiffness to mass at each node, relative to the largest ratio: about the squared frequency of its
+        vibration relative to that of the fastest mode.
     """
     if len(groups.stiffening):
         own = np.maximum(quickness[groups.nodes].max(axis=2), 1e-9)  # (f, BLOCK)
@@ -285,7 +285,7 @@ def needed_shortening(work: Floats, law: Floats) -> int:
     Parameters
     ----------
     work : Floats
-        What `resist_stiffening` left.
+        Buffer after `resist_stiffening`.
     law : Floats, shape (ROWS BLOCK,)
         Constants of `stiffening_rows`.
     """
@@ -311,7 +311,7 @@ def _of_springs(model: Model) -> int:
 
 @chosen(lambda model: _of_cells if has(model, "tissue") else _of_springs)
 def shortening_of(model: Model) -> Any:
-    """Return the factor on the substeps that the last forces of the whole organ found necessary: 1, 2 or 4.
+    """Return the factor on the substeps that is necessary by the last forces of the whole organ: 1, 2 or 4.
 
     Parameters
     ----------
@@ -321,7 +321,7 @@ def shortening_of(model: Model) -> Any:
 
 
 def stiffening_energy(groups: CellGroups, square: Floats, swollen: Floats, weight: Floats) -> float:
-    """Return what stiffening adds to the neo-Hookean energy of cells.
+    """Return the energy that stiffening adds to the neo-Hookean energy of cells.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The shape that an organ of cells would have without the weight that it bears in the known shape.
+"""Unloaded shape of an organ of cells, without the weight that it bears in the known shape.
 
-The inverse of elastostatics: the known shape is the domain, the unloaded one the unknown, and equilibrium balances
-Cauchy's stress and weight in the known shape, whose volumes and gradients are constant [1]_.
+This is the inverse problem of elastostatics: the known shape is the domain, the unloaded one the unknown, and the
+equilibrium of Cauchy stress and weight holds in the known shape, whose volumes and gradients are constant [1]_.
 
 References
 ----------
@@ -22,9 +22,9 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.elasticity.cell_law import COMPRESSED, STEEPEST
 from tissue_sim.model.elasticity.cells import shapes_of
 
-CLOSE = 1e-11  # fraction of the weight that may be left as a force
+CLOSE = 1e-11  # residual force relative to the weight at which Newton's method has converged
 MOST_STEPS = 60
-SHORTEST = 1e-3  # fraction of Newton's step below which the search is given up
+SHORTEST = 1e-3  # fraction of Newton's step below which the line search is abandoned
 
 
 class Law(NamedTuple):
@@ -45,7 +45,7 @@ class Law(NamedTuple):
     penalty: Floats
 
     def pressure(self, swollen: Floats) -> tuple[Floats, Floats]:
-        """Return the slope of the energy by the volume ratio (c,), Pa, without mu/2 F:F; and its own slope."""
+        """Return the first and second derivative of the energy by the volume ratio (c,), Pa, without mu/2 F:F."""
         bounded, pushed = np.maximum(swollen, STEEPEST), np.minimum(swollen - COMPRESSED, 0.0)
         slope = 0.5 * self.lam * (1.0 + 1.0 / bounded**2) + self.mu / bounded**2
         pressure = 0.5 * self.lam * (bounded - 1.0 / bounded) - self.mu / bounded + slope * (swollen - bounded)
@@ -70,13 +70,13 @@ def unloaded_shape(shape: Floats, cells: Ints, law: Law, weight: Floats, free: M
 
     Returns
     -------
-    Floats
-        shape (n, 3), m
+    Floats, shape (n, 3), m
+        The positions.
 
     Raises
     ------
     UserError
-        When there is none: the tissue is too soft for such a weight.
+        If there is no such shape, since the tissue is too soft for the weight.
     """
     inverse = _Inverse(shape, cells, law, weight, free)
     found, off = shape.copy(), inverse.off(shape)
@@ -98,7 +98,7 @@ def unloaded_shape(shape: Floats, cells: Ints, law: Law, weight: Floats, free: M
 
 
 class _Inverse:
-    """Residual forces on free nodes as a function of the unloaded shape, and their slope."""
+    """Residual forces on free nodes as a function of the unloaded shape, and their derivative."""
 
     def __init__(self, shape: Floats, cells: Ints, law: Law, weight: Floats, free: Mask) -> None:
         self.cells, self.law, self.weight = cells, law, weight
@@ -106,7 +106,7 @@ class _Inverse:
         self.axes = (3 * np.flatnonzero(free)[:, None] + np.arange(3)).ravel()
 
     def _deformed(self, unloaded: Floats) -> tuple[Floats, Floats]:
-        """Return F (c, 3, 3) and its determinant (c,); that of an inverted cell is negative."""
+        """Return F (c, 3, 3) and its determinant (c,), which is negative for an inverted cell."""
         back = np.einsum("cai,caj->cij", unloaded[self.cells], self.slope)
         whole = np.linalg.det(back)
         whole = np.where(whole == 0.0, np.nan, whole)
@@ -114,7 +114,7 @@ class _Inverse:
         return deformed, 1.0 / whole
 
     def off(self, unloaded: Floats) -> Floats:
-        """Return the forces (3 free,) N that nothing balances; infinite where a cell is inverted."""
+        """Return the residual forces (3 free,) N; infinite if a cell is inverted."""
         deformed, swollen = self._deformed(unloaded)
         if not np.all(swollen > 0.0):
             return np.full(len(self.axes), np.inf)
@@ -131,12 +131,12 @@ class _Inverse:
         deformed, swollen = self._deformed(unloaded)
         stretch = deformed @ deformed.transpose(0, 2, 1)
         scale, (_, steep) = (self.law.mu / swollen)[:, None, None], self.law.pressure(swollen)
-        # Slope of the stress (c, i, k) by the gradient (j, l) of the unloaded shape: dF = -F df F.
+        # Derivative of the stress (c, i, k) by the gradient (j, l) of the unloaded shape: dF = -F df F.
         by = np.empty((len(self.cells), 3, 3, 3, 3))
         for j in range(3):
             for one in range(3):
                 change = -deformed[:, :, j, None] * deformed[:, None, one, :]
-                swelling = -deformed[:, one, j]  # relative to the volume
+                swelling = -deformed[:, one, j]  # relative change of volume
                 both = change @ deformed.transpose(0, 2, 1)
                 shear = scale * (both + both.transpose(0, 2, 1) - swelling[:, None, None] * stretch)
                 by[:, :, :, j, one] = shear + (steep * swollen * swelling)[:, None, None] * np.eye(3)

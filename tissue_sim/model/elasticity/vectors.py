@@ -1,8 +1,8 @@
-"""Four springs or cells at a time: the rows of their nodes transposed to rows of a block and back.
+"""Gathering and scattering of four springs or cells at a time: node rows are transposed to rows of a block and back.
 
-The compiler reads nodes one coordinate at a time and adds forces likewise. These read and write a node at once and
-transpose four of them in registers. A node's position and force lie side by side, in one line of the cache. Strict IEEE
-arithmetic in a fixed order: no bit depends on the processor.
+Compiled loops read nodes and add forces one coordinate at a time. These functions read and write all coordinates of a
+node together, and transpose four nodes in registers. A node's position and force are adjacent, in one cache line. The
+order of the strict IEEE arithmetic is fixed, so that no bit depends on the processor.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _gatherer(corners: int) -> Any:
 
 
 def _scatterer(corners: int) -> Any:
-    """Return a kernel that adds the pulls of springs or cells with a given number of nodes."""
+    """Return a kernel that adds the forces of springs or cells with a given number of nodes."""
 
     @intrinsic
     def scatter(typing_context, rows, nodes, work):  # type: ignore[no-untyped-def]

@@ -1,4 +1,4 @@
-"""Volumes of many tetrahedra, by the same additions and products on every processor."""
+"""Volumes of many tetrahedra, with the same additions and products on every processor."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tissue_sim.array_types import Floats
 def triple_product(a: Floats, b: Floats, c: Floats) -> Floats:
     """Return a (b x c) of vectors: six times the volume of the tetrahedra that they span.
 
-    LAPACK's and BLAS's last bits differ between processors, and a replay has to repeat on another one.
+    The last bits of LAPACK and BLAS differ between processors, while a replay must repeat on any of them.
 
     Parameters
     ----------

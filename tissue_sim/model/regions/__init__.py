@@ -1,1 +1,1 @@
-"""Local regions: which nodes move, and what stands for the rest of the organ."""
+"""Local regions: the nodes that move, and the representation of the rest of the organ."""

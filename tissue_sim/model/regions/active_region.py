@@ -1,4 +1,4 @@
-"""The whole organ moves, or a local region around a small load: its tick, and the change between the two.
+"""Local region around a small load instead of the whole organ: its tick, and the change between the two.
 
 The tick, the guard and the mailboxes access local regions only through this module and `moved_nodes`. A model without
 any (`adjacency` is None) is compiled without them.
@@ -25,14 +25,14 @@ from tissue_sim.model.regions import local_region, modal_region, mode_motion, st
 from tissue_sim.model.regions.edge_gradient import edge_gradient
 from tissue_sim.model.regions.moved_nodes import checked_nodes
 
-# Fraction of the region force and of the steepest edge: below both, an organ that moved as a whole takes a region
+# Fraction of the region force and of the largest edge gradient; below both, an organ that moved as a whole has a region
 # again.
 RETURN_FRACTION = 0.5
-CALM_TIME = 0.2  # s for which it has to be below
-SLOWEST = 1.01  # of the time in which the far field follows a load: longest tick of a modal region
-# Gradient of the displacement at a region's edge from which on the whole model moves: a modal region is then off by 5 %
-# at most, wherever the load is (`bench region`).
-STEEPEST_EDGE = 0.04
+CALM_TIME = 0.2  # s for which both must be below
+SLOWEST = 1.01  # longest tick of a modal region, relative to the time in which the far field follows a load
+# Gradient of the displacement at a region's edge from which the whole model moves: up to there a modal region has an
+# error of at most 5 %, wherever the load is (`bench region`).
+MAX_EDGE_GRADIENT = 0.04
 CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
 
 
@@ -43,7 +43,7 @@ def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Ca
 
 @kernel
 def _nothing(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
-    """Do nothing where the whole organ always moves."""
+    """Do nothing, as the whole organ always moves."""
 
 
 @kernel
@@ -59,7 +59,7 @@ def _choose(model: Model, state: State, settings: Settings, scratch: Scratch) ->
 
 @_or(_choose, _nothing)
 def choose_region(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
-    """Choose on waking: a local region if ticks are short enough for it, else the whole model.
+    """Choose, when the organ wakes, a local region if ticks are short enough for it, otherwise the whole model.
 
     Parameters
     ----------
@@ -76,9 +76,9 @@ def choose_region(model: Model, state: State, settings: Settings, scratch: Scrat
 
 @kernel
 def takes_whole(model: Model, state: State, settings: Settings) -> bool:
-    """Return whether a local region is impossible: its surroundings are linear about an unloaded, free shape.
+    """Return whether a local region is impossible, since its surroundings are linear about an unloaded, free shape.
 
-    Also where a modal region is wanted, but its surroundings would follow a load within a tick: a jump.
+    A modal region is also impossible if its surroundings would follow a load within a tick, that is in a jump.
     """
     if state.status.prescribed > 0 or is_heavy(model, settings):
         return True
@@ -121,7 +121,7 @@ def _prepare(model: Model, state: State, settings: Settings, scratch: Scratch) -
 
 @_or(_prepare, _nothing)
 def prepare_region(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
-    """Grow the local region to what is loaded before a tick, and move its edge; or switch to the whole model.
+    """Extend the local region to all loaded nodes before a tick, and move its edge; or switch to the whole model.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def _absorb(model: Model, state: State, settings: Settings, scratch: Scratch) ->
 
 @_or(_absorb, _nothing)
 def absorb_load(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
-    """Hand the tick's loads to what surrounds the region, after the substeps.
+    """Apply the tick's loads to the surroundings of the region, after the substeps.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def _no_change(world: World) -> None:
 
 @chosen(lambda world: _change if has(world, "model", "adjacency") else _no_change)
 def change_region(world: World) -> None:
-    """Switch to the whole model under a load too large for a region, or that bends the organ; later back.
+    """Switch to the whole model under a load that is too large for a region or bends the organ, and later back.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def change_region(world: World) -> None:
 def is_strongly_deformed(model: Model, state: State, scratch: Scratch, fraction: float) -> bool:
     """Return whether the gradient at a modal region's edge exceeds a fraction of its limit."""
     modal = state.status.region == Region.MODAL
-    return modal and edge_gradient(model, state, scratch) > fraction * STEEPEST_EDGE
+    return modal and edge_gradient(model, state, scratch) > fraction * MAX_EDGE_GRADIENT
 
 
 @kernel
@@ -265,7 +265,7 @@ def is_nearly_at_rest(model: Model, state: State) -> bool:
 
 @kernel
 def leave_region(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
-    """Move the whole model from here on, from where the region and the rest of the organ are.
+    """Move the whole model from now on, starting from the present shape of region and rest.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ def leave_region(model: Model, state: State, settings: Settings, scratch: Scratc
         Working memory; updated.
     """
     if state.status.region == Region.MODAL:
-        show_region(model, state, settings, scratch)
+        update_outside(model, state, settings, scratch)
     state.status.region = Region.WHOLE
 
 
@@ -289,8 +289,8 @@ def _show(model: Model, state: State, settings: Settings, scratch: Scratch) -> N
 
 
 @_or(_show, _nothing)
-def show_region(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
-    """Put the nodes outside a modal region where they belong; this is done on request only.
+def update_outside(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
+    """Update the positions of nodes outside a modal region, which is done on request only.
 
     Parameters
     ----------
@@ -306,8 +306,8 @@ def show_region(model: Model, state: State, settings: Settings, scratch: Scratch
 
 
 @kernel
-def is_shown(state: State) -> bool:
-    """Return whether all positions are up to date; else show_region updates them.
+def is_outside_current(state: State) -> bool:
+    """Return whether all positions are up to date; otherwise update_outside computes them.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ def is_shown(state: State) -> bool:
 
 @kernel
 def drop_region(state: State) -> None:
-    """Move the whole model from here on, from where its nodes are.
+    """Move the whole model from now on, starting from the nodes' present positions.
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ def drop_region(state: State) -> None:
 
 @kernel
 def inertia_of(state: State, settings: Settings) -> float:
-    """Return the factor of mass and damping of the moving nodes.
+    """Return the factor on mass and damping of the moving nodes.
 
     Parameters
     ----------
@@ -346,9 +346,9 @@ def inertia_of(state: State, settings: Settings) -> float:
 
 @kernel
 def damping_of(state: State, settings: Settings) -> float:
-    """Return the factor of the damping; a modal region has at least the organ's own.
+    """Return the factor on the damping; a modal region has at least the organ's own.
 
-    Its surroundings follow the load slightly late, which excites undamped motion.
+    The surroundings of a region follow the load slightly late, which excites undamped motion.
 
     Parameters
     ----------
@@ -363,7 +363,7 @@ def damping_of(state: State, settings: Settings) -> float:
 
 @kernel
 def restore_shape(model: Model, state: State, scratch: Scratch) -> None:
-    """Return to the last good shape, without speed; outside a modal region it is the one last computed.
+    """Return to the last valid shape, without speed; outside a modal region it is the one computed last.
 
     Parameters
     ----------
@@ -385,7 +385,7 @@ def restore_shape(model: Model, state: State, scratch: Scratch) -> None:
 
 @part
 def enter_region(world: World) -> None:
-    """Move a modal region around the load from here on, and the rest of the organ from where it is."""
+    """Move a modal region around the load from now on; the rest of the organ continues from its present shape."""
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     modal_region.forget_region(state)
     state.status.region = Region.MODAL

@@ -1,4 +1,4 @@
-"""Displacement gradient at the edge of a modal region, which determines when the whole model takes over."""
+"""Displacement gradient at the edge of a modal region, which determines when the whole model moves instead."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.state import State
 
-FLAT = 1e-3  # of an edge's extent, squared, that it must have in each direction: a plane one is undetermined across
+FLAT = 1e-3  # least squared extent in each direction, relative to the largest: across a plane edge it is undetermined
 
 
 @kernel
 def edge_gradient(model: Model, state: State, scratch: Scratch) -> float:
     """Return the Frobenius norm of the displacement gradient at a modal region's edge.
 
-    It is that of the best fit to what move_edge found. Linear displacements continue straight where they should turn,
-    and are wrong by about the same fraction.
+    It is that of the linear fit to the displacements that move_edge found. Linear displacements follow a straight line
+    instead of an arc, with a relative error of about this gradient.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Local region (section 4 of the paper): nodes within some layers of the load move by their springs or cells.
 
-In the paper's own kind the rest stays as it is; in modal_region it yields as the whole organ would. The cost of
-everything here depends on the size of the region, not of the organ.
+In the paper's own kind, the rest of the organ doesn't move; with modal_region it responds as the whole organ would.
+The cost of all functions here depends on the size of the region, not on that of the organ.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from tissue_sim.model.elasticity.cells import cell_forces_among
 from tissue_sim.model.elasticity.forces import edge_forces, return_forces, spring_forces
 
 FROZEN_HOPS = 2  # the "second layer"; every spring counts as one hop
-MODAL_HOPS = 1  # enough with a table of the rest's compliance: a second layer changes equilibria by 0.2 %
-UNTABLED_HOPS = 2  # with modes alone: one layer on an organ of 4000 points gives errors of up to 20 %, two 7 %
+MODAL_HOPS = 1  # sufficient with a table of the compliance: a second layer changes equilibria by 0.2 %
+UNTABLED_HOPS = 2  # with modes alone: on an organ of 4000 points, one layer gives errors of up to 20 %, two up to 7 %
 
 
 @kernel
 def mark_loaded(state: State, scratch: Scratch) -> int:
-    """Give hop 0 to the nodes of contact points, tool tips and nodal forces.
+    """Set the hop distance 0 for the nodes of contact points, tool tips and nodal forces.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def mark_loaded(state: State, scratch: Scratch) -> int:
     Returns
     -------
     int
-        Number of new nodes, which are in scratch.fresh.
+        Number of new nodes, which are in scratch.new_node.
     """
     fresh = 0
     for entry in range(state.contacts.header.points):
@@ -57,12 +57,12 @@ def mark_loaded(state: State, scratch: Scratch) -> int:
 
 @kernel
 def _mark(state: State, scratch: Scratch, node: int, fresh: int) -> int:
-    """Give a node hop 0; return how many are new now."""
+    """Set the hop distance 0 for a node; return the number of new nodes."""
     hop = state.region_hop
     if hop[node] == 0:
         return fresh
-    scratch.was[fresh] = hop[node]
-    scratch.fresh[fresh] = node
+    scratch.previous_hop[fresh] = hop[node]
+    scratch.new_node[fresh] = node
     hop[node] = 0
     return fresh + 1
 
@@ -85,11 +85,11 @@ def spread(model: Model, state: State, scratch: Scratch, fresh: int, hops: int) 
         Number of hops.
     """
     for index in range(fresh):
-        if scratch.was[index] < 0:
-            _join(state, scratch, scratch.fresh[index])
+        if scratch.previous_hop[index] < 0:
+            _join(state, scratch, scratch.new_node[index])
     if len(model.hops) > 0:
         for index in range(fresh):
-            node = scratch.fresh[index]
+            node = scratch.new_node[index]
             if node < model.n_surface:
                 for other in range(model.n_surface):
                     if model.hops[node, other] <= hops:
@@ -98,18 +98,18 @@ def spread(model: Model, state: State, scratch: Scratch, fresh: int, hops: int) 
     first, last = 0, fresh
     for layer in range(1, hops + 1):
         for index in range(first, last):
-            node = scratch.fresh[index]
+            node = scratch.new_node[index]
             for entry in range(model.neighbour_start[node], model.neighbour_start[node + 1]):
                 other = model.neighbours[entry]
                 if _reach(state, scratch, other, layer):
-                    scratch.fresh[fresh] = other
+                    scratch.new_node[fresh] = other
                     fresh += 1
         first, last = last, fresh
 
 
 @kernel
 def _reach(state: State, scratch: Scratch, node: int, hops: int) -> bool:
-    """Note that a node is so many hops away; return whether it counted as farther."""
+    """Set the hop distance of a node if it is shorter than before; return whether it is."""
     there = state.region_hop[node]
     if there < 0:
         _join(state, scratch, node)
@@ -163,7 +163,7 @@ def driving(state: State, scratch: Scratch) -> Ints:
 
 @kernel
 def list_nodes(state: State, scratch: Scratch) -> None:
-    """List the region's nodes again, from the hops alone.
+    """List the region's nodes again, from the hop distances alone.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def list_nodes(state: State, scratch: Scratch) -> None:
 def collect(model: Model, state: State, scratch: Scratch) -> None:
     """List the springs or cells of the region's nodes, and the nodes at its edge that these use.
 
-    The order is that of the nodes' numbers, so that lists made again are the same.
+    The order is that of the nodes' indices, so that lists that are made again are the same.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def collect(model: Model, state: State, scratch: Scratch) -> None:
         if model.inverse_mass[node] > 0.0:
             scratch.moved_node[moved] = node
             moved += 1
-    scratch.moved[0] = moved
+    scratch.n_moved[0] = moved
     collect_elements(model, state, scratch)
 
 
@@ -248,7 +248,7 @@ def _collect_cells(model: Model, state: State, scratch: Scratch) -> None:
         source, target = (model.tissue, model.reduction.cell_slopes), (scratch.cells, scratch.cell_slopes)
         cells = _take(slots, source, target, scratch.cell_mark, stamp, cells)
     state.status.region_boundary = _list_boundary(scratch, scratch.cells.nodes, cells, stamp, 0)
-    # The filling has the volume of the first cell, so that it isn't taken for a compressed one.
+    # The padding has the volume of the first cell, so that it doesn't count as compressed.
     _fill_up(scratch.cells, cells, 7, 8)
     for row in range(cells % BLOCK, BLOCK if cells % BLOCK > 0 else 0):
         for k in (0, 1, 2, 3, 4, 5, 9):
@@ -271,7 +271,7 @@ def _take(
     stamp: int,
     count: int,
 ) -> int:
-    """Append the unmarked content of these slots after the first `count`; return how many there are.
+    """Append the unmarked contents of slots after the first `count`; return the new count.
 
     source, target: blocks, and their rows of slopes.
     """
@@ -297,7 +297,7 @@ def _copy(source: Blocks | Tissue, slot: int, target: Blocks, place: int) -> Non
 
 @kernel
 def _copy_rows(source: Floats, slot: int, target: Floats, place: int) -> None:
-    """Copy the constants of a spring from blocks (b, k BLOCK) to others; from none nothing is copied."""
+    """Copy the constants of a spring from blocks (b, k BLOCK) to others; without blocks, copy nothing."""
     if len(source) == 0:
         return
     block, row = slot // BLOCK, slot % BLOCK
@@ -378,7 +378,7 @@ def scale_force(state: State, scratch: Scratch, scale: float) -> None:
 
 @kernel
 def scale_nodes(values: Floats, nodes: Ints, scale: float) -> None:
-    """Multiply values of some nodes; with 0 they become zero, whatever they were.
+    """Multiply values of some nodes; a scale of 0 sets them to zero, even if they are not finite.
 
     Parameters
     ----------
@@ -429,7 +429,7 @@ def region_forces(model: Model, state: State, scratch: Scratch) -> None:
 
 @kernel
 def _return_forces(model: Model, state: State, scratch: Scratch) -> None:
-    nodes = scratch.moved_node[: scratch.moved[0]]
+    nodes = scratch.moved_node[: scratch.n_moved[0]]
     return_forces(state.position, model.rest, nodes, model.return_stiffness, scratch.force)
 
 

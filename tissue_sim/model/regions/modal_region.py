@@ -3,12 +3,12 @@
 Freezing the rest of the organ is wrong for a body that is loaded for longer than a few milliseconds. Here the nodes
 around the load move by their own springs, as in the paper's region, and the nodes at its edge move as the rest of the
 organ does: u = C p + F (q - q_s). C p is its static displacement under the load p, with C the compliance about rest;
-the lowest modes F carry the motion, q their coordinates under p and q_s where these would come to rest. p holds the
-loads, and the difference of the region's spring forces from linear ones: with these, a region of one layer settles
-within 2 % of the whole nonlinear model under dents of 3 mm, while the loads alone give 7 %.
+F are the lowest modes, which represent the motion, q their coordinates under p, and q_s those at rest under p. p
+consists of the loads and the difference of the region's spring forces from linear ones: with the latter, a region of
+one layer settles within 2 % of the whole nonlinear model under dents of 3 mm, and within 7 % without them.
 
-Without a table C (large organs) more modes replace it. Only rows that are needed are evaluated: the edge in each tick,
-the whole organ on demand.
+For large organs, without a table of C, more modes replace it. Only rows that are needed are evaluated: those of the
+edge in each tick, those of the whole organ on demand.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from tissue_sim.model.regions import local_region
 from tissue_sim.model.regions.local_region import driving
 from tissue_sim.model.regions.mode_motion import combine, project_load, set_mode_move, set_propagator
 
-MOST_BOUNDARY = 256  # nodes at the edge of a region; one with more isn't local
-MOST_DRIVE = 640  # nodes in the region and at its edge
+MAX_BOUNDARY = 256  # nodes at the edge of a region; one with more isn't local
+MAX_DRIVE = 640  # nodes in the region and at its edge
 
 
 @kernel
 def forget_region(state: State) -> None:
-    """Remove the region and everything that it has left behind.
+    """Remove the region and its loads, modes and offset.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def hops_of(model: Model) -> int:
 
 @kernel
 def fits(state: State) -> bool:
-    """Return whether the region is small enough to be a local one.
+    """Return whether the region is small enough for its buffers.
 
     Parameters
     ----------
@@ -70,12 +70,12 @@ def fits(state: State) -> bool:
         State of the simulation.
     """
     boundary = state.status.region_boundary
-    return boundary <= MOST_BOUNDARY and state.status.region_nodes + boundary <= MOST_DRIVE
+    return boundary <= MAX_BOUNDARY and state.status.region_nodes + boundary <= MAX_DRIVE
 
 
 @kernel
 def gather_rows(model: Model, state: State, scratch: Scratch) -> None:
-    """Copy what the edge of the region needs: rows of C for each load and of F for each mode, and F at the loads.
+    """Copy the rows that the edge of the region needs: of C for each load, of F for each mode, and of F at the loads.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def place_boundary(model: Model, state: State, settings: Settings, scratch: Scra
 
 @kernel
 def place_joined(model: Model, state: State, settings: Settings, scratch: Scratch, first: int) -> None:
-    """Put nodes that just joined the region where the old region's load moves them.
+    """Set nodes that have just joined the region to the positions to which the old region's load moves them.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ def place_joined(model: Model, state: State, settings: Settings, scratch: Scratc
 
 @kernel
 def place_outside(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
-    """Put every node outside the region where it belongs, moving as the modes do; fill scratch.field (3n,) m.
+    """Compute positions and velocities of all nodes outside the region; write displacements to scratch.field (3n,) m.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def keep_offset(model: Model, state: State, settings: Settings, scratch: Scratch
     place_outside(model, state, settings, scratch)
     for node in range(len(model.rest)):
         for c in range(3):
-            position = state.offset[node, c]  # kept there while place_outside ran
+            position = state.offset[node, c]  # stored there while place_outside ran
             state.position[node, c] = position
             state.offset[node, c] = position - model.rest[node, c] - scratch.field[3 * node + c]
     state.blend[0] = 1.0

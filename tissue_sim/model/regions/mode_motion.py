@@ -13,7 +13,7 @@ from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.regions.local_region import driving
 
 OFFSET_TIME = 0.25  # s in which an offset fades
-FASTEST = 1.0  # rad per tick; faster modes would kick the region's edge, and follow the load without inertia instead
+FASTEST = 1.0  # rad per tick; faster modes would excite the region's edge, so they follow the load without inertia
 
 
 @kernel
@@ -124,7 +124,7 @@ def advance_modes(model: Model, state: State, settings: Settings, scratch: Scrat
 
 @kernel
 def set_mode_move(model: Model, state: State, scratch: Scratch) -> None:
-    """Compute what the modes add to the static displacement; without a compliance table that is all of it.
+    """Compute the displacement by modes in addition to the static one; without a compliance table it is the total.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def modes_are_finite(state: State) -> bool:
 
 
 @kernel
-def largest_swing(model: Model, state: State) -> tuple[float, float]:
+def largest_modal_motion(model: Model, state: State) -> tuple[float, float]:
     """Return the largest speed, m/s, and displacement, m, that the modes may have anywhere."""
     speed = away = 0.0
     if state.status.region == Region.MODAL:

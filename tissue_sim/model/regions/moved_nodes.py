@@ -11,7 +11,7 @@ from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.regions.local_region import driving
-from tissue_sim.model.regions.mode_motion import largest_swing
+from tissue_sim.model.regions.mode_motion import largest_modal_motion
 
 
 @part
@@ -32,7 +32,7 @@ def integrated_nodes(model: Model, state: State, scratch: Scratch) -> Ints:
     Ints, shape (k,)
         Nodes.
     """
-    return model.moving if state.status.region == Region.WHOLE else scratch.moved_node[: scratch.moved[0]]
+    return model.moving if state.status.region == Region.WHOLE else scratch.moved_node[: scratch.n_moved[0]]
 
 
 @part
@@ -122,5 +122,5 @@ def largest_motion(model: Model, state: State, scratch: Scratch) -> tuple[float,
         away_x = max(away_x, abs(position[node, 0] - rest[node, 0]))
         away_y = max(away_y, abs(position[node, 1] - rest[node, 1]))
         away_z = max(away_z, abs(position[node, 2] - rest[node, 2]))
-    swing_speed, swing = largest_swing(model, state)
+    swing_speed, swing = largest_modal_motion(model, state)
     return max(speed_x, speed_y, speed_z, swing_speed), max(away_x, away_y, away_z, swing)

@@ -17,13 +17,13 @@ from tissue_sim.model.elasticity.cells import cell_slopes
 from tissue_sim.model.elasticity.modes import angular_slope, free_axes, lowest_modes, stiffness_matrix
 from tissue_sim.result_cache import remembered
 
-LARGEST_TABLE = 2048  # nodes: 144 MiB of compliance; above it modes stand for all
-MODES_BESIDE_TABLE = 48  # they only carry the motion; three times as many change it by under 1 %
-VERSION = "2"  # version of what is cached
+LARGEST_TABLE = 2048  # nodes: 144 MiB of compliance; for more nodes, modes represent the whole response
+MODES_BESIDE_TABLE = 48  # only for the motion; three times as many change it by less than 1 %
+VERSION = "2"  # version of the cached data
 
 
 def reduce_model(model: Model, largest: int = LARGEST_TABLE) -> Reduction:
-    """Return the reduction of a model about its rest shape, from the user's cache when it was made before.
+    """Return the reduction of a model about its rest shape, from the user's cache if it was computed before.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Choice of organs that take a local region, and the tables that the model of one needs."""
+"""Choice of organs that have a local region, and the tables that their models need."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from tissue_sim.model.elasticity.hop_distances import hop_table
 from tissue_sim.model.regions.reduction import reduce_model
 from tissue_sim.organ.organ import Organ
 
-# Up to so many cells local_region auto moves the whole organ: 0.3 ms a tick (`bench region`). A region is less
-# accurate.
-MOST_WHOLE = 20_000
+# Up to this number of cells, local_region auto moves the whole organ, which takes 0.3 ms a tick (`bench region`). A
+# region is less accurate.
+MAX_WHOLE_CELLS = 20_000
 
 
 def moves_whole(organ: Organ) -> bool:
@@ -22,11 +22,11 @@ def moves_whole(organ: Organ) -> bool:
     organ : Organ
         The organ.
     """
-    return len(organ.cell_nodes) <= MOST_WHOLE
+    return len(organ.cell_nodes) <= MAX_WHOLE_CELLS
 
 
 def possible_region(organ: Organ, model: str, local_region: str) -> str:
-    """Return the local region that a model of an organ has: off instead of auto where `auto` always moves all of it.
+    """Return the local region that a model of an organ has: `off` instead of `auto` if that always moves all of it.
 
     Parameters
     ----------

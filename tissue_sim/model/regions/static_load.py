@@ -1,4 +1,4 @@
-"""Static load of a modal region on the rest of the organ: its loads, and by what its forces differ from linear ones."""
+"""Static load of a modal region on the rest of the organ: its loads, and the nonlinear part of its forces."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tissue_sim.model.elasticity.cells import subtract_linear_cells
 from tissue_sim.model.elasticity.forces import subtract_linear_edges, subtract_linear_springs
 from tissue_sim.model.regions.local_region import driving, scale_nodes
 
-LOAD_TIME = 0.005  # s in which the far field follows a changed load; if shorter, it would oscillate with a held tool
+LOAD_TIME = 0.005  # s in which the far field follows a changed load; faster, it would oscillate with a held tool
 
 
 @kernel
@@ -62,7 +62,7 @@ def _subtract_cells(model: Model, state: State, scratch: Scratch, force: Floats)
 
 @chosen(lambda model, *_: _subtract_cells if has(model, "tissue") else _subtract_springs)
 def subtract_linear(model: Model, state: State, scratch: Scratch, force: Floats) -> None:
-    """Subtract the region's forces if it were linear about rest from force (n, 3) N."""
+    """Subtract the forces that the region would have if it were linear about rest from force (n, 3) N."""
 
 
 @kernel
@@ -78,7 +78,7 @@ def absorb_load(state: State, settings: Settings, scratch: Scratch, fraction: fl
     scratch : Scratch
         Working memory; updated.
     fraction : float
-        Fraction of the way.
+        Fraction of the difference.
     """
     drive, nodal, loaded = scratch.drive, state.nodal_force, state.loaded_node
     for index in range(state.status.loaded):
@@ -102,10 +102,10 @@ def _absorb(load: Floats, drive: Floats, impulse: Floats, nodes: Ints, rate: flo
 
 @kernel
 def load_fraction(model: Model, settings: Settings) -> float:
-    """Return the fraction of the way that the static load moves in a tick.
+    """Return the fraction of the difference by which the static load approaches the present load in a tick.
 
-    What the modes don't carry follows no faster than the slow rate of the fastest mode, if damping makes that slow: a
-    soft organ's surroundings would otherwise move ahead of the region, and pull energy into it.
+    The part of the response without modes follows no faster than the slow rate of the fastest mode, if damping makes
+    that slow: the surroundings in a soft organ would otherwise move ahead of the region, and supply energy to it.
 
     Parameters
     ----------

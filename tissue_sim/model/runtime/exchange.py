@@ -1,8 +1,8 @@
-"""Exchange of an organ's arrays between two ticks of a running loop, for others of another size: after a cut.
+"""Replacement of an organ's arrays between two ticks of a running loop by arrays of another size, after a cut.
 
-Python makes the new ones beside the loop, with a plan of the words that continue. The loop reads the arrays after one
-tick, copies these words before the next, and goes on with the new arrays: it takes no lock, allocates nothing, and the
-tick that does it takes some microseconds more.
+Python makes the new arrays in parallel to the loop, with a plan of the words to be copied. The loop reads the arrays
+after one tick, copies these words before the next, and continues with the new arrays: it takes no lock, allocates
+nothing, and the tick that does it takes some microseconds longer.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from tissue_sim.model.stepping.coupled_step import CoupledOrgans
 
 
 class ExchangeWords(Record):
-    """Words between the loop and Python, each written by one of them."""
+    """Words shared by the loop and Python, each written by one of them."""
 
-    asked: int  # raised when new arrays are there
-    loaded: int  # `asked` of the last ones that the loop has preloaded
-    done: int  # `asked` of the last ones, after the first tick with them
-    organ: int  # whose they are
+    asked: int  # raised when new arrays are available
+    loaded: int  # `asked` of the last arrays that the loop has preloaded
+    done: int  # `asked` of the last arrays, after the first tick with them
+    organ: int  # to which they belong
     tick: int  # that first tick
     coarse_square: float  # see joined.ExchangePlan
     added: float
@@ -39,7 +39,7 @@ class ExchangeWords(Record):
 
 
 class Exchange(NamedTuple):
-    """What the loop goes on with; rows of one handle each, whose places Python renews."""
+    """New arrays with which the loop continues; rows of one handle each, whose places Python renews."""
 
     words: ExchangeWords
     lightness: Floats  # (l,) see joined.ExchangePlan
@@ -52,7 +52,7 @@ class Exchange(NamedTuple):
 
 
 def boxes_after(before: Mailboxes, state: State, plan: CarryPlan) -> Mailboxes:
-    """Return the mailboxes of an organ for a state of another size: its inputs stay where they are.
+    """Return the mailboxes of an organ for a state of another size; those for its inputs remain the same.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def boxes_after(before: Mailboxes, state: State, plan: CarryPlan) -> Mailboxes:
 
 
 def make_exchange(worlds: HandleRow, boxes: HandleRow, world: Any, box: Any, links: int) -> Exchange:
-    """Return the exchange of a loop before the first one.
+    """Return the exchange of a loop before its first use.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def preload(world: World) -> None:
 def take_exchange(
     worlds: Sequence[World], boxes: Sequence[Mailboxes], joined: CoupledOrgans | None, exchange: Exchange
 ) -> None:
-    """Go on with the new arrays of an organ.
+    """Continue with the new arrays of an organ.
 
     Parameters
     ----------

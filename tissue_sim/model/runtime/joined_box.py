@@ -1,4 +1,4 @@
-"""What goes in and out of all organs, beside the mailboxes of each: where they touch, what tools feel."""
+"""Inputs and outputs of all organs together, besides the mailboxes of each: contact pairs, breath, haptic output."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from tissue_sim.model.data.world import World
 from tissue_sim.model.runtime.mailboxes import JOURNAL_ROWS, Mailbox, fence, mailbox, put, take
 from tissue_sim.model.stepping.breathing import Breath
 from tissue_sim.model.stepping.contact_pairs import (
-    MOST_ORGANS,
-    MOST_PAIRS,
+    MAX_ORGANS,
+    MAX_PAIRS,
     OrganContactSet,
     copy_pair,
     copy_points,
@@ -35,14 +35,14 @@ class JoinedRow(Record):
     respiration: int
 
 
-class Kept(NamedTuple):
-    """State of what joins organs after a tick, as far as it changes."""
+class JoinedSnapshot(NamedTuple):
+    """Snapshot of the changing state of everything that joins organs, after a tick."""
 
     breath: Longs  # the words of a Breath
     pairs: OrganContactSet
     pressed: Floats  # (p,) N, as in OrganContacts
     held: Floats  # (p, 3) N
-    version: Longs  # (MOST_ORGANS,) as in OrganContacts
+    version: Longs  # (MAX_ORGANS,) as in OrganContacts
 
 
 class JoinedBox(NamedTuple):
@@ -54,8 +54,8 @@ class JoinedBox(NamedTuple):
     row: JoinedRow  # as the last tick took it up
     journal_written: Longs  # (1,)
     journal: Records  # (JOURNAL_ROWS,) of JoinedRow
-    kept: Kept  # when asked
-    # The loop's own.
+    snapshot: JoinedSnapshot  # when asked
+    # Used by the loop only.
     taken: OrganContactSet
     taken_fraction: Floats  # (1,)
     wrench_words: Longs  # (1 + 6 T,) the tick, and the wrench
@@ -63,7 +63,7 @@ class JoinedBox(NamedTuple):
 
 
 def make_joined_box(n_bodies: int) -> JoinedBox:
-    """Return empty mailboxes of joined organs.
+    """Return empty mailboxes for joined organs.
 
     Parameters
     ----------
@@ -78,12 +78,12 @@ def make_joined_box(n_bodies: int) -> JoinedBox:
         row=JoinedRow.new(),
         journal_written=np.zeros(1, dtype=np.int64),
         journal=JoinedRow.rows(np.zeros(JOURNAL_ROWS * JoinedRow.words(), dtype=np.int64)),
-        kept=Kept(
+        snapshot=JoinedSnapshot(
             np.zeros(Breath.words(), dtype=np.int64),
             organ_contact_set(),
-            np.zeros(MOST_PAIRS),
-            np.zeros((MOST_PAIRS, 3)),
-            np.zeros(MOST_ORGANS, dtype=np.int64),
+            np.zeros(MAX_PAIRS),
+            np.zeros((MAX_PAIRS, 3)),
+            np.zeros(MAX_ORGANS, dtype=np.int64),
         ),
         taken=taken,
         taken_fraction=np.zeros(1),
@@ -94,7 +94,7 @@ def make_joined_box(n_bodies: int) -> JoinedBox:
 
 @kernel
 def take_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
-    """Apply new pairs and the breath's external input, and note the tick that did.
+    """Apply new pairs and the breath's external input, and record the tick in the journal.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def take_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
 
 @kernel
 def note_joined(box: JoinedBox, tick: int) -> None:
-    """Note what was applied by this tick."""
+    """Record in the journal which inputs this tick has applied."""
     box.row.tick = tick
     box.journal[box.journal_written[0] % JOURNAL_ROWS] = box.row
     fence()
@@ -131,7 +131,7 @@ def note_joined(box: JoinedBox, tick: int) -> None:
 
 @kernel
 def post_haptic_output(worlds: Sequence[World], joined: CoupledOrgans | None, box: JoinedBox) -> None:
-    """Hand out what tools feel of all organs; of one that nothing joins as it is, which is clamped already."""
+    """Post the haptic output of all organs; that of a single organ is already clamped, and is posted unchanged."""
     box.wrench_words[0] = worlds[0].state.status.tick
     if joined is None:
         for body in range(len(box.wrench)):
@@ -143,8 +143,8 @@ def post_haptic_output(worlds: Sequence[World], joined: CoupledOrgans | None, bo
 
 
 @kernel
-def keep_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
-    """Copy what joins organs; the journal shows what it has applied.
+def snapshot_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
+    """Copy the state of everything that joins organs; the journal shows which inputs it contains.
 
     Parameters
     ----------
@@ -156,15 +156,15 @@ def keep_joined(joined: CoupledOrgans, box: JoinedBox, tick: int) -> None:
         Number of the tick.
     """
     note_joined(box, tick)
-    pairs, kept, words = joined.pairs, box.kept, joined.carried.breath_words
+    pairs, snapshot, words = joined.pairs, box.snapshot, joined.carried.breath_words
     for index in range(len(words)):
-        kept.breath[index] = words[index]
-    copy_points(pairs, kept.pairs)
-    for organ in range(len(kept.version)):
-        kept.version[organ] = pairs.version[organ]
-    kept.pairs.found[0] = pairs.found[0]
+        snapshot.breath[index] = words[index]
+    copy_points(pairs, snapshot.pairs)
+    for organ in range(len(snapshot.version)):
+        snapshot.version[organ] = pairs.version[organ]
+    snapshot.pairs.found[0] = pairs.found[0]
     for pair in range(pairs.found[0]):
-        copy_pair(pairs, pair, kept.pairs, pair)
-        kept.pressed[pair] = pairs.pressed[pair]
+        copy_pair(pairs, pair, snapshot.pairs, pair)
+        snapshot.pressed[pair] = pairs.pressed[pair]
         for axis in range(3):
-            kept.held[pair, axis] = pairs.held[pair, axis]
+            snapshot.held[pair, axis] = pairs.held[pair, axis]

@@ -1,9 +1,9 @@
 """Fixed-rate loop: one compiled function that never takes the GIL.
 
-Ticks are due by the monotonic clock, or by times that are posted (ROS's /clock). By the monotonic clock a pose or force
-brings the next tick forward, by a period at most: no tick begins before the one before it was due, so that their number
-stays that of the clock. While organs sleep and no tool is near, the loop naps over several ticks and does them
-afterwards; a bell (a semaphore) wakes it for a pose or force.
+Ticks are due by the monotonic clock, or by posted times (ROS's /clock). With the monotonic clock, a pose or force makes
+the next tick start early, by a period at most: no tick begins before the previous one was due, so that the number of
+ticks remains that of the clock. While organs sleep and no tool is near, the loop sleeps for several ticks and computes
+them afterwards; a bell (a semaphore) wakes it for a pose or force.
 
 Inputs and outputs are in mailboxes (tissue_sim.model.runtime.mailboxes).
 """
@@ -19,29 +19,29 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.contact.tool_motion import freshness
 from tissue_sim.model.data.world import World
 from tissue_sim.model.runtime.exchange import Exchange, preload, take_exchange
-from tissue_sim.model.runtime.joined_box import JoinedBox, keep_joined, post_haptic_output, take_joined
+from tissue_sim.model.runtime.joined_box import JoinedBox, post_haptic_output, snapshot_joined, take_joined
 from tissue_sim.model.runtime.mailboxes import (
     Control,
     LoopWords,
     Mailboxes,
-    Pace,
+    RequestPhase,
     fence,
-    keep_states,
     note_tick,
     post_results,
+    snapshot_states,
     take_inputs,
 )
 from tissue_sim.model.stepping.breathing import note_gravity
 from tissue_sim.model.stepping.coupled_step import CoupledOrgans, tick_coupled, uncouple
 
 CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
-# ns; further behind than this, ticks are dropped instead of run in a burst. Posted times come in larger steps.
+# ns; if the loop is further behind, ticks are dropped instead of run in a burst. Posted times have larger steps.
 LATEST_CATCH_UP, LATEST_CATCH_UP_POSTED = 50_000_000, 1_000_000_000
-MOST_WAITS = 2  # see wait_for_tick
-SHIFTS = 32  # requests until most of a wrong phase is gone
-NAP = 4_000_000  # ns that an idle loop sleeps at most, so that simulated time is never 5 ms behind
-LOOK_UP = 50_000_000  # ns after which a loop that waits for a posted time checks whether it has to end
-STANDS_AFTER = 500_000_000  # ns of wall time after which a clock that doesn't advance counts as stopped
+MAX_WAITS = 2  # see wait_for_tick
+SHIFTS = 32  # requests until most of a wrong phase is corrected
+NAP = 4_000_000  # ns, longest sleep of an idle loop, so that simulated time is never 5 ms behind
+STOP_CHECK_INTERVAL = 50_000_000  # ns after which a loop that waits for a posted time checks whether it must end
+STOPPED_AFTER = 500_000_000  # ns of wall time after which a clock that doesn't advance counts as stopped
 
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
 _clock_nanosleep = types.ExternalFunction(
@@ -102,17 +102,17 @@ def sleep_until_bell(deadline: int, loop: LoopWords) -> None:
 def wait_until(deadline: int, loop: LoopWords) -> int:
     """Sleep until a tick is due by a posted time, ns; return the time that was posted.
 
-    It may not have reached the deadline yet: then it is earlier, and the caller asks again.
+    That time may be before the deadline: then the caller waits again.
     """
-    control, pace = loop.control, loop.pace
+    control, phase = loop.control, loop.phase
     if control.posted_time < deadline:
-        sleep_until_bell(now(loop.now) + LOOK_UP, loop)
+        sleep_until_bell(now(loop.now) + STOP_CHECK_INTERVAL, loop)
     fence()
     time = control.posted_time
-    if time != pace.seen:
-        pace.behind = max(0, pace.seen - deadline)
-        pace.seen, pace.seen_at = time, now(loop.now)
-    elif time < deadline and now(loop.now) - pace.seen_at > STANDS_AFTER:
+    if time != phase.seen:
+        phase.behind = max(0, phase.seen - deadline)
+        phase.seen, phase.seen_at = time, now(loop.now)
+    elif time < deadline and now(loop.now) - phase.seen_at > STOPPED_AFTER:
         control.standing = True
     return time
 
@@ -121,11 +121,11 @@ def wait_until(deadline: int, loop: LoopWords) -> int:
 def wait_for_tick(due: int, period: int, answered: int, loop: LoopWords) -> int:
     """Sleep until a tick is due by the monotonic clock, a period after `due`, ns, or is requested.
 
-    answered: control.asked when the last tick began. The time is returned, which is `due` or later. A request before
-    `due` waits, and its tick uses up the time of the next one: in a stream of poses at the rate of the ticks all would
-    wait like that. After MOST_WAITS in a row, a tick is therefore left out for the request after it.
+    answered: control.asked when the last tick began. Returns the time, which is `due` or later. A request before `due`
+    waits, and its tick uses up the time of the next one: in a stream of poses with the rate of the ticks, all would
+    wait like that. Therefore, after MAX_WAITS such requests in a row, a tick waits for the next request.
     """
-    control, pace, time = loop.control, loop.pace, now(loop.now)
+    control, phase, time = loop.control, loop.phase, now(loop.now)
     early = answered  # control.asked with all requests before `due`
     while time < due + period:
         control.waiting = True
@@ -133,34 +133,34 @@ def wait_for_tick(due: int, period: int, answered: int, loop: LoopWords) -> int:
         asked, deadline = control.asked, due + period
         if time < due:
             early = asked
-        if pace.waits < MOST_WAITS or asked != early:
+        if phase.waits < MAX_WAITS or asked != early:
             if asked != answered and time >= due:
                 break
             deadline = due if asked != answered else deadline
         sleep_until_bell(deadline, loop)
         time = now(loop.now)
     control.waiting = False
-    pace.waits = pace.waits + 1 if control.asked == early == answered + 1 and pace.waits < MOST_WAITS else 0
+    phase.waits = phase.waits + 1 if control.asked == early == answered + 1 and phase.waits < MAX_WAITS else 0
     return time
 
 
 @kernel
-def suited_due(due: int, start: int, period: int, pace: Pace) -> int:
-    """Return when a tick that one request brought forward was due, ns, shifted to let requests come midway between two.
+def suited_due(due: int, start: int, period: int, phase: RequestPhase) -> int:
+    """Return when an early tick was due, ns, shifted so that requests arrive midway between two due times.
 
-    In a stream at the rate of the ticks, one that comes a little early then needn't wait, and one that comes a little
-    late finds no tick under way without it. All shifts together are at most half a period.
+    In a stream with the rate of the ticks, a request that arrives a little early then needn't wait, and for one that
+    arrives a little late no tick has begun without it. The sum of all shifts is at most half a period.
     """
     shift = (start - due - period // 2) // SHIFTS
-    if abs(pace.shift + shift) > period // 2:
+    if abs(phase.shift + shift) > period // 2:
         return due
-    pace.shift += shift
+    phase.shift += shift
     return due + shift
 
 
 @kernel
 def is_idle(world: World, box: Mailboxes, resets: int) -> bool:
-    """Return whether an organ sleeps, no pose or force is fresh, and none has come."""
+    """Return whether an organ sleeps, no pose or force is fresh, and none has arrived."""
     state, settings = world.state, world.settings
     idle = state.status.asleep and resets == box.row.resets
     for body in range(len(state.bodies)):
@@ -181,7 +181,7 @@ def all_idle(worlds: Sequence[World], boxes: Sequence[Mailboxes], control: Contr
 
 @kernel
 def nap(deadline: int, worlds: Sequence[World], boxes: Sequence[Mailboxes], loop: LoopWords) -> int:
-    """Sleep to an absolute monotonic time, ns, unless something is due sooner; return until when."""
+    """Sleep to an absolute monotonic time, ns, unless something is due sooner; return the time until which it slept."""
     control = loop.control
     control.napping = True
     fence()  # from here on a post rings the bell
@@ -199,7 +199,7 @@ def take_all(
     joined: CoupledOrgans | None,
     joined_box: JoinedBox,
 ) -> None:
-    """Take up what came in: a reset lets go of all that joins organs, gravity is what it is without the breath."""
+    """Apply all inputs: a reset uncouples organs; gravity in new settings is that without the breath."""
     if joined is None:
         take_inputs(worlds[0], boxes[0], resets)
         return
@@ -225,13 +225,13 @@ def post_all(
 
 
 @kernel
-def keep_all(
+def snapshot_all(
     worlds: Sequence[World], boxes: Sequence[Mailboxes], joined: CoupledOrgans | None, joined_box: JoinedBox
 ) -> None:
-    """Copy the whole states, and what joins them."""
-    keep_states(worlds, boxes)
+    """Copy the states of all organs, and that of everything that joins them."""
+    snapshot_states(worlds, boxes)
     if joined is not None:
-        keep_joined(joined, joined_box, worlds[0].state.status.tick)
+        snapshot_joined(joined, joined_box, worlds[0].state.status.tick)
 
 
 @kernel
@@ -245,23 +245,23 @@ def run_loop(
 ) -> None:
     """Tick a row of worlds, each with its mailboxes, every settings.tick_time s of the first one until control.stop.
 
-    joined: what joins them, see `coupled_step.CoupledOrgans`; None, and compiled without any of it, for an organ alone.
-    exchange: new arrays for an organ, between two ticks.
+    joined: what joins the organs, see `coupled_step.CoupledOrgans`; None for a single organ, compiled without coupling.
+    exchange: new arrays for an organ, used from between two ticks on.
     """
-    settings, control, pace = worlds[0].settings, loop.control, loop.pace
+    settings, control, phase = worlds[0].settings, loop.control, loop.phase
     for organ in range(len(boxes)):
         boxes[organ].demand.moved = True  # the rest shape
     post_all(worlds, boxes, joined, joined_box)
-    control.looked_up = now(loop.now)
+    control.last_wait = now(loop.now)
     control.started = True
     due = 0  # when the last tick was due by the clock that ticks follow; 0 before its first time
     answered = 0  # control.asked when the last tick began
     posted = not control.sim_time
     while not control.stop:
-        control.looked_up = now(loop.now)
+        control.last_wait = now(loop.now)
         asked = control.snapshot_asked
         if asked != control.snapshot_done:
-            keep_all(worlds, boxes, joined, joined_box)
+            snapshot_all(worlds, boxes, joined, joined_box)
             fence()
             control.snapshot_done = asked
         if posted != control.sim_time:
@@ -285,15 +285,15 @@ def run_loop(
         else:
             start = wait_for_tick(due, period, answered, loop)
             if start < due + period and control.asked == answered + 1:
-                due = suited_due(due, start, period, pace)
+                due = suited_due(due, start, period, phase)
         due += period
         late = max(0, start - due)
         begin = start
         if late > (LATEST_CATCH_UP_POSTED if posted else LATEST_CATCH_UP):
             control.dropped += late // period
             due = start
-        if posted:  # a posted time makes many ticks due at once; late is what was left of the one before
-            begin, late, pace.behind = now(loop.now), pace.behind, 0
+        if posted:  # a posted time makes many ticks due at once; lateness is the remaining lag behind the previous one
+            begin, late, phase.behind = now(loop.now), phase.behind, 0
         if late > period:
             control.overruns += 1
         before, answered = answered, control.asked

@@ -1,8 +1,8 @@
 """Mailboxes between the compiled loop and Python, in shared arrays.
 
 A mailbox has a sequence number and a few slots: the writer fills slot `(sequence + 1) % slots` and then raises the
-number; the reader copies slot `sequence % slots` and accepts it if the writer can't have reached it again meanwhile. No
-side waits for the other. Messages are words, whose meaning is up to writer and reader.
+number; the reader copies slot `sequence % slots` and accepts it if the writer can't have reached it again meanwhile.
+Neither side waits for the other. Messages are words, which writer and reader interpret.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from tissue_sim.model.data.records import Record, Records
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.state import State
 from tissue_sim.model.data.world import World
-from tissue_sim.model.regions.active_region import is_shown, show_region
+from tissue_sim.model.regions.active_region import is_outside_current, update_outside
 from tissue_sim.model.stepping.inputs import reset_state, take_contacts, take_force, take_pose
 
 SLOTS = 4
 JOURNAL_ROWS = 8192
 TIMING_ROWS = 8192
 POSE_WORDS = 8
-CARRIED_ON = 5e-5  # m that the breath moves a sleeping organ before its shape is posted again
+REPOST_DISTANCE = 5e-5  # m by which the breath moves a sleeping organ before its shape is posted again
 
 
 class Mailbox(NamedTuple):
@@ -56,15 +56,15 @@ def mailbox(most: int, addressees: int = 1) -> Mailbox:
 
 
 class Control(Record):
-    """Words between the loop and Python, each written by one of them."""
+    """Words shared by the loop and Python, each written by one of them."""
 
     stop: bool
     started: bool  # the loop runs and has posted the rest shape
-    napping: bool  # the loop sleeps over several ticks
-    waiting: bool  # the loop sleeps until its next tick, which a pose brings forward
+    napping: bool  # the loop sleeps for several ticks
+    waiting: bool  # the loop sleeps until its next tick, which a pose makes start early
     asked: int  # raised after posting something urgent: all of a tool's bodies, to all organs
     sim_time: bool  # ticks follow posted_time, not the monotonic clock
-    standing: bool  # /clock gives no time, or hasn't advanced for a while
+    standing: bool  # /clock has given no time, or hasn't advanced for a while
     resets: int
     snapshot_asked: int
     snapshot_done: int
@@ -73,30 +73,30 @@ class Control(Record):
     dropped: int
     simulated: int  # ns of simulated time
     due: int  # ns of the clock in use: when the last tick was due
-    looked_up: int  # ns of the monotonic clock when the loop last began to wait; an old time: it hangs, or starves
+    last_wait: int  # ns of the monotonic clock when the loop last began to wait; long ago if it hangs or starves
     posted_time: int  # ns, newest time of /clock; 0 before the first one
 
 
 class Demand(Record):
-    """Words about an organ's positions between the loop and Python, each written by one of them."""
+    """Words about an organ's positions, shared by the loop and Python, each written by one of them."""
 
-    on_demand: bool  # they are posted only on request, because most of them are not computed
-    moved: bool  # since they were posted
+    on_demand: bool  # positions are posted only on request, because most of them are not computed
+    moved: bool  # they have changed since they were posted
     asked: int
     done: int
-    x: float  # m that the breath had moved the organ when they were posted
+    x: float  # m, displacement of the organ by the breath when they were posted
     y: float
     z: float
 
 
-class Pace(Record):
-    """Notes of the loop about requests and posted times."""
+class RequestPhase(Record):
+    """State of the loop about requests and posted times."""
 
-    waits: int  # how many ticks in a row had one request, which had to wait until they were due
-    shift: int  # ns by which the times when ticks are due were shifted to suit the requests
-    seen: int  # ns, the newest that it has seen
-    seen_at: int  # ns of the monotonic clock, when it did
-    behind: int  # ns, remaining lag behind the previous one
+    waits: int  # number of ticks in a row with one request, which had to wait until the tick was due
+    shift: int  # ns by which the due times of ticks were shifted for the requests
+    seen: int  # ns, newest posted time that the loop has seen
+    seen_at: int  # ns of the monotonic clock, when it saw that time
+    behind: int  # ns, remaining lag behind the previous posted time
 
 
 class JournalRow(Record):
@@ -123,11 +123,11 @@ class Timing(Record):
 
 
 class LoopWords(NamedTuple):
-    """Inputs and outputs of a loop, whatever organs it advances."""
+    """Inputs and outputs of a loop that don't belong to an organ."""
 
     control: Control
     timing: Records  # (TIMING_ROWS,) of Timing
-    pace: Pace
+    phase: RequestPhase
     now: Longs  # (2,) a timespec
     wake: Longs  # (2,) another
     bell: Longs  # (4,) a sem_t, posted to wake the loop
@@ -162,11 +162,11 @@ def _longs(*shape: int) -> Longs:
 
 
 def make_loop_words() -> LoopWords:
-    """Return the words of a loop that has not begun."""
+    """Return the words of a loop that has not started."""
     return LoopWords(
         control=Control.new(),
         timing=Timing.rows(_longs(TIMING_ROWS * Timing.words())),
-        pace=Pace.new(),
+        phase=RequestPhase.new(),
         now=_longs(2),
         wake=_longs(2),
         bell=_longs(4),
@@ -207,7 +207,7 @@ def make_mailboxes(state: State) -> Mailboxes:
 
 @intrinsic
 def fence(typing_context):  # type: ignore[no-untyped-def]
-    """Keep loads and stores on their side of this line, in the compiler and the processor."""
+    """Memory barrier for the compiler and the processor: no load or store moves past it."""
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         builder.fence("seq_cst")
@@ -276,9 +276,9 @@ def take(box: Mailbox, addressee: int, last: int, message: Longs) -> int:
 
 @kernel
 def take_inputs(world: World, box: Mailboxes, resets: int) -> None:
-    """Apply what is new in the mailboxes, and a requested reset.
+    """Apply new messages in the mailboxes, and a requested reset.
 
-    box.row and box.inputs become this tick's in the journal, which has a row when anything was new.
+    box.row and box.inputs are written to the journal as this tick's, if any input was new.
 
     Parameters
     ----------
@@ -320,7 +320,7 @@ def take_inputs(world: World, box: Mailboxes, resets: int) -> None:
 
 @kernel
 def write_journal(box: Mailboxes, tick: int) -> None:
-    """Note what was applied by this tick."""
+    """Record in the journal which inputs this tick has applied."""
     box.row.tick = tick
     place = box.journal_written[0] % JOURNAL_ROWS
     box.journal[place] = box.row
@@ -333,7 +333,7 @@ def write_journal(box: Mailboxes, tick: int) -> None:
 
 @kernel
 def post_results(world: World, box: Mailboxes) -> None:
-    """Post wrenches and counters, and the positions when they moved: with a modal region, on request.
+    """Post wrenches and counters, and the positions if they have changed; with a modal region only on request.
 
     Parameters
     ----------
@@ -346,11 +346,11 @@ def post_results(world: World, box: Mailboxes) -> None:
     put(box.results, 0, state.results)
     if not state.status.asleep or continues_motion(state.carried, demand):
         demand.moved = True
-    lazy = not is_shown(state)
+    lazy = not is_outside_current(state)
     demand.on_demand = lazy
     asked = demand.asked
     if lazy and asked != demand.done:
-        show_region(world.model, state, world.settings, world.scratch)
+        update_outside(world.model, state, world.settings, world.scratch)
         lazy, demand.moved = False, True
     if demand.moved and not lazy:
         state.shape_tick[0] = state.status.tick
@@ -363,14 +363,14 @@ def post_results(world: World, box: Mailboxes) -> None:
 
 @kernel
 def continues_motion(carried: Floats, demand: Demand) -> bool:
-    """Return whether the breath has moved an organ by more than CARRIED_ON since its positions were posted."""
+    """Return whether the breath has moved an organ by more than REPOST_DISTANCE since its positions were posted."""
     x, y, z = carried[0] - demand.x, carried[1] - demand.y, carried[2] - demand.z
-    return x * x + y * y + z * z > CARRIED_ON * CARRIED_ON
+    return x * x + y * y + z * z > REPOST_DISTANCE * REPOST_DISTANCE
 
 
 @kernel
-def keep_states(worlds: Sequence[World], boxes: Sequence[Mailboxes]) -> None:
-    """Copy the whole states; the journals show what they have applied.
+def snapshot_states(worlds: Sequence[World], boxes: Sequence[Mailboxes]) -> None:
+    """Copy the states of all organs; the journals show which inputs they contain.
 
     Parameters
     ----------
@@ -388,7 +388,7 @@ def keep_states(worlds: Sequence[World], boxes: Sequence[Mailboxes]) -> None:
 
 @kernel
 def note_tick(loop: LoopWords, due: int, period: int, late: int, duration: int) -> None:
-    """Note when a tick was due, and its timing.
+    """Record when a tick was due, and its timing.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Breathing: how far it moves what is attached, and the load that organs feel from it.
+"""Breathing: the displacement of clamps and attached points, and the load on organs.
 
-An organ that breathes is simulated in the frame of its clamp, in which the clamp is at rest. Tools come towards it as
-the frame moves the other way, and the frame's acceleration is a weight on its nodes. Loads that hardly bend an organ
-are left out (`wake_threshold`).
+An organ that breathes is simulated in the frame of its clamp, in which the clamp is at rest. In this frame tools move
+the opposite way, and the frame's acceleration acts like a weight on the nodes. Loads that hardly bend an organ are left
+out (`wake_threshold`).
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from tissue_sim.model.data.records import Record, words_of
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.world import World
 
-FOLLOW = 20.0  # 1/s, rate at which it follows external input: 0.1 s behind
+FOLLOW_RATE = 20.0  # 1/s, rate at which a breath follows external input, with a lag of 0.1 s
 
 
 class Breath(Record):
-    """Course of breathing: out at time 0, with a pause there, and in after half a period (Lujan et al. 1999, n = 2).
+    """Breathing curve: exhaled at time 0, with a pause there, inhaled after half a period (Lujan et al. 1999, n = 2).
 
-    Or it follows external input, smoothly, as a critically damped spring would.
+    Alternatively it follows external input, smoothed as by a critically damped spring.
     """
 
     period: float  # s; 0: none
     follows: bool  # whether it follows external input
-    x: float  # m, the way from breathed out to breathed in
+    x: float  # m, the displacement from exhaled to inhaled
     y: float
     z: float
     time: float  # s
-    target: float  # fraction of the way, external input
-    fraction: float  # present fraction of the way
+    target: float  # fraction of the displacement, external input
+    fraction: float  # present fraction of the displacement
     speed: float  # 1/s
 
 
 @kernel
 def inhaled_fraction(time: float, period: float) -> tuple[float, float, float]:
-    """Return how far a periodic breath is at a time: sin^4(pi t / T) and its derivatives.
+    """Return the displacement of a periodic breath at a time: sin^4(pi t / T) and its derivatives.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def inhaled_fraction(time: float, period: float) -> tuple[float, float, float]:
     Returns
     -------
     tuple[float, float, float]
-        Fraction of the way, its speed, 1/s, and its acceleration, 1/s^2.
+        Fraction of the displacement, its speed, 1/s, and its acceleration, 1/s^2.
 
     References
     ----------
@@ -71,15 +71,15 @@ class Carried(NamedTuple):
 
     breath: Breath
     breath_words: Longs  # memory of the breath
-    fraction: Floats  # (2,) fraction of the breath's way, and its rate, 1/s
-    moves: Floats  # (k,) fraction of the way that each follows
+    fraction: Floats  # (2,) fraction of the breath's displacement, and its rate, 1/s
+    moves: Floats  # (k,) fraction of the displacement that each follows
     gravity: Floats  # (k, 3) m/s^2, of each without the breath
     speed: Floats  # (k, 3) m/s
     change: Floats  # (k, 3) m/s^2
 
 
 def moves_with_frame(breath: Breath, moves: Sequence[float], gravity: Floats) -> Carried:
-    """Return organs that follow a breath by the fractions `moves` (k,), breathed out; see Carried."""
+    """Return organs that follow a breath by the fractions `moves` (k,), exhaled; see Carried."""
     count = len(moves)
 
     def rows() -> Floats:
@@ -92,7 +92,7 @@ def moves_with_frame(breath: Breath, moves: Sequence[float], gravity: Floats) ->
 @kernel
 def follow(breath: Breath, step: float) -> tuple[float, float, float]:
     """Advance by `step` s towards the external input; return fraction, speed, 1/s, and acceleration, 1/s^2."""
-    change = FOLLOW * (FOLLOW * (breath.target - breath.fraction) - 2.0 * breath.speed)
+    change = FOLLOW_RATE * (FOLLOW_RATE * (breath.target - breath.fraction) - 2.0 * breath.speed)
     breath.speed += step * change
     breath.fraction += step * breath.speed
     return breath.fraction, breath.speed, change
@@ -100,7 +100,7 @@ def follow(breath: Breath, step: float) -> tuple[float, float, float]:
 
 @kernel
 def breathe(worlds: Sequence[World], carried: Carried, step: float) -> None:
-    """Move organs with the breath for one tick; `apply_wake_threshold` sets the load that they feel from it.
+    """Move organs with the breath for one tick; `apply_wake_threshold` sets the load that it exerts on them.
 
     Parameters
     ----------
@@ -135,8 +135,8 @@ def breathe(worlds: Sequence[World], carried: Carried, step: float) -> None:
 
 
 @kernel
-def weigh(settings: Settings, carried: Carried, organ: int, fraction: float) -> None:
-    """Set an organ's gravity, minus the part of its frame's acceleration that it feels.
+def set_frame_gravity(settings: Settings, carried: Carried, organ: int, fraction: float) -> None:
+    """Set an organ's gravity to that without breath, minus a fraction of its frame's acceleration.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def weigh(settings: Settings, carried: Carried, organ: int, fraction: float) -> 
     organ : int
         Index of the organ.
     fraction : float
-        Fraction of the acceleration that it feels.
+        Fraction of the acceleration that acts on it.
     """
     change, gravity = carried.change[organ], carried.gravity[organ]
     settings.gravity_x = gravity[0] - fraction * change[0]
@@ -157,7 +157,7 @@ def weigh(settings: Settings, carried: Carried, organ: int, fraction: float) -> 
 
 @kernel
 def note_gravity(settings: Settings, carried: Carried, organ: int) -> None:
-    """Note an organ's gravity without the breath, from its settings, which are new.
+    """Store an organ's gravity without the breath, from its new settings.
 
     Parameters
     ----------

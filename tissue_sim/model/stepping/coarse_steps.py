@@ -1,4 +1,4 @@
-"""Coarse steps: an organ that no hand is near takes half as many substeps, with masses that allow it.
+"""Coarse steps: an organ that no hand is near takes half as many substeps, with larger masses.
 
 The loads of such an organ, from ligaments, its neighbours and breathing, change slowly compared with its lowest modes:
 its shape is nearly the static one, whatever its masses are. So the mass of each node is increased as far as a substep
@@ -33,10 +33,12 @@ from tissue_sim.model.stepping.critical_step import LONGEST_OF_CELLS, SAFETY
 from tissue_sim.model.stepping.wake_threshold import rounded_up
 
 CALM_SPEED = 5e-3  # m/s, of any coordinate: a slowly changing load doesn't move a node faster
-ROOM = 1.01  # factor on the required step, so that it is stable in spite of rounding
-MOST_OF_LINKS = 0.5  # largest fraction of a step's squared frequency that links may take up; beyond, no coarse steps
+ROOM = 1.01  # factor on the required step, so that it is stable despite rounding
+MAX_LINK_FRACTION = (
+    0.5  # largest fraction of a step's squared frequency that links may take up; beyond, no coarse steps
+)
 ROUNDING = 1e-9  # of a step
-FRACTIONS = np.linspace(0.1, 1.0, 19)  # of what Gershgorin's circles require; the smallest stable one is used
+FRACTIONS = np.linspace(0.1, 1.0, 19)  # of the mass that Gershgorin's circles require; the smallest stable one is used
 
 
 class Coarse(NamedTuple):
@@ -67,17 +69,17 @@ def coarse_masses(model: Model, settings: Settings, added: float) -> tuple[Float
     -------
     tuple[Floats, float]
         Factors (n,) on the nodes' masses, and the largest frequency with these, rad/s; 0 where there are no coarse
-        steps: for springs, tissue that relaxes, other integrators than the symplectic one, links that are too stiff,
-        and where half of the substeps is no smaller number.
+        steps: for springs, tissue that relaxes, integrators other than the symplectic one, links that are too stiff,
+        and a tick of one substep.
     """
     factor = np.ones(len(model.rest))
     tick_time, substeps = float(settings.tick_time), int(settings.substeps)
-    fewer = max(math.ceil(substeps / 2), least_of(tick_time))
+    fewer = max(math.ceil(substeps / 2), min_substeps_of(tick_time))
     elastic = model.tissue is not None and len(model.relaxation) == 0
     if fewer >= substeps or not elastic or settings.integrator != Integrator.SYMPLECTIC:
         return factor, 0.0
     allowed = (2.0 * SAFETY * fewer / tick_time) ** 2
-    if added > MOST_OF_LINKS * allowed:
+    if added > MAX_LINK_FRACTION * allowed:
         return factor, 0.0
     return masses_for(model, 2.0 * ROOM * math.sqrt(settings.stiffness_scale / (allowed - added)))
 
@@ -113,8 +115,8 @@ def masses_for(model: Model, step: float) -> tuple[Floats, float]:
 
 
 @kernel
-def least_of(tick_time: float) -> int:
-    """Return the smallest number of substeps in a tick, s, that are no longer than cells may take."""
+def min_substeps_of(tick_time: float) -> int:
+    """Return the smallest number of substeps in a tick, s, with steps no longer than cells allow."""
     return max(1, math.ceil((1.0 - ROUNDING) * tick_time / LONGEST_OF_CELLS))
 
 
@@ -137,7 +139,7 @@ def plan_coarse(world: World, coarse: Coarse, organ: int, added: float) -> None:
     if coarse.square[organ] == 0.0 or plan.handled or not may_be_coarse(world) or not is_left_alone(world.state):
         return
     frequency = math.sqrt(coarse.square[organ] * settings.stiffness_scale + added)
-    substeps = max(least_of(settings.tick_time), math.ceil(settings.tick_time * frequency / (2.0 * SAFETY)))
+    substeps = max(min_substeps_of(settings.tick_time), math.ceil(settings.tick_time * frequency / (2.0 * SAFETY)))
     if substeps < plan.substeps:
         plan.coarse, plan.substeps = True, substeps
 
@@ -165,12 +167,12 @@ def is_left_alone(state: State) -> bool:
 
 @kernel
 def ratio_of(plan: Plan, substeps: int) -> int:
-    """Return the number of the tick's substeps during one substep of an organ; more than 1 in coarse steps only."""
+    """Return the number of the tick's substeps in one substep of an organ; more than 1 only in coarse steps."""
     return substeps // plan.substeps if plan.coarse else 1
 
 
 @kernel
 def fit_coarse(plan: Plan, substeps: int) -> None:
-    """Increase an organ's coarse steps until their number divides the tick's substeps."""
+    """Increase the number of an organ's coarse steps until it divides the tick's substeps."""
     while substeps % plan.substeps != 0:
         plan.substeps += 1

@@ -1,8 +1,8 @@
-"""Pairs of places where organs touch: as they are found, and as they are taken up, with their forces.
+"""Pairs of places where organs touch: as they are found, and as they are applied, with their forces.
 
 A pair is a node of one organ and a triangle of another. The walls and lips of a cut have points between nodes: such a
-cut point comes with a set, and is named by -1 minus its index there in place of a node. It depends on the nodes that
-the organ had after that cut. So pairs with such points are dropped when the organ goes on with another cut.
+cut point is part of a set, and is given as -1 minus its index there instead of a node. It depends on the nodes that
+the organ had after that cut, so pairs with such points are dropped when the organ continues with another cut.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import POINT_NODES
 from tissue_sim.model.data.records import Record, Vector
 
-MOST_PAIRS = 4096
-MOST_CUT_POINTS = 4096
-MOST_ORGANS = 16
-MOST_BEARERS = 2 * POINT_NODES  # nodes of both organs that bear a pair's force
+MAX_PAIRS = 4096
+MAX_CUT_POINTS = 4096
+MAX_ORGANS = 16
+MAX_BEARERS = 2 * POINT_NODES  # nodes of both organs that bear a pair's force
 
 
 class OrganContactSet(NamedTuple):
-    """Room for MOST_PAIRS pairs, a node of organ[0] and a triangle of organ[1], in the order of organs and nodes.
+    """Up to MAX_PAIRS pairs of a node of organ[0] and a triangle of organ[1], in the order of organs and nodes.
 
-    Cut points are ordered like that, too. As nodes of pairs they come after all others, by their numbers.
+    Cut points are ordered in the same way. As nodes of pairs they come after all others, by their numbers.
     """
 
-    words: Longs  # memory of the others
+    words: Longs  # memory of the other fields
     found: Longs  # (1,) number of pairs
     organ: Longs  # (p, 2)
     node: Longs  # (p, 4) the node, and the triangle's three; below 0: a cut point, -1 minus its index
@@ -47,7 +47,7 @@ _POINT = np.dtype(
     [("organ", "i8"), ("number", "i8"), ("version", "i8"), ("node", "i8", POINT_NODES), ("weight", "f8", POINT_NODES)]
 )
 PAIR_WORDS, POINT_WORDS = _PAIR.itemsize // 8, _POINT.itemsize // 8
-POINTS_AT = 1 + MOST_PAIRS * PAIR_WORDS  # where the number of cut points is, followed by these
+POINTS_AT = 1 + MAX_PAIRS * PAIR_WORDS  # place of the number of cut points, which these follow
 
 
 def organ_contact_set(words: Longs | None = None) -> OrganContactSet:
@@ -59,7 +59,7 @@ def organ_contact_set(words: Longs | None = None) -> OrganContactSet:
         Words of another set; None for memory of its own.
     """
     if words is None:
-        words = np.zeros(POINTS_AT + 1 + MOST_CUT_POINTS * POINT_WORDS, dtype=np.int64)
+        words = np.zeros(POINTS_AT + 1 + MAX_CUT_POINTS * POINT_WORDS, dtype=np.int64)
     rows, points = words[1:POINTS_AT].view(_PAIR), words[POINTS_AT + 1 :].view(_POINT)
     of_pairs = words[:1], rows["organ"], rows["node"], rows["weight"]
     of_points = (points[name] for name in ("organ", "number", "version", "node", "weight"))
@@ -67,7 +67,7 @@ def organ_contact_set(words: Longs | None = None) -> OrganContactSet:
 
 
 def used_words(found: OrganContactSet) -> Longs:
-    """Return the words of a set that are in use: its pairs, and, where it has any, its cut points and their number.
+    """Return the words of a set that are in use: its pairs, and its cut points, if any, with their number.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def used_words(found: OrganContactSet) -> Longs:
 
 
 def set_of_words(words: Longs) -> OrganContactSet:
-    """Return the set that `used_words` returned the words of.
+    """Return the set of which `used_words` returned the words.
 
     Parameters
     ----------
@@ -91,17 +91,17 @@ def set_of_words(words: Longs) -> OrganContactSet:
     Raises
     ------
     ValueError
-        When they are not as many as they say.
+        When their number differs from the one that they state.
     """
     made = organ_contact_set()
     if words.ndim != 1 or words.dtype != np.int64 or not 1 <= len(words) <= len(made.words):
         raise ValueError("its organ contacts are not whole words")
     count = int(words[0])
     most = 1 + count * PAIR_WORDS
-    if not 0 <= count <= MOST_PAIRS or len(words) < most:
+    if not 0 <= count <= MAX_PAIRS or len(words) < most:
         raise ValueError(f"it counts {count} organ contacts, but contains another number")
     points = words[most:]
-    if len(points) and not (0 <= points[0] <= MOST_CUT_POINTS and len(points) == 1 + int(points[0]) * POINT_WORDS):
+    if len(points) and not (0 <= points[0] <= MAX_CUT_POINTS and len(points) == 1 + int(points[0]) * POINT_WORDS):
         raise ValueError(f"it counts {count} organ contacts, but contains another number, or other points of cuts")
     made.words[:most] = words[:most]
     made.words[POINTS_AT : POINTS_AT + len(points)] = points
@@ -129,19 +129,19 @@ class OrganContacts(NamedTuple):
     point_node: Longs  # (q, POINT_NODES)
     point_weight: Floats  # (q, POINT_NODES)
     bearing: Longs  # (p, 2) how many nodes of the first organ bear its force, and how many of both
-    bearer: Longs  # (p, MOST_BEARERS) these nodes, those of the first organ first
-    part: Floats  # (p, MOST_BEARERS) of the force that each bears
-    version: Longs  # (MOST_ORGANS,) number of the newest cut of each organ, or of its reset
+    bearer: Longs  # (p, MAX_BEARERS) these nodes, those of the first organ first
+    part: Floats  # (p, MAX_BEARERS) of the force that each bears
+    version: Longs  # (MAX_ORGANS,) number of the newest cut of each organ, or of its reset
     pressed: Floats  # (p,) N along the triangle's normal, in the last substep
     held: Floats  # (p, 3) N across it
-    loaded: Floats  # (p, 3) N that the node bears in this tick's loads
+    loaded: Floats  # (p, 3) N of the pair in this tick's loads on the node
     friction: Floats  # (1,) Coulomb coefficient
     before: Longs  # (p,) buffer: index in the previous set, or -1
     pressed_before: Floats  # (p,) buffer
     held_before: Floats  # (p, 3) buffer
     plane: ContactPlane  # of the pair that was measured last
     corner: Floats  # (3, 3) m, of that pair's triangle
-    caught: Longs  # (MOST_ORGANS,) buffer: 1 for an organ released in this tick
+    caught: Longs  # (MAX_ORGANS,) buffer: 1 for an organ released in this tick
 
 
 def make_organ_contacts(friction: float = 0.0) -> OrganContacts:
@@ -154,35 +154,35 @@ def make_organ_contacts(friction: float = 0.0) -> OrganContacts:
     """
     return OrganContacts(
         found=np.zeros(1, dtype=np.int64),
-        organ=np.zeros((MOST_PAIRS, 2), dtype=np.int64),
-        node=np.zeros((MOST_PAIRS, 4), dtype=np.int64),
-        weight=np.zeros((MOST_PAIRS, 3)),
+        organ=np.zeros((MAX_PAIRS, 2), dtype=np.int64),
+        node=np.zeros((MAX_PAIRS, 4), dtype=np.int64),
+        weight=np.zeros((MAX_PAIRS, 3)),
         points=np.zeros(1, dtype=np.int64),
-        point_organ=np.zeros(MOST_CUT_POINTS, dtype=np.int64),
-        point_number=np.zeros(MOST_CUT_POINTS, dtype=np.int64),
-        point_version=np.zeros(MOST_CUT_POINTS, dtype=np.int64),
-        point_node=np.zeros((MOST_CUT_POINTS, POINT_NODES), dtype=np.int64),
-        point_weight=np.zeros((MOST_CUT_POINTS, POINT_NODES)),
-        bearing=np.zeros((MOST_PAIRS, 2), dtype=np.int64),
-        bearer=np.zeros((MOST_PAIRS, MOST_BEARERS), dtype=np.int64),
-        part=np.zeros((MOST_PAIRS, MOST_BEARERS)),
-        version=np.zeros(MOST_ORGANS, dtype=np.int64),
-        pressed=np.zeros(MOST_PAIRS),
-        held=np.zeros((MOST_PAIRS, 3)),
-        loaded=np.zeros((MOST_PAIRS, 3)),
+        point_organ=np.zeros(MAX_CUT_POINTS, dtype=np.int64),
+        point_number=np.zeros(MAX_CUT_POINTS, dtype=np.int64),
+        point_version=np.zeros(MAX_CUT_POINTS, dtype=np.int64),
+        point_node=np.zeros((MAX_CUT_POINTS, POINT_NODES), dtype=np.int64),
+        point_weight=np.zeros((MAX_CUT_POINTS, POINT_NODES)),
+        bearing=np.zeros((MAX_PAIRS, 2), dtype=np.int64),
+        bearer=np.zeros((MAX_PAIRS, MAX_BEARERS), dtype=np.int64),
+        part=np.zeros((MAX_PAIRS, MAX_BEARERS)),
+        version=np.zeros(MAX_ORGANS, dtype=np.int64),
+        pressed=np.zeros(MAX_PAIRS),
+        held=np.zeros((MAX_PAIRS, 3)),
+        loaded=np.zeros((MAX_PAIRS, 3)),
         friction=np.array([friction]),
-        before=np.zeros(MOST_PAIRS, dtype=np.int64),
-        pressed_before=np.zeros(MOST_PAIRS),
-        held_before=np.zeros((MOST_PAIRS, 3)),
+        before=np.zeros(MAX_PAIRS, dtype=np.int64),
+        pressed_before=np.zeros(MAX_PAIRS),
+        held_before=np.zeros((MAX_PAIRS, 3)),
         plane=ContactPlane.new(),
         corner=np.zeros((3, 3)),
-        caught=np.zeros(MOST_ORGANS, dtype=np.int64),
+        caught=np.zeros(MAX_ORGANS, dtype=np.int64),
     )
 
 
 @kernel
 def separate_points(found: OrganContactSet) -> None:
-    """Move the cut points of a set to their place, where they follow the pairs, as in a mailbox.
+    """Move the cut points of a set to their own place, if they follow the pairs directly, as in a mailbox.
 
     Parameters
     ----------
@@ -317,7 +317,7 @@ def drop_outdated(found: OrganContactSet, version: Longs) -> None:
 
 @kernel
 def renew_surface(pairs: OrganContacts, organ: int, version: int) -> None:
-    """Note that an organ goes on with another surface, and drop pairs with points of the one before.
+    """Set the version of an organ's surface, and drop pairs with points of the previous one.
 
     Parameters
     ----------
@@ -347,12 +347,12 @@ def renew_surface(pairs: OrganContacts, organ: int, version: int) -> None:
 
 @kernel
 def note_bearers(pairs: OrganContacts, pair: int) -> None:
-    """Note which nodes bear the force of a pair: those of its points, each once."""
+    """List the nodes that bear the force of a pair: those of its points, each once."""
     node, weight = pairs.node[pair], pairs.weight[pair]
     own = add_bearers(pairs, pair, node[0], 1.0, 0, 0)
     every, lies_between = own, min(node[1], node[2], node[3]) < 0
     for corner in range(3):
-        # In a triangle of a cut, a corner without weight would take the room of those that bear.
+        # In a triangle of a cut, a corner without weight would take the place of one that bears force.
         if weight[corner] != 0.0 or not lies_between:
             every = add_bearers(pairs, pair, node[1 + corner], weight[corner], own, every)
     pairs.bearing[pair, 0], pairs.bearing[pair, 1] = own, every
@@ -360,7 +360,7 @@ def note_bearers(pairs: OrganContacts, pair: int) -> None:
 
 @kernel
 def add_bearers(pairs: OrganContacts, pair: int, node: int, weight: float, start: int, count: int) -> int:
-    """Add a node, or those of a cut point, to the bearers of a pair from `start` on; return how many there are then."""
+    """Add a node, or those of a cut point, to the bearers of a pair from `start` on; return the new count."""
     if node >= 0:
         return add_bearer(pairs, pair, node, weight, start, count)
     point = -1 - node

@@ -1,4 +1,4 @@
-"""The organs of a scene in one tick: carried by the breath, pulled by links, each then advanced as one alone is."""
+"""Tick of all organs of a scene: the breath carries and links pull them, then each is advanced like a single organ."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.contact.haptic_output import divide_slew_limit
 from tissue_sim.model.data.links import Links
 from tissue_sim.model.data.world import World
-from tissue_sim.model.stepping.breathing import Carried, breathe, weigh
+from tissue_sim.model.stepping.breathing import Carried, breathe, set_frame_gravity
 from tissue_sim.model.stepping.coarse_steps import Coarse, fit_coarse, plan_coarse, ratio_of
 from tissue_sim.model.stepping.contact_pairs import OrganContacts
 from tissue_sim.model.stepping.ligament_links import load_links, measure_links, pull_links
@@ -31,12 +31,12 @@ class CoupledOrgans(NamedTuple):
     pairs: OrganContacts
     threshold: WakeThreshold
     coarse: Coarse
-    awake: Longs  # (k,) 1 for organs that this tick advances; before planning, for those that it may
+    awake: Longs  # (k,) 1 for organs that this tick advances; before planning, for those that may be awake
 
 
 @kernel
 def uncouple(worlds: Sequence[World], joined: CoupledOrgans) -> None:
-    """Return to the breathed-out state without contact, and undo the breath's part of gravity, for organs at rest.
+    """Return to the exhaled state without contact, and remove the breath's part of gravity, for organs at rest.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def uncouple(worlds: Sequence[World], joined: CoupledOrgans) -> None:
     carried.speed[:] = 0.0
     carried.change[:] = 0.0
     for organ in range(len(worlds)):
-        weigh(worlds[organ].settings, carried, organ, 0.0)
+        set_frame_gravity(worlds[organ].settings, carried, organ, 0.0)
 
 
 @kernel
@@ -69,7 +69,7 @@ def tick_coupled(worlds: Sequence[World], joined: CoupledOrgans | None) -> None:
     for organ in range(len(worlds)):
         status = worlds[organ].state.status
         worlds[organ].scratch.plan.handled = status.loaded > 0
-        # Links and other organs release an organ that recovers from a false rest shape: they would hold it there.
+        # Links and other organs don't act on an organ that recovers from a false rest shape: they might hold it there.
         awake[organ] = 0 if status.snapped else 1
     measure_links(worlds, carried, links, threshold, awake, step)
     wake_touched_organs(worlds, pairs, awake)
@@ -102,7 +102,7 @@ def tick_coupled(worlds: Sequence[World], joined: CoupledOrgans | None) -> None:
 
 @kernel
 def are_handled(worlds: Sequence[World]) -> bool:
-    """Return whether a hand touches, pulls or moves any organ: through it, it may hold the others as they are."""
+    """Return whether a hand touches, pulls or moves any organ: through that organ it may also hold the others."""
     for organ in range(len(worlds)):
         world = worlds[organ]
         if world.scratch.plan.handled or world.state.status.touching > 0:
@@ -112,9 +112,9 @@ def are_handled(worlds: Sequence[World]) -> bool:
 
 @kernel
 def plan_coupled(worlds: Sequence[World], joined: CoupledOrgans, tied: bool) -> int:
-    """Plan the tick of every organ; return the most substeps of any, or those that links require.
+    """Plan the tick of every organ; return the largest number of substeps of any organ, or that which links require.
 
-    Organs that links or contact tie to each other take the same number each, except for those in coarse steps.
+    Organs that links or contact couple take the same number of substeps, except for those in coarse steps.
     """
     most, awake, coarse, added = 1, joined.awake, joined.coarse, joined.links.added[0]
     for organ in range(len(worlds)):

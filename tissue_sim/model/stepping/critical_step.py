@@ -1,4 +1,4 @@
-"""Critical step of the assembled model: how long a substep may be."""
+"""Critical step of the assembled model: the longest stable substep."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.shapes import CAPSULE, SPHERE, Shapes
 
 SAFETY = 0.9
-# s, however soft the organ. In a longer step a tool that is finer than FINE, m, or of any shape, slips through the
-# tissue that it pushes, and springs oscillate.
+# s, for an organ of any stiffness. In a longer step a tool with features finer than FINE, m, slips through the tissue
+# that it pushes, and springs oscillate.
 LONGEST_STEP = 5e-4
 LONGEST_OF_CELLS = 1e-3  # with blunt tools
 FINE = 1e-3
-# s. In a modal region the nodes' mass is scaled so that they need no shorter step: on a fine organ they are tiny, and
-# no hand feels how fast they vibrate. The organ's own motion is that of its modes.
+# s. In a modal region the nodes' mass is scaled so that they need no shorter step: on a fine organ the masses are tiny,
+# and the frequency of their vibration can't be felt. The organ's own motion is that of its modes.
 REGION_STEP = 1e-3 / 6
-MOST_SUBSTEPS = 10_000  # in a tick; where the critical step is shorter, only the guard is left
+MAX_SUBSTEPS = 10_000  # in a tick; if the critical step is even shorter, only the guard keeps the organ in bounds
 
 
 def critical_step(frequency: float, damping_ratio: float, integrator: str = "symplectic") -> float:
@@ -91,8 +91,8 @@ def model_step(
     return critical_step(scaled, least_damping / (2.0 * scaled), integrator)
 
 
-def step_with(shapes: Shapes, of_cells: bool) -> float:
-    """Return the longest substep that tools allow, s.
+def longest_step_with(shapes: Shapes, of_cells: bool) -> float:
+    """Return the longest substep, s, with which tools don't slip through tissue.
 
     Parameters
     ----------
@@ -120,6 +120,6 @@ def substeps_for(tick_time: float, longest_step: float) -> int:
     int
         The number, at most 10,000.
     """
-    if longest_step <= SAFETY * tick_time / MOST_SUBSTEPS:
-        return MOST_SUBSTEPS
+    if longest_step <= SAFETY * tick_time / MAX_SUBSTEPS:
+        return MAX_SUBSTEPS
     return max(1, math.ceil(tick_time / (SAFETY * longest_step)))

@@ -1,4 +1,4 @@
-"""Settling of an organ: steps until nothing moves any more."""
+"""Settling of an organ: steps until it is in equilibrium."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from tissue_sim.model.data.state import Region, State
 from tissue_sim.model.data.world import World
 from tissue_sim.model.elasticity.forces import elastic_forces
 from tissue_sim.model.stepping.world import (
+    add_weight_of_world,
     is_world_out_of_balance,
     load_world,
-    pace_of_world,
     prescribe_world,
     relax_world,
-    weigh_world,
+    return_rate_of_world,
 )
 
-LEAST_COMING = 0.1  # s, least time that an organ on its way to rest may take for the remaining way
+MIN_RETURN_TIME = 0.1  # s, least time in which an organ may complete the rest of its return
 
 
 class Steppable(Protocol):
-    """What settling needs of a simulation, which itself offers to settle."""
+    """Interface of a simulation that can settle."""
 
     model: Model
     state: State
@@ -53,9 +53,9 @@ class Steppable(Protocol):
 def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: float, ramp: float) -> tuple[Floats, bool]:
     """Return the displacements at equilibrium under constant surface forces, gravity, and prescribed nodes.
 
-    It steps from the rest shape until the residual force is under `tolerance` times the load, or times what holds
-    prescribed nodes, and the organ is nearly still by its own pace. Forces act, and prescribed nodes move, at once, or
-    within `ramp` seconds, as a hand does, so that the organ doesn't overshoot.
+    It steps from the rest shape until the residual force is below `tolerance` times the load, or times the force that
+    holds prescribed nodes, and the organ is nearly still compared with its return rate. Forces act, and prescribed
+    nodes move, at once, or within `ramp` seconds, so that the organ doesn't overshoot.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: flo
     tolerance : float
         Residual force over load.
     longest : float, s
-        Simulated time after which it gives up.
+        Simulated time after which settling is abandoned.
     ramp : float, s
         Time in which forces rise and prescribed nodes move.
 
@@ -87,12 +87,12 @@ def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: flo
     load = forces.astype(np.float64)
     if heavy:
         pull = np.zeros_like(state.position)
-        weigh_world(simulation.world, pull)
+        add_weight_of_world(simulation.world, pull)
         load = load + pull[:n_surface]
     size = float(np.linalg.norm(load))
     pushes = np.ascontiguousarray(forces[loaded], dtype=np.float64)
     settled = False
-    coming = max(LEAST_COMING, 2.0 / pace_of_world(simulation.world))
+    coming = max(MIN_RETURN_TIME, 2.0 / return_rate_of_world(simulation.world))
     faults = state.count.faults
     raised = max(1, math.ceil(ramp * simulation.rate))
     prescribe_world(simulation.world, led, goal, raised)
@@ -119,7 +119,7 @@ def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: flo
 
 
 def residuals(simulation: Steppable, forces: Floats | float = 0.0) -> Floats:
-    """Return the residual force on every node under surface forces; limits of cells and lips count as forces.
+    """Return the residual force on every node under surface forces; impulses of volume limit and lips count as forces.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def residuals(simulation: Steppable, forces: Floats | float = 0.0) -> Floats:
     """
     force = np.zeros_like(simulation.model.rest)
     elastic_forces(simulation.model, simulation.state.position, float(simulation.settings.stiffness_scale), force)
-    weigh_world(simulation.world, force)
+    add_weight_of_world(simulation.world, force)
     force[: simulation.model.n_surface] += forces
     step = float(simulation.settings.tick_time) / max(1, simulation.state.status.substeps)
     add_volume_limit_impulses(simulation.scratch, step, force)
@@ -155,5 +155,5 @@ def _free_nodes(simulation: Steppable) -> NDArray[np.int64]:
     """Return the nodes (k,) that aren't prescribed."""
     nodes: Any = simulation.model.moving
     if simulation.state.status.region != Region.WHOLE:
-        nodes = simulation.scratch.moved_node[: simulation.scratch.moved[0]]
+        nodes = simulation.scratch.moved_node[: simulation.scratch.n_moved[0]]
     return np.asarray(nodes[simulation.state.is_prescribed[nodes] == 0], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Guard: keeps the last good shape, returns to it after a faulty tick, and detects inversion."""
+"""Guard: keeps the last valid shape, returns to it after a faulty tick, and detects inverted cells."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ RETURN_RATE = 20.0  # 1/s, rate of the recovery to rest
 CELLS_A_TICK = 32  # a rolling check: all 1984 of the kidney's every 62 ticks
 PER_AXIS = 1.0 / math.sqrt(3.0)  # a vector with smaller coordinates is shorter than 1
 KEEP_EVERY = 4  # ticks between two shapes that are kept
-MOST_TURNED = 0.5  # fraction of the cells; an organ with more inverted cells doesn't recover by itself
+MAX_INVERTED = 0.5  # fraction of the cells; an organ with more inverted cells doesn't recover by itself
 
 
 @kernel
 def guard(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
-    """Keep this shape if it is finite and bounded, else return to the last good one, at rest.
+    """Keep this shape if it is finite and bounded, otherwise return to the last valid one, without speed.
 
-    Bounded: no node farther from rest than the organ's own size, none faster than that per tick, and not all of them
-    together faster than a hundred times that per second. After a fault the substeps double, up to 8 times and then from
-    1 again, until the organ has slept or recovered; where these are no remedy, the good shape is moved towards rest a
-    little. So is, in each tick, an organ of which more than half is inverted.
+    Bounded means that no node is farther from rest than the organ's own size, that none moves farther than that in a
+    tick, and that all of them together are no faster than a hundred times that per second. After a fault the substeps
+    double, up to a factor of 8 and then from 1 again, until the organ has slept or recovered; if that doesn't help, the
+    valid shape is moved towards rest a little. An organ of which more than half is inverted is moved in each tick.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def guard(model: Model, state: State, settings: Settings, scratch: Scratch) -> N
         fault = check(model, state, checked_nodes(model, state, scratch), span * span, speed * speed, energy)
         if not modes_are_finite(state):
             fault = Fault.NOT_FINITE.value
-    collapsing = status.turned > MOST_TURNED * len(model.cells)
+    collapsing = status.turned > MAX_INVERTED * len(model.cells)
     if collapsing and not status.collapsing:
         count.faults += 1
         status.fault_kind = Fault.COLLAPSED
@@ -89,7 +89,7 @@ def guard(model: Model, state: State, settings: Settings, scratch: Scratch) -> N
     if status.backoff < MAX_BACKOFF:
         status.backoff *= 2
         return
-    # What stays too much for the shortest substeps is not their fault but the load's, or that of the shape itself.
+    # If the shortest substeps fail as well, the cause is the load, or the shape itself.
     status.backoff = 1
     if again:
         move_towards_rest(model, state, settings)
@@ -100,7 +100,7 @@ def guard(model: Model, state: State, settings: Settings, scratch: Scratch) -> N
 def move_towards_rest(model: Model, state: State, settings: Settings) -> float:
     """Move every node nearer to rest, without speed; pieces that were cut off stay where they are.
 
-    This is the recovery from a shape that the springs hold, so it is done without their forces.
+    This is the recovery from a shape that the springs hold, so their forces are left out.
 
     Parameters
     ----------
@@ -133,8 +133,8 @@ def move_towards_rest(model: Model, state: State, settings: Settings) -> float:
 def is_bounded(position: Floats, velocity: Floats, rest: Floats, span: float, speed: float) -> bool:
     """Return whether all coordinates are within `span`, m, of rest and slower than `speed`, m/s; flat arrays.
 
-    The good ones are counted, since whole numbers may be added in any order, so that the vector units do it.
-    Comparisons with NaN are false, so this catches it, too.
+    The bounded ones are counted, since integers may be added in any order, so that the loop is vectorised. Comparisons
+    with NaN are false, so NaN is found, too.
     """
     good = 0
     for index in range(len(position)):
@@ -146,9 +146,10 @@ def is_bounded(position: Floats, velocity: Floats, rest: Floats, span: float, sp
 
 @kernel
 def check(model: Model, state: State, nodes: Ints, span: float, speed: float, energy: float) -> int:
-    """Return what is wrong with the nodes, Fault.NOT_FINITE or Fault.RUNAWAY; 0 for nothing.
+    """Return the fault of the nodes, Fault.NOT_FINITE or Fault.RUNAWAY; 0 for none.
 
-    span: m^2 from rest, speed: m^2/s^2, energy: m^2/s^2 on average, from which it is a fault.
+    span: squared distance from rest, m^2, speed: squared speed, m^2/s^2, energy: mean squared speed, m^2/s^2, each a
+    limit beyond which it is a fault.
     """
     good = True
     moved_sum = sped_sum = 0.0
@@ -175,7 +176,7 @@ def check(model: Model, state: State, nodes: Ints, span: float, speed: float, en
 
 @kernel
 def keep(model: Model, state: State, scratch: Scratch) -> None:
-    """Keep this shape as the last good one; that of the whole organ only every few ticks, as copying it takes time."""
+    """Keep this shape as the last valid one; that of the whole organ only every few ticks, as copying it takes time."""
     if state.status.region != Region.WHOLE:
         copy_nodes(state.position, state.good_position, checked_nodes(model, state, scratch))
         state.status.good_age = KEEP_EVERY
@@ -188,7 +189,7 @@ def keep(model: Model, state: State, scratch: Scratch) -> None:
 
 @kernel
 def check_cells(model: Model, state: State, scratch: Scratch) -> None:
-    """Note which of the next few cells are inverted; state.status.turned holds their number.
+    """Mark which of the next few cells are inverted; state.status.turned holds the number of all inverted cells.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.blade_places import forget_blades
 from tissue_sim.model.contact.poses import distance, distance_along_path, quaternion_distance
-from tissue_sim.model.contact.tool_motion import CAREFUL, HASTY, forget_slips
+from tissue_sim.model.contact.tool_motion import FIRST_RETRY_SPEED, MAX_FAST_SLIPS, forget_slips
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import POINT_NODES, ContactSet, Engaged, used_words
 from tissue_sim.model.data.model import Model
@@ -19,14 +19,14 @@ from tissue_sim.model.regions.active_region import drop_region
 from tissue_sim.model.stepping.prescribed import forget_prescribed
 from tissue_sim.model.stepping.relaxation import forget_relaxation
 
-CATCH_UP = 0.03  # s in which a tool catches up most of its lag behind its poses, where these were that fast
-RESUMED = 1.0  # s without poses after which a returning hand counts as new
+CATCH_UP_TIME = 0.03  # s in which a tool makes up most of its lag behind its poses, unless these were slower
+RESUME_TIME = 1.0  # s without poses after which a returning hand counts as new
 MAX_BACKOFF = 8  # highest factor on the substeps
-BEHIND = 1e-4  # m that a tool which isn't hasty may be behind its hand
-BORNE = 0.7  # fraction of the force at which a tool slipped, up to which it is pressed from then on
-SWALLOWED = 0.97  # fraction of that which is left where swinging tissue swallowed it without such a force
-BARELY_FELT = 0.05  # N: a tool that slipped at less is pressed as if it had slipped at this
-CREEP = 1e-3, 1e-2  # m/s and 1/s at least, so that it arrives
+LAG_TOLERANCE = 1e-4  # m that a tool may lag behind its hand without counting as fast
+BEARABLE_FRACTION = 0.7  # of the force at which a tool slipped, up to which it is pressed from then on
+SWALLOWED_FRACTION = 0.97  # of the bearable force, when swinging tissue swallowed the tool without such a force
+MIN_SLIP_FORCE = 0.05  # N, least force at which a tool counts as having slipped
+MIN_APPROACH = 1e-3, 1e-2  # m/s and 1/s, least speeds of a tool, so that it arrives
 
 
 @kernel
@@ -34,7 +34,7 @@ def take_pose(world: World, body: int, pose: Floats, stamp: int, sequence: int) 
     """Apply the newest pose of a body.
 
     The first pose puts the tool there, and so does any pose while nothing resists it; it is moved to others. Where
-    poses resume after a pause of at most RESUMED while the tool was resisted, it is resisted from where it was.
+    poses resume after a pause of at most RESUME_TIME while the tool was resisted, it is resisted at its last place.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def take_pose(world: World, body: int, pose: Floats, stamp: int, sequence: int) 
     state = world.state
     status = state.bodies[body]
     if status.age < 0 or status.released or status.held_off:
-        goes_on = status.released and status.placed and status.age * world.settings.tick_time < RESUMED
+        goes_on = status.released and status.placed and status.age * world.settings.tick_time < RESUME_TIME
         if not goes_on:
             copy(pose, state.body_pose[body])
         copy(pose, state.held_pose[body])
@@ -70,11 +70,11 @@ def take_pose(world: World, body: int, pose: Floats, stamp: int, sequence: int) 
 
 @kernel
 def move_tool_towards(world: World, body: int, pose: Floats, stamp: int) -> None:
-    """Set how fast a tool moves to a pose (7,): at most as fast as its poses, by their stamps or arrival times.
+    """Set the speed at which a tool moves to a pose (7,): at most that of its poses, by their stamps or arrival times.
 
-    Where poses were skipped or came late, the tool still has a part of their way before it. It catches up softly, and
-    no faster than they were: a hand must not feel that a machine is busy. It is never behind for longer than
-    stale_time. Of all that time a tool takes its `smoothing`, and at least a tick.
+    If poses were skipped or late, the tool lags behind them. It catches up smoothly, and no faster than the poses
+    moved, so that a busy machine doesn't change the force. It never lags for longer than stale_time. The time of its
+    motion is multiplied by its `smoothing`, and is at least a tick.
     """
     state, settings = world.state, world.settings
     status, held, goal = state.bodies[body], state.held_pose[body], state.body_goal[body]
@@ -84,8 +84,8 @@ def move_tool_towards(world: World, body: int, pose: Floats, stamp: int) -> None
     status.speed = max(moved / interval, status.speed if before else 0.0)
     status.turning = max(turned / interval, status.turning if before else 0.0)
     seconds = max(
-        motion_time(distance(held, pose), moved, interval, status.speed, CREEP[0]),
-        motion_time(quaternion_distance(held, pose), turned, interval, status.turning, CREEP[1]),
+        motion_time(distance(held, pose), moved, interval, status.speed, MIN_APPROACH[0]),
+        motion_time(quaternion_distance(held, pose), turned, interval, status.turning, MIN_APPROACH[1]),
     )
     seconds = min(seconds, settings.stale_time)
     smoothed = max(world.shapes.smoothing[body] * seconds, settings.tick_time)
@@ -94,10 +94,10 @@ def move_tool_towards(world: World, body: int, pose: Floats, stamp: int) -> None
 
 @kernel
 def motion_time(way: float, new: float, interval: float, most: float, creep: float) -> float:
-    """Return the time, s, for a way to which the last pose added `new`, in `interval` s; most: largest speed."""
+    """Return the time, s, for a distance to which the last pose added `new`, in `interval` s; most: largest speed."""
     if way == 0.0:
         return 0.0
-    return way / min(most, new / interval + max(0.0, way - new) / CATCH_UP + creep) if most > 0.0 else interval
+    return way / min(most, new / interval + max(0.0, way - new) / CATCH_UP_TIME + creep) if most > 0.0 else interval
 
 
 @kernel
@@ -124,8 +124,8 @@ def take_force(state: State, body: int, force: Floats, sequence: int) -> None:
 def take_contacts(state: State, shapes: Shapes, found: ContactSet, sequence: int) -> None:
     """Apply a contact set, unless it lacks the surface around a tool that is resisted.
 
-    A tool may have moved on since the set was found. Then it keeps the present set, moves no farther than that reaches,
-    and the next set covers it.
+    A tool may have moved since the set was found. Then it keeps the present set and moves no farther than that reaches;
+    the next set covers it.
 
     Parameters
     ----------
@@ -148,14 +148,14 @@ def take_contacts(state: State, shapes: Shapes, found: ContactSet, sequence: int
     contacts.header.sequence = sequence
     for body in range(len(state.bodies)):
         status = state.bodies[body]
-        # What was found before a body's last release says nothing about where it is now.
+        # Points that were found before a body's last release don't belong to its present place.
         if status.age >= 0 and not status.released and found.releases[body] == status.releases:
             is_covered = covers(state, shapes, found, body)
             if found.engaged[body] == Engaged.SLIPPED and is_covered:
                 put_back(state, body)
             status.engaged = status.engaged or is_covered
             status.resisted = status.resisted and not status.engaged
-            # What slips without ever having been resisted appeared inside, too.
+            # A body that slips without ever having been resisted appeared inside, too.
             is_inside = found.engaged[body] == Engaged.HELD_OFF or found.engaged[body] == Engaged.SLIPPED
             status.held_off = not status.engaged and (status.held_off or is_inside)
             status.placed = not status.held_off
@@ -163,7 +163,7 @@ def take_contacts(state: State, shapes: Shapes, found: ContactSet, sequence: int
 
 @kernel
 def covers(state: State, shapes: Shapes, found: ContactSet, body: int) -> bool:
-    """Return whether a contact set has all points of the surface that a body may touch where it is, or is put."""
+    """Return whether a contact set has all surface points that a body may touch at its place, or where it is put."""
     status = state.bodies[body]
     if found.releases[body] != status.releases:
         return False
@@ -175,15 +175,15 @@ def covers(state: State, shapes: Shapes, found: ContactSet, body: int) -> bool:
 
 @kernel
 def put_back(state: State, body: int) -> None:
-    """Put a body that is inside on the surface, from where it presses again; after a slip in shorter substeps.
+    """Put a body that has slipped inside back on the surface, where it presses again, in shorter substeps.
 
-    Where the nearest surface is that of the organ's far side, the body goes back as far, against its way in; the next
-    contact set then tells whether it is outside. Sets that were found before, and arrive late, would move it again:
-    they count no more than after a release. After that a hasty tool presses more slowly, twice. One that wasn't
-    hasty, or slips again, presses with less force than that at which it slipped, which the surface can't bear.
+    If the nearest surface is that of the organ's far side, the body moves as far against the direction in which it
+    entered; the next contact set shows whether it is outside. Sets that were found before and arrive late would move it
+    again, so they are ignored, as after a release. A fast tool then presses more slowly, up to twice. One that wasn't
+    fast, or slips again, presses with less force than that at which it slipped, which the surface can't bear.
     """
     status, pose, place, ahead, size = state.bodies[body], state.body_pose[body], state.contacts.place[body], 0.0, 0.0
-    is_hasty = status.recent_speed > CAREFUL or distance(pose, state.held_pose[body]) > BEHIND
+    is_hasty = status.recent_speed > FIRST_RETRY_SPEED or distance(pose, state.held_pose[body]) > LAG_TOLERANCE
     for c in range(3):
         ahead -= status.outward[c] * (place[c] - pose[c])
         size += status.outward[c] ** 2
@@ -198,12 +198,12 @@ def put_back(state: State, body: int) -> None:
     status.releases += 1
     if status.engaged:
         state.count.slips += 1
-        # Tissue that swings back may swallow a tool that was just put on it, whatever the force.
+        # Tissue that swings back may swallow a tool that was just put on it, at any force.
         is_pressed = status.slips == 0 or status.recent_force > 0.5 * status.bearable
-        borne = BORNE * max(status.recent_force, BARELY_FELT)
-        status.bearable = borne if is_pressed else SWALLOWED * status.bearable
+        borne = BEARABLE_FRACTION * max(status.recent_force, MIN_SLIP_FORCE)
+        status.bearable = borne if is_pressed else SWALLOWED_FRACTION * status.bearable
         status.recent_force = 0.0
-        status.slips += 1 if is_hasty or status.slips > 0 else HASTY + 1
+        status.slips += 1 if is_hasty or status.slips > 0 else MAX_FAST_SLIPS + 1
 
 
 @kernel
@@ -269,7 +269,7 @@ def unload_nodes(state: State) -> None:
 
 @kernel
 def carry_impulses(state: State, found: ContactSet) -> None:
-    """Give points of a new contact set that were pressed in the old one their impulses of the last substep."""
+    """Copy the last substep's impulses of contact points to the same points of a new contact set."""
     pressed, held, old_set, points = state.contact_pressed, state.contact_held, state.contacts, found.header.points
     pressed[1, :points] = 0.0
     held[1, :points] = 0.0
@@ -320,7 +320,7 @@ def reset_state(model: Model, state: State) -> None:
     state.contact_held[:] = 0.0
     forget_blades(state)
     for number in range(len(state.blades)):
-        state.blades[number].area = 0.0  # what was cut is whole again
+        state.blades[number].area = 0.0  # the organ is whole again
     drop_region(state)
     forget_relaxation(state)
     state.body_goal[:] = 0.0

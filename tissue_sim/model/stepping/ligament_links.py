@@ -1,8 +1,8 @@
 """Links: springs that pull and never push, between two organs, or an organ and a point; they form ligaments.
 
-Organs that links join take their substeps together, and the force of each link is updated in every one, as for springs
-in an organ. The force on one end is the opposite of that on the other, except for what an organ doesn't feel
-(`wake_threshold`), which its clamp bears. `least_substeps` gives the number of substeps that they need.
+Organs that links join take their substeps together, and the force of each link is updated in every substep, as for
+springs in an organ. The force on one end is the opposite of that on the other, except for the part that is left out
+(`wake_threshold`), which the organ's clamp bears. `least_substeps` gives the number of substeps that links need.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from tissue_sim.model.stepping.critical_step import substeps_for
 from tissue_sim.model.stepping.inputs import load_node
 from tissue_sim.model.stepping.wake_threshold import WakeThreshold
 
-SLIGHT = 1e-12  # m of a link's stretch that are rounding, which would keep organs at rest awake
+STRETCH_ROUNDING = 1e-12  # m, stretch of a link that is rounding only, and would keep organs at rest awake
 
 
-def weight_link_ends(links: Links, lightness: Sequence[Floats]) -> None:
-    """Compute what links require of the step, from what they join.
+def compute_link_bounds(links: Links, inverse_mass: Sequence[Floats]) -> None:
+    """Compute the bound of links on the step from the inverse masses of their ends.
 
     The square of the largest frequency of organs and links together is at most the sum of both (Weyl); the part of the
     links is bounded by Gershgorin's circles.
@@ -34,11 +34,11 @@ def weight_link_ends(links: Links, lightness: Sequence[Floats]) -> None:
     ----------
     links : Links
         The links; updated.
-    lightness : Sequence[Floats], shape (n,) each, 1/kg
+    inverse_mass : Sequence[Floats], shape (n,) each, 1/kg
         Inverse masses of every organ's nodes, 0 where they are held.
     """
     light, load = np.zeros(links.organ.shape), np.zeros(links.organ.shape)
-    for organ, inverse in enumerate(lightness):
+    for organ, inverse in enumerate(inverse_mass):
         of_it = links.organ == organ
         nodes = links.node[of_it]
         light[of_it] = inverse[nodes]
@@ -46,7 +46,7 @@ def weight_link_ends(links: Links, lightness: Sequence[Floats]) -> None:
     links.lightness[:] = (light * load).sum(axis=1)
     row = links.stiffness[:, None] * np.sqrt(light) * np.sqrt(light).sum(axis=1, keepdims=True)  # of each end's circle
     most = 0.0
-    for organ, inverse in enumerate(lightness):
+    for organ, inverse in enumerate(inverse_mass):
         of_it = links.organ == organ
         most = max(most, float(np.bincount(links.node[of_it], row[of_it], len(inverse)).max(initial=0.0)))
     links.added[0] = most
@@ -80,8 +80,8 @@ def measure_links(
 ) -> None:
     """Compute the forces of links at the beginning of a tick, and their size for every organ.
 
-    The results go to links.force, threshold.pulled and threshold.bent; nothing is loaded. Sleeping organs count,
-    released ones don't.
+    The results are written to links.force, threshold.tension and threshold.displacement; no node is loaded. Links of
+    sleeping organs are included, those of released ones aren't.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def measure_links(
         Duration of the tick.
     """
     for organ in range(len(worlds)):
-        threshold.pulled[organ] = threshold.bent[organ] = 0.0
+        threshold.tension[organ] = threshold.displacement[organ] = 0.0
     for link in range(len(links.slack)):
         force = links.force[link]
         force[0] = force[1] = force[2] = 0.0
@@ -109,13 +109,13 @@ def measure_links(
             for end in range(2):
                 organ = links.organ[link, end]
                 if organ >= 0:
-                    threshold.pulled[organ] += size
-                    threshold.bent[organ] += threshold.give[link, end] * size
+                    threshold.tension[organ] += size
+                    threshold.displacement[organ] += threshold.link_compliance[link, end] * size
 
 
 @kernel
 def load_links(worlds: Sequence[World], links: Links, threshold: WakeThreshold) -> None:
-    """Load the nodes of links with what their organs feel, so that the coming tick advances these.
+    """Load the nodes of links with the forces that act on their organs, so that the next tick advances these.
 
     Parameters
     ----------
@@ -139,8 +139,8 @@ def pull_links(
 ) -> None:
     """Update the forces of links of organs that this tick advances in a substep.
 
-    A sleeping organ holds the other end where it is, and is not pulled; a link that wasn't taut at the beginning of
-    this tick waits for the next one, which may wake it.
+    A link to a sleeping organ only pulls at its other end; a link that wasn't taut at the beginning of this tick waits
+    for the next one, which may wake the organ.
 
     Parameters
     ----------
@@ -186,14 +186,14 @@ def tension_of(
     x, y, z = x1 - x0, y1 - y0, z1 - z0
     length = math.sqrt(x * x + y * y + z * z)
     stretch = length - links.slack[link]
-    if stretch <= SLIGHT or length <= 0.0:
+    if stretch <= STRETCH_ROUNDING or length <= 0.0:
         return 0.0, 0.0, 0.0
     x, y, z = x / length, y / length, z / length
     vx0, vy0, vz0 = end_speed(worlds, carried, links, link, 0)
     vx1, vy1, vz1 = end_speed(worlds, carried, links, link, 1)
     rate = x * (vx1 - vx0) + y * (vy1 - vy0) + z * (vz1 - vz0)
     damping = links.damping[link]
-    # Damping is implicit for its own nodes, whose motion it must not reverse.
+    # The damping is implicit in the motion of the link's own nodes, which it must not reverse.
     damping /= 1.0 + step * damping * links.lightness[link]
     tension = max(0.0, links.stiffness[link] * stretch + damping * rate)
     return tension * x, tension * y, tension * z
@@ -208,7 +208,7 @@ def is_awake(links: Links, link: int, end: int, awake: Longs) -> bool:
 
 @kernel
 def is_there(worlds: Sequence[World], links: Links, link: int, end: int, awake: Longs) -> bool:
-    """Return whether an end is a point, or at an organ that isn't released: one that ticks or sleeps."""
+    """Return whether an end is a point, or at an organ that is advanced or asleep, but not released."""
     organ = links.organ[link, end]
     return organ < 0 or awake[organ] == 1 or worlds[organ].state.status.asleep
 
@@ -245,7 +245,7 @@ def end_speed(
 def load_end(
     worlds: Sequence[World], links: Links, link: int, end: int, fraction: Floats, force: tuple[float, float, float]
 ) -> None:
-    """Add the fraction (k,) of a force, N, that its organ feels to an end's node for the coming tick."""
+    """Add the fraction (k,) of a force, N, that acts on its organ to an end's node for the coming tick."""
     organ = links.organ[link, end]
     if organ >= 0 and fraction[organ] > 0.0:
         part = fraction[organ]

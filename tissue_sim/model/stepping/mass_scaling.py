@@ -1,9 +1,9 @@
-"""Selective mass scaling: nodes of compressed cells are heavier for a while, in place of halved substeps.
+"""Selective mass scaling: nodes of compressed cells are heavier for a while, instead of halved substeps.
 
 A compressed cell is stiffer, so that its nodes may oscillate in a substep that is short enough for all others. Four
-times their mass halves their frequency, as half the substep does for twice the time of a tick. Only few nodes are
-heavier, around a blade that presses slowly, so that their inertia hardly counts. Masses follow from the positions
-alone: nothing else has to be recorded for a replay.
+times their mass halves their frequency, which has the same effect as halved substeps without doubling the time of a
+tick. Only few nodes are heavier, around a blade that presses slowly, so that their inertia has hardly any effect.
+Masses are computed from the positions alone: nothing else has to be recorded for a replay.
 
 References
 ----------
@@ -25,14 +25,14 @@ from tissue_sim.model.elasticity.cell_groups import CELLS, OWN, OWN_ROWS
 from tissue_sim.model.elasticity.cell_law import COMPRESSED
 
 LARGEST = 4.0  # factor on masses, which halves frequencies
-# By how much less than COMPRESSED a cell's volume ratio is where its nodes have that factor. It grows gradually: masses
-# that change at once while nodes oscillate feed the oscillation.
+# Difference between COMPRESSED and the volume ratio at which a cell's nodes have that factor. The factor grows
+# gradually: masses that change suddenly while nodes oscillate would feed the oscillation.
 RANGE = 0.3
 
 
 @kernel
 def can_be_cut(model: Model, state: State) -> bool:
-    """Return whether the organ has cuts, and with them light nodes, or meets a blade, which presses deep dents.
+    """Return whether the organ has cuts, and therefore light nodes, or a blade can touch it, which makes deep dents.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def can_be_cut(model: Model, state: State) -> bool:
 def is_mass_scaled(model: Model, state: State) -> bool:
     """Return whether nodes of compressed cells are heavier in this tick, since nodes have oscillated.
 
-    It counts in the whole organ only, of which the forces of this tick's first substep are known.
+    Only the whole organ's masses are scaled, after the forces of this tick's first substep have been computed.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Contact between organs: surface nodes of one on triangles of another, with friction.
 
-As between tissue and tools: no penetration, and no sliding within the friction cone, by projected Gauss-Seidel on
-forces that are kept from one substep to the next. The force on a node acts on the triangle's three nodes, reversed; at
-a cut, where points lie between nodes, it acts on these.
+As between tissue and tools, there is no penetration, and no sliding within the friction cone, by projected Gauss-Seidel
+on forces that are kept from one substep to the next. The opposite of the force on a node acts on the triangle's three
+nodes; at a cut, where points lie between nodes, it acts on those nodes.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from tissue_sim.model.stepping.contact_pairs import OrganContacts
 from tissue_sim.model.stepping.inputs import load_node
 
 SWEEPS = 8  # over all pairs in a substep
-RECOVERY_SPEED = 0.2  # m/s, largest speed at which what lay inside comes out
+RECOVERY_SPEED = 0.2  # m/s, largest speed at which a node that was inside is moved out
 TOLERANCE = 1e-3  # of the sum of all forces: change in a sweep at which it has converged
-CAUGHT = 1e-3  # m inside, far beyond contact, at which organs count as caught in each other
+INTERLOCKED_DEPTH = 1e-3  # m inside, far beyond contact, at which organs count as interlocked
 
 
 @kernel
 def wake_touched_organs(worlds: Sequence[World], pairs: OrganContacts, awake: Longs) -> None:
-    """Load the forces of pairs, so that the coming tick advances organs that others touch, if they may be awake.
+    """Load the forces of pairs, so that the next tick advances organs that others touch, if they may be awake.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def wake_touched_organs(worlds: Sequence[World], pairs: OrganContacts, awake: Lo
             continue
         measure(worlds, pairs, pair)
         if pairs.pressed[pair] > 0.0 or pairs.plane.gap <= 0.0:
-            bear(worlds, pairs, pair)
+            load_bearers(worlds, pairs, pair)
 
 
 @kernel
@@ -62,28 +62,29 @@ def move_alike(state: State, other: State) -> bool:
 
 @kernel
 def note_interlocked(worlds: Sequence[World], pairs: OrganContacts) -> None:
-    """Find organs that lie deep in each other after a fault, and have not been at rest since.
+    """Find organs that lie deep inside each other after a fault, and have not been at rest since.
 
-    They were driven through each other, and no force leads out of that: without any, each returns to its own shape.
+    They were driven through each other, and contact forces can't separate them: without these, each returns to its own
+    shape.
     """
     pairs.caught[:] = 0
     for pair in range(pairs.found[0]):
         first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
         if worlds[first].state.status.faulted or worlds[second].state.status.faulted:
             measure(worlds, pairs, pair)
-            if pairs.plane.gap < -CAUGHT:
+            if pairs.plane.gap < -INTERLOCKED_DEPTH:
                 pairs.caught[first] = pairs.caught[second] = 1
 
 
 @kernel
 def is_released(pairs: OrganContacts, pair: int) -> bool:
-    """Return whether one of a pair's organs is caught: it presses on none until it is out."""
+    """Return whether one of a pair's organs is interlocked: it presses on no other organ until they are separate."""
     return pairs.caught[pairs.organ[pair, 0]] == 1 or pairs.caught[pairs.organ[pair, 1]] == 1
 
 
 @kernel
 def apply_organ_contacts(worlds: Sequence[World], pairs: OrganContacts, awake: Longs) -> None:
-    """Let every pair press as it did at the end of the last substep.
+    """Apply the force of every pair as it was at the end of the last substep.
 
     Parameters
     ----------
@@ -99,11 +100,11 @@ def apply_organ_contacts(worlds: Sequence[World], pairs: OrganContacts, awake: L
         was = loaded[0] != 0.0 or loaded[1] != 0.0 or loaded[2] != 0.0
         if is_resolved(pairs, pair, awake) and (pairs.pressed[pair] > 0.0 or was):
             measure(worlds, pairs, pair)
-            bear(worlds, pairs, pair)
+            load_bearers(worlds, pairs, pair)
 
 
 @kernel
-def bear(worlds: Sequence[World], pairs: OrganContacts, pair: int) -> None:
+def load_bearers(worlds: Sequence[World], pairs: OrganContacts, pair: int) -> None:
     """Set the loads of a pair's nodes to its force; pairs.plane has been computed."""
     normal, held, loaded, pressed = pairs.plane.normal, pairs.held[pair], pairs.loaded[pair], pairs.pressed[pair]
     x = pressed * normal[0] + held[0] - loaded[0]
@@ -123,7 +124,7 @@ def bear(worlds: Sequence[World], pairs: OrganContacts, pair: int) -> None:
 def resolve_organ_contacts(
     worlds: Sequence[World], carried: Carried, pairs: OrganContacts, awake: Longs, step: float
 ) -> None:
-    """Keep every node outside its triangle at the end of a substep.
+    """Move every node out of its triangle at the end of a substep.
 
     Parameters
     ----------
@@ -217,9 +218,9 @@ def resolve_organ_contact(
         light += part[k] ** 2 * other_step * other_step * other.scratch.mobility[bearer[k]]
     if light == 0.0:
         return 0.0
-    stiffness = 1.0 / light  # N that move the node a metre out of the triangle
+    stiffness = 1.0 / light  # N/m, force that moves the node a metre out of the triangle
     push = max(0.0, pressed - max(gap, -RECOVERY_SPEED * step) * stiffness)
-    sx, sy, sz = sliding(worlds, carried, pairs, pair, step)
+    sx, sy, sz = sliding_motion(worlds, carried, pairs, pair, step)
     along = sx * normal[0] + sy * normal[1] + sz * normal[2]
     tx = held[0] - (sx - along * normal[0]) * stiffness
     ty = held[1] - (sy - along * normal[1]) * stiffness
@@ -246,10 +247,10 @@ def substep_of(world: World) -> float:
 
 
 @kernel
-def sliding(
+def sliding_motion(
     worlds: Sequence[World], carried: Carried, pairs: OrganContacts, pair: int, step: float
 ) -> tuple[float, float, float]:
-    """Return the motion of the node along the triangle's place in a substep, m."""
+    """Return the tangential motion of the node relative to the triangle in a substep, m."""
     first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
     bearer, part, own = pairs.bearer[pair], pairs.part[pair], pairs.bearing[pair, 0]
     moved, under = worlds[first].state.velocity, worlds[second].state.velocity
@@ -271,7 +272,7 @@ def sliding(
 
 @kernel
 def move(world: World, node: int, x: float, y: float, z: float, step: float) -> None:
-    """Apply the force x, y, z, N, to a node for the whole of a substep that is over."""
+    """Move a node as if the force x, y, z, N, had acted on it during the whole last substep."""
     faster = step * world.scratch.mobility[node]
     position, velocity = world.state.position[node], world.state.velocity[node]
     velocity[0] += faster * x

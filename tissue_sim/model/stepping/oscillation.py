@@ -1,8 +1,8 @@
 """Detection of oscillation: a step that has become too long under load is halved for a while.
 
 Compressed or stretched tissue is stiffer than at rest, so that a substep may exceed the critical step. Nodes then
-reverse in every substep, ever faster. Such nodes are searched in some ticks of cells, whose penalties add up where
-several are compressed, and in those of one substep, which is as long as rest allows.
+reverse in every substep, ever faster. Such nodes are searched in some ticks of an organ of cells: when several cells
+are compressed, whose penalties add up, and when a tick has one substep, which is as long as the rest shape allows.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.state import State
 
-LOOK_EVERY = 2  # least number of substeps between two checks
-FAST = 2e-3  # m/s, 2 um in a step of a ms: contacts that settle are slower, but
-FAST_AGAIN = 2e-5  # m/s, once a step was too long: held tissue must not be shaken off at each new trial
-TURNED = 0.5  # of a speed, that it has at least in the reverse direction
-MANY = 4  # coordinates that reverse
-GREW = 1.5  # ratio of their squared speeds between two checks
-MOST = 0.2  # of all squared speeds is theirs: after an impact more of the motion reverses, while it decays
-# Ticks for which the step stays halved. An impact is soon over. A step that is too long is found so again, and each
-# time halved for MORE times as long, until the oscillation has decayed.
-HALVED, MORE, LONGEST = 120, 3, 1080
+CHECK_EVERY = 2  # least number of substeps between two checks
+MIN_SPEED = 2e-3  # m/s of an oscillating node, 2 um in a step of a ms: contacts that settle are slower
+MIN_SPEED_AGAIN = 2e-5  # m/s, the same once a step was too long: held tissue must not be released at each new trial
+REVERSED_FRACTION = 0.5  # least part of a node's speed that it has in the reverse direction after a substep
+MIN_COORDINATES = 4  # number of coordinates that reverse
+MIN_GROWTH = 1.5  # ratio of their squared speeds between two checks
+MIN_FRACTION = 0.2  # of the sum of all squared speeds: after an impact, more of the motion reverses, but decays
+# Ticks for which the step remains halved. An impact is soon over. A step that is still too long is found again, and
+# each time remains halved for HALVED_GROWTH times as many ticks, until the oscillation has decayed.
+HALVED_TICKS, HALVED_GROWTH, MAX_HALVED_TICKS = 120, 3, 1080
 
 
 @kernel
@@ -46,7 +46,7 @@ def checks_oscillation(model: Model) -> Any:
 
 @kernel
 def is_oscillation_checked(model: Model, state: State, substeps: int) -> bool:
-    """Return whether this tick is to be checked; a step stays halved one tick less.
+    """Return whether this tick is to be checked; count down the ticks for which the step remains halved.
 
     Parameters
     ----------
@@ -61,10 +61,10 @@ def is_oscillation_checked(model: Model, state: State, substeps: int) -> bool:
     if status.oscillating > 0:
         status.oscillating -= 1
     else:
-        status.halving = max(HALVED, status.halving - 1)
+        status.halving = max(HALVED_TICKS, status.halving - 1)
     if substeps > 1 and not checks_oscillation(model):
         return False
-    return substeps * status.tick % LOOK_EVERY < substeps
+    return substeps * status.tick % CHECK_EVERY < substeps
 
 
 @kernel
@@ -83,9 +83,9 @@ def begin_oscillation_check(state: State, scratch: Scratch) -> None:
 
 @kernel
 def end_oscillation_check(state: State, scratch: Scratch) -> None:
-    """Have the step halved when nodes have reversed in this substep, faster than at the last check.
+    """Halve the step of the next ticks if nodes have reversed in this substep, faster than at the last check.
 
-    After an impact, a mode that the step just allows reverses as often, but decays.
+    After an impact, a mode for which the step is just short enough also reverses in every substep, but decays.
 
     Parameters
     ----------
@@ -97,29 +97,29 @@ def end_oscillation_check(state: State, scratch: Scratch) -> None:
     size, status = state.velocity.size, state.status
     before, after = scratch.velocity_before.reshape(size), state.velocity.reshape(size)
     last, status.turning = status.turning, 0.0
-    fast = FAST_AGAIN if status.halving > HALVED else FAST
-    if count_oscillating(before, after, fast) < MANY:
+    fast = MIN_SPEED_AGAIN if status.halving > HALVED_TICKS else MIN_SPEED
+    if count_oscillating(before, after, fast) < MIN_COORDINATES:
         return
     status.turning = energy_of_oscillation(before, after, fast)
-    if 0.0 < GREW * last < status.turning and status.turning > MOST * energy_of(after):
+    if 0.0 < MIN_GROWTH * last < status.turning and status.turning > MIN_FRACTION * energy_of(after):
         status.turning = 0.0
-        status.oscillating = max(HALVED, status.halving)
-        status.halving = min(LONGEST, MORE * status.oscillating)
+        status.oscillating = max(HALVED_TICKS, status.halving)
+        status.halving = min(MAX_HALVED_TICKS, HALVED_GROWTH * status.oscillating)
         state.count.oscillations += 1
 
 
 @kernel
-def turns(before: float, after: float, fast: float) -> bool:
-    """Return whether a speed of more than `fast`, m/s, has about reversed."""
-    return (before * before > fast * fast) & (before * after < -TURNED * before * before)
+def has_reversed(before: float, after: float, fast: float) -> bool:
+    """Return whether a speed of more than `fast`, m/s, has nearly reversed."""
+    return (before * before > fast * fast) & (before * after < -REVERSED_FRACTION * before * before)
 
 
 @kernel
 def count_oscillating(before: Floats, after: Floats, fast: float) -> int:
-    """Return how many coordinates faster than `fast`, m/s, have about reversed; flat arrays."""
+    """Return how many coordinates faster than `fast`, m/s, have nearly reversed; flat arrays."""
     turning = 0
     for index in range(len(before)):
-        turning += turns(before[index], after[index], fast)
+        turning += has_reversed(before[index], after[index], fast)
     return turning
 
 
@@ -134,9 +134,9 @@ def energy_of(velocity: Floats) -> float:
 
 @kernel
 def energy_of_oscillation(before: Floats, after: Floats, fast: float) -> float:
-    """Return the sum of the squared speeds of those that have reversed, m^2/s^2."""
+    """Return the sum of the squared speeds of coordinates that have reversed, m^2/s^2."""
     total = 0.0
     for index in range(len(before)):
-        if turns(before[index], after[index], fast):
+        if has_reversed(before[index], after[index], fast):
             total += after[index] * after[index]
     return total

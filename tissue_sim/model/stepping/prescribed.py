@@ -1,4 +1,4 @@
-"""Prescribed nodes: their positions are given, and the forces that hold them there follow."""
+"""Prescribed nodes: nodes with given positions, of which the reactions are computed."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def free_nodes(model: Model, state: State) -> None:
 
 @kernel
 def forget_prescribed(state: State) -> None:
-    """Prescribe nothing from here on.
+    """Stop prescribing nodes.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def forget_prescribed(state: State) -> None:
 
 @kernel
 def move_prescribed(state: State, substep: int, substeps: int, step: float) -> None:
-    """Put prescribed nodes where they belong at the end of a substep, with the corresponding speed.
+    """Move prescribed nodes to their positions at the end of a substep, with the corresponding velocities.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def move_prescribed(state: State, substep: int, substeps: int, step: float) -> N
 
 @kernel
 def count_prescribed(state: State) -> None:
-    """Count down, after a tick, the ticks of moving nodes; those that have arrived are held.
+    """Count down the ticks that moving nodes still need, after a tick; nodes that have arrived are held.
 
     Parameters
     ----------

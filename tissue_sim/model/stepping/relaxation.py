@@ -1,12 +1,12 @@
-"""Relaxation: tissue resists a fast deformation more than a held one. One Prony term for the whole organ.
+"""Relaxation: tissue is stiffer in a fast deformation than in a held one. One Prony term for the whole organ.
 
 Each node has a force h besides its elastic force f, with dh/dt = g/(1 - g) df/dt - h/T: a Maxwell element beside the
 elastic one, the standard linear solid. f is what remains in equilibrium, so that calibrated moduli are those of held
 tissue; at first tissue is stiffer by 1/(1 - g). All moduli relax alike, which leaves Poisson's ratio as it is. h
 belongs to nodes, not to cells, and keeps its direction: where stressed tissue turns fast, it lags behind.
 
-What h gives back is limited by what it has received. Its energy E is followed as that of a linear element, dE/dt =
--h.v - 2 E/T, and where nothing is left, h ends: turning stressed tissue to and fro would otherwise create energy.
+h returns no more energy than it has received. Its energy E is computed as that of a linear element, dE/dt = -h.v - 2
+E/T, and when none is left, h is set to zero: rotating stressed tissue to and fro would otherwise create energy.
 
 References
 ----------
@@ -22,11 +22,11 @@ from tissue_sim.model.data.arrays import add, copy
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.state import State
 
-LANES = 4  # sums side by side, so that none waits for the one before; their order is fixed
+LANES = 4  # partial sums, so that no addition waits for the previous one; their order is fixed
 
 
-def stiffest(model: Model) -> float:
-    """Return the factor of the tissue's stiffness before it relaxes, 1 / (1 - g); 1 for elastic tissue.
+def unrelaxed_factor(model: Model) -> float:
+    """Return the ratio of the tissue's stiffness before it relaxes to that after, 1 / (1 - g); 1 for elastic tissue.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def stiffest(model: Model) -> float:
 
 @kernel
 def creep_rate(model: Model) -> float:
-    """Return the rate at which released tissue that relaxes comes back in the end, (1 - g) / T, 1/s.
+    """Return the rate of the slow part of the return of released tissue that relaxes, (1 - g) / T, 1/s.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def creep_rate(model: Model) -> float:
 
 @kernel
 def relax(model: Model, state: State, force: Floats, step: float) -> None:
-    """Add what the tissue has not relaxed yet to its elastic forces, once in every substep of the whole organ.
+    """Add the forces that have not relaxed yet to the elastic forces, once in every substep of the whole organ.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def relax(model: Model, state: State, force: Floats, step: float) -> None:
     memory.step = step
     if last == 0.0:
         copy(force, state.last_elastic)
-        add(state.unrelaxed, force)  # what a cut has left of it
+        add(state.unrelaxed, force)  # the part that a cut has left
         return
     half = 0.5 * last * model.relaxation[0]
     kept, taken = (1.0 - half) / (1.0 + half), model.relaxation[1] / (1.0 + half)
@@ -109,7 +109,7 @@ def _advance_one(force: Floats, before: Floats, unrelaxed: Floats, i: int, kept:
 
 @kernel
 def forget_relaxation(state: State) -> None:
-    """Begin anew, as tissue that has relaxed where it is.
+    """Set the unrelaxed forces to zero, as of tissue that has relaxed in its present shape.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Rest of an organ that nothing touches: it falls asleep, or recovers from a false rest shape."""
+"""Sleep of an organ that nothing touches, and its recovery from a false rest shape."""
 
 from __future__ import annotations
 
 from tissue_sim.jit import kernel
-from tissue_sim.model.contact.haptic_output import is_felt
+from tissue_sim.model.contact.haptic_output import has_output
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.model import Model
@@ -19,29 +19,28 @@ from tissue_sim.model.stepping.relaxation import creep_rate, forget_relaxation
 QUIET_SPEED = 2e-5  # m/s
 QUIET_DISPLACEMENT = 5e-6  # m
 QUIET_TICKS = 20
-# An organ next to one that a hand is on sleeps sooner: the end of its return is too small to see or to feel.
-DROWSY_SPEED = 5e-4  # m/s
-DROWSY_DISPLACEMENT = 4e-5  # m
-DROWSY_TICKS = 5
-TREMBLING = 1.0  # 1/s, largest speed over displacement of a false rest shape
-SLOWEST_RETURN = 0.02  # of the organ's pace: a sound one returns at half of it
-SLOWEST = 0.2  # 1/s, of paces
-RECOVERY_DISPLACEMENT = 2e-4  # m; a sound organ this far from rest is moving
+# An organ that isn't touched while a hand is on another one falls asleep sooner: the rest of its return is too small to
+# be seen or felt.
+EARLY_SLEEP_SPEED = 5e-4  # m/s
+EARLY_SLEEP_DISPLACEMENT = 4e-5  # m
+EARLY_SLEEP_TICKS = 5
+FALSE_REST_RATE = 1.0  # 1/s, largest speed over displacement of a false rest shape
+MIN_RETURN_FRACTION = 0.02  # of the organ's return rate: an organ in a valid shape returns at half of it
+MIN_RETURN_RATE = 0.2  # 1/s, lower limit of the return rate
+RECOVERY_DISPLACEMENT = 2e-4  # m; an organ in a valid shape that is this far from rest is moving
 INVERTED_TIME = 0.15  # s that cells may stay inverted without load
-LONGEST_RETURN = (
-    30.0  # time constants of the organ's pace after which a sound one is back from anywhere: exp(-15) is left
-)
+LONGEST_RETURN = 30.0  # time constants after which an organ has returned from any valid shape: exp(-15) is left
 
 
 @kernel
 def sleep_or_recover(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
     """Fall asleep after a number of ticks without touch, load, speed and displacement.
 
-    Springs pushed through each other can come to rest in a false shape, finite and still. An organ that nothing touches
-    and that is still away from its rest shape, that is not back long after a sound one would be, as compressed cells
-    can oscillate for good, or whose cells stay inverted, recovers to it. An organ with attachments, weight or
-    pressing neighbours may well be away from rest: it recovers only after a fault, or where it is still inverted or
-    compressed long after; meanwhile it is released by these.
+    Springs that were pushed through each other can come to rest in a false rest shape. An organ that nothing touches
+    recovers to its rest shape if it stands still elsewhere, if it takes much longer to return than from a valid shape,
+    as compressed cells can oscillate permanently, or if its cells stay inverted. An organ with attachments, weight or
+    pressing neighbours may be away from rest: it recovers only after a fault, or if it is still inverted or compressed
+    long after a touch; during the recovery these don't act on it.
 
     Parameters
     ----------
@@ -57,20 +56,22 @@ def sleep_or_recover(model: Model, state: State, settings: Settings, scratch: Sc
     status = state.status
     doubted = status.faulted or not scratch.plan.forced
     if doubted and status.turned > 0 and status.alone * settings.tick_time > INVERTED_TIME:
-        snap(model, state, settings, scratch)
+        begin_recovery(model, state, settings, scratch)
         return
-    rate = pace(model, settings)
+    rate = return_rate(model, settings)
     lasted = min(1.0, settings.damping_scale) * rate * status.alone * settings.tick_time  # undamped it oscillates on
     overdue = lasted > LONGEST_RETURN
     if not doubted and not (overdue and (status.turned > 0 or has_compressed_cells(model))):
         return
     speed, away = largest_motion(model, state, scratch)
-    # Far from rest, a false shape may tremble for good; slow is what wouldn't get back in ten times a sound one's time.
-    slow = speed <= max(QUIET_SPEED, min(TREMBLING, SLOWEST_RETURN * rate) * away)
-    # Its weight may squeeze an organ for good, which then lies still.
+    # Far from rest, a false shape may oscillate permanently; an organ is slow if its return would take ten times as
+    # long
+    # as from a valid shape.
+    slow = speed <= max(QUIET_SPEED, min(FALSE_REST_RATE, MIN_RETURN_FRACTION * rate) * away)
+    # An organ may be compressed by its own weight permanently; then it lies still.
     lies = not doubted and status.turned == 0 and slow and is_out_of_balance(model, settings)
     if away > RECOVERY_DISPLACEMENT and overdue and not lies:
-        snap(model, state, settings, scratch)
+        begin_recovery(model, state, settings, scratch)
         return
     status.quiet = status.quiet + 1 if slow and doubted else 0
     if status.quiet < QUIET_TICKS:
@@ -79,12 +80,12 @@ def sleep_or_recover(model: Model, state: State, settings: Settings, scratch: Sc
         if speed <= QUIET_SPEED:
             fall_asleep(model, state)
     elif away > RECOVERY_DISPLACEMENT and rate * status.quiet * settings.tick_time > 1.0:
-        snap(model, state, settings, scratch)
+        begin_recovery(model, state, settings, scratch)
 
 
 @kernel
 def sleep_if_at_rest(model: Model, state: State, scratch: Scratch) -> None:
-    """Fall asleep where an unloaded organ is nearly at rest, while a hand is on another one.
+    """Let an unloaded organ fall asleep if it is nearly at rest, while a hand is on another one.
 
     Parameters
     ----------
@@ -97,17 +98,17 @@ def sleep_if_at_rest(model: Model, state: State, scratch: Scratch) -> None:
     """
     status = state.status
     speed, away = largest_motion(model, state, scratch)
-    status.quiet = status.quiet + 1 if speed <= DROWSY_SPEED and away <= DROWSY_DISPLACEMENT else 0
-    if status.quiet >= DROWSY_TICKS:
+    status.quiet = status.quiet + 1 if speed <= EARLY_SLEEP_SPEED and away <= EARLY_SLEEP_DISPLACEMENT else 0
+    if status.quiet >= EARLY_SLEEP_TICKS:
         fall_asleep(model, state)
 
 
 @kernel
-def pace(model: Model, settings: Settings) -> float:
-    """Return how fast the organ returns after its release: its damping rate, which is twice its lowest frequency.
+def return_rate(model: Model, settings: Settings) -> float:
+    """Return the rate at which the organ returns after its release: its damping rate, twice its lowest frequency.
 
-    This is so after a calibration, and nearly so for organs as built; it is slower where parameters have made it softer
-    or more damped.
+    This holds after a calibration, and nearly for organs as built; parameters that make an organ softer or more damped
+    reduce the rate.
 
     Parameters
     ----------
@@ -122,17 +123,17 @@ def pace(model: Model, settings: Settings) -> float:
         The rate.
     """
     softer, tougher = min(1.0, settings.stiffness_scale), max(1.0, settings.damping_scale)
-    own = max(SLOWEST, model.damping_rate * softer / tougher)
+    own = max(MIN_RETURN_RATE, model.damping_rate * softer / tougher)
     return own if len(model.relaxation) == 0 else min(own, creep_rate(model))
 
 
 @kernel
 def fall_asleep(model: Model, state: State) -> None:
-    """Put the organ at rest, to the last bit; a piece that was cut off stays where it lies.
+    """Set the organ to its exact rest shape, asleep; a piece that was cut off stays where it lies.
 
-    Not while the slew limit still lets a force down: there is none on an organ that sleeps.
+    It waits while the slew limit still lowers a force, since an organ that sleeps exerts none.
     """
-    if is_felt(state):
+    if has_output(state):
         return
     status = state.status
     status.asleep = True
@@ -152,9 +153,9 @@ def fall_asleep(model: Model, state: State) -> None:
 
 
 @kernel
-def snap(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
-    """Start the recovery from a false rest shape, as soon as no force is left, as in `fall_asleep`."""
-    if is_felt(state):
+def begin_recovery(model: Model, state: State, settings: Settings, scratch: Scratch) -> None:
+    """Start the recovery from a false rest shape, as soon as no force is left; see `fall_asleep`."""
+    if has_output(state):
         return
     leave_region(model, state, settings, scratch)
     forget_relaxation(state)

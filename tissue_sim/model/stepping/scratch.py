@@ -1,20 +1,20 @@
-"""Working memory of a model: how large it is."""
+"""Allocation of the working memory of a model."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs, Singles
-from tissue_sim.model.contact.active_contact import MOST_ACTIVE, ActiveContact
-from tissue_sim.model.contact.volume_limit import MOST_COMPRESSED, CompressedCell
+from tissue_sim.model.contact.active_contact import MAX_ACTIVE, ActiveContact
+from tissue_sim.model.contact.volume_limit import MAX_COMPRESSED, CompressedCell
 from tissue_sim.model.data.blades import LIP_NODES, BladeRow
 from tissue_sim.model.data.blocks import BLOCK, empty_blocks
-from tissue_sim.model.data.contact_set import MOST_POINTS
+from tissue_sim.model.data.contact_set import MAX_CONTACT_POINTS
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.records import Record, Records
 from tissue_sim.model.data.scratch import Plan, Scratch
 from tissue_sim.model.elasticity.cells import CONSTANTS
-from tissue_sim.model.regions.modal_region import MOST_BOUNDARY, MOST_DRIVE
+from tissue_sim.model.regions.modal_region import MAX_BOUNDARY, MAX_DRIVE
 
 
 def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
@@ -36,8 +36,8 @@ def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
     region_hinges, region_links = (hinges, links) if local else (0, 0)
     region_cells = 0 if not local or model.tissue is None else len(model.tissue.nodes) * BLOCK
     modal = modes > 0
-    rows = 3 * MOST_BOUNDARY if modal else 0
-    columns = 3 * MOST_DRIVE if modal and len(model.reduction.compliance) else 0
+    rows = 3 * MAX_BOUNDARY if modal else 0
+    columns = 3 * MAX_DRIVE if modal and len(model.reduction.compliance) else 0
 
     def empty(*shape: int) -> Floats:
         return np.zeros(shape)
@@ -77,7 +77,7 @@ def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
         before=empty(n_bodies, 7),
         fraction=empty(n_bodies),
         give=empty(n_bodies),
-        active=records(ActiveContact, MOST_ACTIVE),
+        active=records(ActiveContact, MAX_ACTIVE),
         work=empty(9 * BLOCK),
         blade_rows=records(BladeRow, n_samples),
         blade_stretch=empty(9),
@@ -85,22 +85,22 @@ def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
         blade_way=empty(3),
         blade_at=empty(3),
         blade_weight=empty(LIP_NODES),
-        compressed=records(CompressedCell, 0 if model.tissue is None else MOST_COMPRESSED),
-        compressing=longs(1),
-        candidates=longs(MOST_POINTS),
-        candidate_gap=empty(MOST_POINTS),
-        candidate_speed=empty(MOST_POINTS),
-        watching=longs(1),
-        wall=longs(MOST_POINTS),
-        wall_depth=empty(MOST_POINTS),
+        compressed=records(CompressedCell, 0 if model.tissue is None else MAX_COMPRESSED),
+        n_compressed=longs(1),
+        candidates=longs(MAX_CONTACT_POINTS),
+        candidate_gap=empty(MAX_CONTACT_POINTS),
+        candidate_speed=empty(MAX_CONTACT_POINTS),
+        n_candidates=longs(1),
+        wall=longs(MAX_CONTACT_POINTS),
+        wall_depth=empty(MAX_CONTACT_POINTS),
         wall_pose=empty(n_bodies, 7),
-        walls=longs(1),
+        n_walls=longs(1),
         walls_measured=longs(1),
-        fresh=ints(local),
-        was=longs(local),
+        new_node=ints(local),
+        previous_hop=longs(local),
         region_node=ints(local),
         moved_node=ints(local),
-        moved=longs(1),
+        n_moved=longs(1),
         boundary_node=ints(local),
         edges=empty_blocks(region_hinges, 4, 8),
         links=empty_blocks(region_links, 2, 2),
@@ -116,9 +116,9 @@ def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
         stale=longs(1),
         drive_node=ints(local),
         drive=empty(n if modal else 0, 3),
-        drive_rows=singles(3 * MOST_DRIVE if modal else 0, modes),
+        drive_rows=singles(3 * MAX_DRIVE if modal else 0, modes),
         edge_rows=singles(columns + modes, rows),
-        edge_load=singles(max(columns, 3 * MOST_DRIVE if modal else 0) + modes),
+        edge_load=singles(max(columns, 3 * MAX_DRIVE if modal else 0) + modes),
         edge_move=singles(rows),
         mode_sum=singles(modes),
         mode_rest=empty(modes),

@@ -1,4 +1,4 @@
-"""Checks of states and contact sets from files: kernels index with their numbers and check no bounds."""
+"""Checks of states and contact sets from files, whose indices kernels use without checking bounds."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.model.data.contact_set import MOST_POINTS, ContactSet, Engaged, contact_set, padded
+from tissue_sim.model.data.contact_set import MAX_CONTACT_POINTS, ContactSet, Engaged, contact_set, padded
 from tissue_sim.model.data.records import array_of
 from tissue_sim.model.data.settings import Integrator, LocalRegion, Settings
 from tissue_sim.model.data.state import Fault, Region, State, fields_of
-from tissue_sim.model.stepping.critical_step import MOST_SUBSTEPS
+from tissue_sim.model.stepping.critical_step import MAX_SUBSTEPS
 from tissue_sim.model.stepping.inputs import MAX_BACKOFF
 
-MOST = 1e15  # of any number in a state; computations with larger ones overflow
+MAX_NUMBER = 1e15  # largest number in a state; computations with larger ones overflow
 
 
 def check_state(state: State) -> None:
@@ -29,7 +29,7 @@ def check_state(state: State) -> None:
     Raises
     ------
     ValueError
-        When a field is not; the message names it.
+        When a field is invalid; the message names it.
     """
     n, n_cells, status = len(state.position), len(state.is_turned), state.status
     _check_finite(fields_of(state))
@@ -62,7 +62,7 @@ def check_state(state: State) -> None:
 
 
 def check_settings(settings: Settings) -> None:
-    """Check that every setting is one that a node can have.
+    """Check that every setting is in the range of a node's parameters.
 
     Parameters
     ----------
@@ -72,21 +72,21 @@ def check_settings(settings: Settings) -> None:
     Raises
     ------
     ValueError
-        When a setting is not; the message names it.
+        When a setting is out of range; the message names it.
     """
     for name in Settings.dtype.names or ():
         value = getattr(settings, name)
-        if not abs(float(value)) <= MOST:
+        if not abs(float(value)) <= MAX_NUMBER:
             raise ValueError(f"its setting {name} is {value}")
     ranges = {
         "tick_time": (1e-5, 1.0),
-        "substeps": (1, MOST_SUBSTEPS),
-        "region_substeps": (0, MOST_SUBSTEPS),
+        "substeps": (1, MAX_SUBSTEPS),
+        "region_substeps": (0, MAX_SUBSTEPS),
         "integrator": (0, len(Integrator) - 1),
         "local_region": (0, len(LocalRegion) - 1),
-        "stiffness_scale": (0.0, MOST),
-        "damping_scale": (0.0, MOST),
-        "friction": (0.0, MOST),
+        "stiffness_scale": (0.0, MAX_NUMBER),
+        "damping_scale": (0.0, MAX_NUMBER),
+        "friction": (0.0, MAX_NUMBER),
     }
     for name, (least, most) in ranges.items():
         if not least <= getattr(settings, name) <= most:
@@ -112,8 +112,8 @@ def contact_set_of(fields: Mapping[str, NDArray[Any]], n_bodies: int, n_nodes: i
     """
     body = fields.get("body")
     points = len(body) if body is not None and body.ndim else -1
-    if not 0 <= points <= MOST_POINTS:
-        raise ValueError(f"a contact set has no points, or more than {MOST_POINTS}")
+    if not 0 <= points <= MAX_CONTACT_POINTS:
+        raise ValueError(f"a contact set has no points, or more than {MAX_CONTACT_POINTS}")
     made = contact_set(n_bodies, points)
     for name, value in made._asdict().items():
         if name == "words":
@@ -155,5 +155,5 @@ def _check_finite(fields: Mapping[str, NDArray[Any]]) -> None:
     for name, values in fields.items():
         parts = {name: values} if values.dtype.names is None else {f"{name}.{k}": values[k] for k in values.dtype.names}
         for part, numbers in parts.items():
-            if numbers.dtype.kind == "f" and numbers.size and not np.abs(numbers).max() <= MOST:
-                raise ValueError(f"its '{part}' contains numbers that are not finite, or beyond {MOST:g}")
+            if numbers.dtype.kind == "f" and numbers.size and not np.abs(numbers).max() <= MAX_NUMBER:
+                raise ValueError(f"its '{part}' contains numbers that are not finite, or beyond {MAX_NUMBER:g}")

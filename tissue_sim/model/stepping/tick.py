@@ -1,7 +1,7 @@
 """One tick: the same compiled function in the node's loop, in a test and in a replay.
 
-Its order: inputs are applied; if nothing touches or moves, it ends; a local region or the whole organ is chosen; the
-substeps follow; positions are checked to be finite and bounded; wrenches are reported.
+Its order is: inputs are applied; if nothing touches or moves, the tick ends; a local region or the whole organ is
+chosen; the substeps are computed; positions are checked to be finite and bounded; wrenches are computed.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from tissue_sim.model.contact.tool_motion import (
     couple_bodies,
     follow_untouched,
     has_tip_force,
-    keep_bodies,
     note_forces,
-    slip_caution,
+    slip_substep_factor,
+    store_body_poses,
 )
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
 from tissue_sim.model.contact.walls import find_walls
@@ -52,7 +52,7 @@ from tissue_sim.model.stepping.prescribed import count_prescribed, move_prescrib
 from tissue_sim.model.stepping.relaxation import relax
 from tissue_sim.model.stepping.rest_recovery import sleep_if_at_rest, sleep_or_recover, step_recovery
 
-CRUMPLED = 0.02  # fraction of inverted cells from which on a tick takes four times its substeps
+MANY_INVERTED = 0.02  # fraction of inverted cells from which a tick takes four times its substeps
 
 
 @kernel
@@ -76,9 +76,9 @@ def tick(world: World) -> None:
 
 @part
 def plan_tick(world: World) -> bool:
-    """Return whether there is anything to advance, and write how into scratch.plan.
+    """Return whether there is anything to advance, and write the plan of the tick to scratch.plan.
 
-    scratch.plan.handled tells whether nodes were loaded before links and other organs did.
+    scratch.plan.handled is set if nodes were loaded before links and other organs loaded them.
     """
     model, state, shapes = world.model, world.state, world.shapes
     settings, scratch = world.settings, world.scratch
@@ -109,7 +109,7 @@ def plan_tick(world: World) -> bool:
         status.active = len(model.moving)
 
     scratch.impulse[:] = 0.0
-    # The first forces tell how stiff the cells are.
+    # The first forces show how stiff the cells are.
     plan.whole = status.region == Region.WHOLE
     if plan.whole:
         elastic_forces(model, state.position, settings.stiffness_scale, scratch.force)
@@ -118,10 +118,10 @@ def plan_tick(world: World) -> bool:
         region_forces(model, state, settings, scratch, False)
     wanted = settings.substeps if plan.whole else settings.region_substeps
     plan.mass_scaled = is_mass_scaled(model, state)
-    factor = caution(model, state, plan.whole or plan.regional)
-    plan.substeps = wanted * status.backoff * max(factor, slip_caution(state))
-    plan.looking = plan.whole and is_oscillation_checked(model, state, plan.substeps)
-    plan.looking = plan.looking and (factor == 1 or can_be_cut(model, state))
+    factor = substep_factor(model, state, plan.whole or plan.regional)
+    plan.substeps = wanted * status.backoff * max(factor, slip_substep_factor(state))
+    plan.is_checked = plan.whole and is_oscillation_checked(model, state, plan.substeps)
+    plan.is_checked = plan.is_checked and (factor == 1 or can_be_cut(model, state))
     return True
 
 
@@ -148,9 +148,9 @@ def take_substep(world: World, substep: int) -> None:
     model, state, shapes = world.model, world.state, world.shapes
     settings, scratch, plan = world.settings, world.scratch, world.scratch.plan
     substeps, first = plan.substeps, substep == 0
-    if plan.looking and substep == substeps - 1:
+    if plan.is_checked and substep == substeps - 1:
         begin_oscillation_check(state, scratch)
-    # The last substep of a region has more to compute.
+    # The last substep of a region computes more.
     known = first and (plan.whole or (plan.regional and substeps > 1))
     step = settings.tick_time / substeps
     couple_bodies(state, shapes, settings, scratch, step, 1.0 / (substeps - substep))
@@ -166,12 +166,12 @@ def take_substep(world: World, substep: int) -> None:
     move_prescribed(state, substep, substeps, step)
     pushed = has_taken_impulses(state, settings)
     state.status.touching = resolve_contacts(world, step, pushed)
-    keep_bodies(state, scratch)
+    store_body_poses(state, scratch)
 
 
 @part
 def end_tick(world: World) -> None:
-    """Check the result of the substeps, report the wrenches, and come to rest where nothing acts.
+    """Check the result of the substeps, compute the wrenches, and let an organ fall asleep on which nothing acts.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def end_tick(world: World) -> None:
     model, state, shapes = world.model, world.state, world.shapes
     settings, scratch = world.settings, world.scratch
     status, plan = state.status, scratch.plan
-    if plan.looking:
+    if plan.is_checked:
         end_oscillation_check(state, scratch)
     absorb_load(model, state, settings, scratch)
     guard(model, state, settings, scratch)
@@ -214,15 +214,15 @@ def is_region_of_cells(model: Model, state: State) -> Any:
 
 
 @kernel
-def caution(model: Model, state: State, begun: bool) -> int:
+def substep_factor(model: Model, state: State, begun: bool) -> int:
     """Return the factor on the substeps while cells are stretched, compressed or inverted, or nodes oscillate.
 
-    All of these stiffen them. begun: the forces of this tick's first substep are known.
+    All of these make cells stiffer. begun: the forces of this tick's first substep are known.
     """
     least = shortening_of(model) if begun else 1
     factor = 2 if begun and has_compressed_cells(model) else 1
     if state.status.turned > 0:
-        factor = 4 if state.status.turned > CRUMPLED * len(model.cells) else 2
+        factor = 4 if state.status.turned > MANY_INVERTED * len(model.cells) else 2
     doubled = factor == 2 and can_be_cut(model, state) and not is_mass_scaled(model, state)
     if state.status.oscillating > 0 and (factor == 1 or doubled):
         factor *= 2
@@ -268,16 +268,16 @@ def integrate(world: World, step: float) -> None:
 
 @kernel
 def has_taken_impulses(state: State, settings: Settings) -> bool:
-    """Return whether the last contact impulses move nodes too: while these persist, nothing is left to resolve."""
+    """Return whether the integrator applies the last contact impulses; while they persist, nothing need be resolved."""
     return settings.integrator != Integrator.EXPLICIT and state.status.region == Region.WHOLE
 
 
 @kernel
 def set_mobility(world: World, step: float) -> None:
-    """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the integration's part of its mass.
+    """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the factors of the integrator.
 
-    Only when settings or masses have changed. The damping is implicit, so it acts on the contact's impulse too:
-    1 / (m + h d). With 1/m alone a body at rest would press with a force short by h d/m.
+    They are computed only when settings or masses have changed. The damping is implicit, so it also acts on the
+    contact's impulse: 1 / (m + h d). With 1/m alone, the force of a body at rest would be too small by h d/m.
     """
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     key, damping, inertia = scratch.mobility_key, damping_of(state, settings), inertia_of(state, settings)

@@ -7,16 +7,16 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.data.contact_set import ContactSet
 from tissue_sim.model.data.world import World
 from tissue_sim.model.elasticity.gravity import add_weight, is_out_of_balance, write_masses
-from tissue_sim.model.regions.active_region import leave_region, show_region
+from tissue_sim.model.regions.active_region import leave_region, update_outside
 from tissue_sim.model.stepping.inputs import load_nodes, reset_state, take_contacts, take_force, take_pose
 from tissue_sim.model.stepping.prescribed import free_nodes, prescribe_nodes
 from tissue_sim.model.stepping.relaxation import forget_relaxation
-from tissue_sim.model.stepping.rest_recovery import pace
+from tissue_sim.model.stepping.rest_recovery import return_rate
 
 
 @kernel
 def reset_world(world: World) -> None:
-    """Return to the rest shape, asleep, without tools; the counters go on.
+    """Return to the rest shape, asleep, without tools; the counters continue.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def reset_world(world: World) -> None:
 
 @kernel
 def relax_world(world: World) -> None:
-    """Let tissue that relaxes do so at once.
+    """Relax the tissue at once.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def relax_world(world: World) -> None:
 
 
 @kernel
-def show_world(world: World) -> None:
+def update_hidden_nodes(world: World) -> None:
     """Update the nodes outside a modal region.
 
     Parameters
@@ -47,7 +47,7 @@ def show_world(world: World) -> None:
     world : World
         World of the organ; updated.
     """
-    show_region(world.model, world.state, world.settings, world.scratch)
+    update_outside(world.model, world.state, world.settings, world.scratch)
 
 
 @kernel
@@ -63,7 +63,7 @@ def is_world_out_of_balance(world: World) -> bool:
 
 
 @kernel
-def weigh_world(world: World, force: Floats) -> None:
+def add_weight_of_world(world: World, force: Floats) -> None:
     """Add the nodes' weight.
 
     Parameters
@@ -79,8 +79,8 @@ def weigh_world(world: World, force: Floats) -> None:
 
 
 @kernel
-def pace_of_world(world: World) -> float:
-    """Return how soon the organ is on its way after it was released.
+def return_rate_of_world(world: World) -> float:
+    """Return the rate at which the organ returns after its release, see `rest_recovery.return_rate`.
 
     Parameters
     ----------
@@ -89,10 +89,10 @@ def pace_of_world(world: World) -> float:
 
     Returns
     -------
-    float
-        1/s
+    float, 1/s
+        The rate.
     """
-    return pace(world.model, world.settings)
+    return return_rate(world.model, world.settings)
 
 
 @kernel

@@ -45,7 +45,7 @@ class JoinedRecorder:
 
     def state(self, tick: int) -> None:
         """Record what joined the organs at the tick of the states that the loop has posted."""
-        joined, kept = self._joined, self._box.kept
+        joined, kept = self._joined, self._box.snapshot
         if joined.alone:
             return
         count = int(kept.pairs.found[0])

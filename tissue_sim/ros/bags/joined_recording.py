@@ -16,7 +16,7 @@ from tissue_sim.model.runtime.joined_box import JoinedRow
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.stepping.breathing import Breath
 from tissue_sim.model.stepping.contact_pairs import OrganContactSet, make_organ_contacts, set_of_words
-from tissue_sim.model.stepping.state_check import MOST
+from tissue_sim.model.stepping.state_check import MAX_NUMBER
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.shared.cdr import parse_octets
 
@@ -164,8 +164,8 @@ def _check_fields(fields: Mapping[str, np.ndarray], sizes: Sequence[Sizes]) -> N
         if found.shape != wanted.shape or found.dtype != wanted.dtype:
             raise ValueError(f"its '{name}' has shape {found.shape}, expected {wanted.shape}")
         parts = [found] if found.dtype.names is None else [found[part] for part in found.dtype.names]
-        if any(part.dtype.kind == "f" and part.size and not np.abs(part).max() <= MOST for part in parts):
-            raise ValueError(f"its '{name}' contains numbers that are not finite, or beyond {MOST:g}")
+        if any(part.dtype.kind == "f" and part.size and not np.abs(part).max() <= MAX_NUMBER for part in parts):
+            raise ValueError(f"its '{name}' contains numbers that are not finite, or beyond {MAX_NUMBER:g}")
     organ, node = fields["links.organ"], fields["links.node"]
     ends = organ.copy()
     ends[:, 1] = np.where(organ[:, 1] == POINT, organ[:, 0], organ[:, 1])
@@ -180,7 +180,7 @@ def _check_journal(journal: Mapping[str, np.ndarray], n_organs: int) -> None:
     organ = journal["pair_surfaces"]["organ"]
     if len(organ) and not 0 <= organ.min() <= organ.max() < n_organs:
         raise ValueError("its journal names a surface of an organ that doesn't exist")
-    if not np.all(np.abs(journal["respiration"]["share"]) <= MOST):
+    if not np.all(np.abs(journal["respiration"]["share"]) <= MAX_NUMBER):
         raise ValueError("its journal contains a breathing displacement that is not finite")
     ticks = journal["pair_ticks"]
     if ticks.shape != (len(journal["pairs"]), n_organs) or ticks.dtype != np.int64:

@@ -9,7 +9,7 @@ import numpy as np
 from tissue_sim.array_types import Array
 from tissue_sim.model.data.records import Record
 from tissue_sim.model.runtime.mailboxes import BodyInputs, JournalRow
-from tissue_sim.model.stepping.state_check import MOST
+from tissue_sim.model.stepping.state_check import MAX_NUMBER
 from tissue_sim.ros.bags.bag import BodyContactRow, ContactRow, SurfaceRow, WrenchRow
 
 MOST_TICKS = 2**62
@@ -60,5 +60,5 @@ def _check_rows(rows: Mapping[str, Array], kind: str, record: type[Record], shap
         values, wanted = found[name], record.dtype[name].kind
         if values.shape != shape or values.dtype.kind not in ("fiub" if wanted == "f" else "iub"):
             raise ValueError(f"its journal's {kind} have a field '{name}' of another type")
-        if wanted == "f" and values.size and not np.abs(values).max() <= MOST:
-            raise ValueError(f"its journal's {kind} have a '{name}' that is not finite, or beyond {MOST:g}")
+        if wanted == "f" and values.size and not np.abs(values).max() <= MAX_NUMBER:
+            raise ValueError(f"its journal's {kind} have a '{name}' that is not finite, or beyond {MAX_NUMBER:g}")

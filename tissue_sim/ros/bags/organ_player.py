@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs
-from tissue_sim.contact.finder import ContactFinder, Sought
+from tissue_sim.contact.finder import ContactFinder, ContactQuery
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.contact.touched_surface import TouchedSurface
 from tissue_sim.errors import UserError
@@ -231,9 +231,9 @@ class OrganPlayer:
         _forget_before(self._tools, tools)
         engaged, pushing = (bodies[name].astype(np.int64) for name in ("engaged", "pushing"))
         places, releases = self._tools[tools]
-        sought = Sought(places, np.ascontiguousarray(bodies["margin"]), engaged, pushing, releases)
+        query = ContactQuery(places, np.ascontiguousarray(bodies["margin"]), engaged, pushing, releases)
         finder = next(finder for first, finder in reversed(self._finders) if first <= sequence)
-        return finder.find(self._surfaces[surface], sought)
+        return finder.find(self._surfaces[surface], query)
 
 
 def _forget_before[Kept](kept: dict[int, Kept], tick: int) -> None:

@@ -51,7 +51,7 @@ class Loop:
         control = self.words.control
         self._asked, self._waiting = field_of(control, "asked"), field_of(control, "waiting")
         self._napping, self._standing = field_of(control, "napping"), field_of(control, "standing")
-        self._looked_up, self._sim_time = field_of(control, "looked_up"), field_of(control, "sim_time")
+        self._last_wait, self._sim_time = field_of(control, "last_wait"), field_of(control, "sim_time")
         self._snapshot_lock = threading.Lock()  # held while a thread reads the requested states
         for semaphore in (self._bell, self._answered):
             _libc.sem_init(semaphore, 0, 0)
@@ -118,8 +118,8 @@ class Loop:
         """
         if self.ended:
             return False
-        oldest = age + (rt.LOOK_UP if self._sim_time[0] else 0)
-        return bool(time.monotonic_ns() - self._looked_up[0] <= oldest)
+        oldest = age + (rt.STOP_CHECK_INTERVAL if self._sim_time[0] else 0)
+        return bool(time.monotonic_ns() - self._last_wait[0] <= oldest)
 
     @property
     def standing(self) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.handles import handle
-from tissue_sim.model.contact.tool_motion import HASTY
+from tissue_sim.model.contact.tool_motion import MAX_FAST_SLIPS
 from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.runtime import mailboxes as mb
 from tissue_sim.ros.shared.loop import Loop
@@ -126,7 +126,7 @@ class Organs:
         """
         every = [one.results().bodies for one in self.each]
         return min(
-            float(np.min(some.bearable[list(bodies)], where=some.slips[list(bodies)] > HASTY, initial=np.inf))
+            float(np.min(some.bearable[list(bodies)], where=some.slips[list(bodies)] > MAX_FAST_SLIPS, initial=np.inf))
             for some in every
         )
 

@@ -73,12 +73,12 @@ class PauseControl:
         with self._lock:
             if self.active:
                 return
-            control, pace = self._loop.words.control, self._loop.words.pace
+            control, phase = self._loop.words.control, self._loop.words.phase
             self._frozen = self.now()
             self._time += SECOND  # another one than the loop has seen
             self._loop.post_time(self._time)
             self._loop.follow_posted_time(True)
-            self._wait(lambda: control.standing and pace.seen == self._time)
+            self._wait(lambda: control.standing and phase.seen == self._time)
 
     def end(self) -> None:
         """Let the loop follow the monotonic clock again; return when it has done a tick.

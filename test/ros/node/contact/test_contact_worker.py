@@ -11,7 +11,7 @@ from helpers.patience import wait_for
 from helpers.scenes import ball
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
-from tissue_sim.model.contact.tool_motion import HASTY
+from tissue_sim.model.contact.tool_motion import MAX_FAST_SLIPS
 from tissue_sim.model.data.contact_set import Engaged
 from tissue_sim.model.data.state import BodyStatus
 from tissue_sim.model.joined import Joined
@@ -104,10 +104,10 @@ def test_each_slip_is_reported_once_however_short_it_is(scene, monkeypatch):
         seen = len(taken)
         wait_for(lambda: len(taken) > seen + 2)
 
-    body.slips, body.bearable = HASTY, 0.0
+    body.slips, body.bearable = MAX_FAST_SLIPS, 0.0
     search_anew()
     assert not scene.slipped, "those of a hasty tool: it may try again"
-    for slips, bearable in ((HASTY + 1, 0.7), (HASTY + 2, 0.6), (0, 0.0), (HASTY + 1, 0.5)):
+    for slips, bearable in ((MAX_FAST_SLIPS + 1, 0.7), (MAX_FAST_SLIPS + 2, 0.6), (0, 0.0), (MAX_FAST_SLIPS + 1, 0.5)):
         body.bearable = bearable
         body.slips = slips
         search_anew()

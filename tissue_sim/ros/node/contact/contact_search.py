@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs, Mask
-from tissue_sim.contact.finder import MARGIN, ContactFinder, Sought
+from tissue_sim.contact.finder import MARGIN, ContactFinder, ContactQuery
 from tissue_sim.contact.organ_contact_finder import OrganContactFinder
-from tissue_sim.contact.reach_margins import reach_margins, ways
+from tissue_sim.contact.reach_margins import pose_distances, reach_margins
 from tissue_sim.contact.touched_surface import TouchedSurface
-from tissue_sim.model.contact.tool_motion import HASTY
+from tissue_sim.model.contact.tool_motion import MAX_FAST_SLIPS
 from tissue_sim.model.data.contact_set import Engaged
 from tissue_sim.model.data.records import Records
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
@@ -121,7 +121,7 @@ class ContactSearch:
         goals[:, :3] -= carried
         fraction = 2.0 / (rate * max(begun - self._last_time, 1e-4))
         margins = np.where(looked, reach_margins(places, goals, self._last_goals, fraction, self._extents), 0.0)
-        self.is_behind = bool(np.any(ways(places, goals, self._extents)[looked] > 0.5 * MARGIN))
+        self.is_behind = bool(np.any(pose_distances(places, goals, self._extents)[looked] > 0.5 * MARGIN))
         self._last_goals, self._last_time = goals, begun
         engaged = np.where(looked, Engaged.YES.value, Engaged.NO.value)
         engaged[looked & bodies.cutting.astype(bool)] = Engaged.CUTS
@@ -131,7 +131,7 @@ class ContactSearch:
         self._report_inactive(engaged, bodies)
         self._report_slips(bodies)
         releases = bodies.releases.copy()
-        found = self.finder.find(self._positions, Sought(places.copy(), margins, engaged, now.pushing, releases))
+        found = self.finder.find(self._positions, ContactQuery(places.copy(), margins, engaged, now.pushing, releases))
         self._last_empty = found.header.points == 0 and bool(np.all(found.tip_node < 0))
         self.dropped += int(found.header.dropped)
         rows = list(zip(margins.tolist(), engaged.tolist(), now.pushing.astype(bool).tolist(), strict=True))
@@ -152,7 +152,7 @@ class ContactSearch:
 
     def _report_slips(self, bodies: Records) -> None:
         """Notify ports of bodies that slipped into the organ since the last search, however soon they are free."""
-        before, self._has_slipped = self._has_slipped, bodies.slips > HASTY
+        before, self._has_slipped = self._has_slipped, bodies.slips > MAX_FAST_SLIPS
         for port, some in self._ports_of(self._has_slipped & ~before).items():
             port.note_slipped(float(bodies.bearable[some].min()))
 

@@ -16,15 +16,15 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.rendering.pinhole import Pinhole
 
 if TYPE_CHECKING:
-    from tissue_sim.contact.scene_page import ScenePage, Seen
+    from tissue_sim.contact.scene_page import DrawnParts, ScenePage
 
 
-class Pictured:
-    """Pictures and a page of a scene."""
+class SceneViews:
+    """Mixin of a scene for pictures and a page."""
 
     names: list[str]
     tools: ToolSet
-    _painter: tuple[int, Painter] | None = None  # and the thread that it serves
+    _painter: tuple[int, Painter] | None = None  # with the thread for which it was made
 
     @property
     def simulations(self) -> list[Simulation]:
@@ -90,7 +90,7 @@ class Pictured:
         except ImportError as error:
             raise UserError(f"a page needs {error.name}: pip install 'tissue_sim[viewer]'") from None
 
-        def look() -> Seen:
+        def look() -> DrawnParts:
             return surfaces_of(self.simulations, self.names), body_poses(self.simulations[0])
 
         return ScenePage(look, self.tools, port)
