@@ -9,7 +9,7 @@ import dataclasses
 import hashlib
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,17 +177,8 @@ def _kept(fit: Fit, make: Callable[[Fit], dict[str, NDArray]]) -> Organ | str:
     lowest, next_ones = 100.0 * made["modes_off"]
     text = f"{fit.kind}: {effort.cases} linear loads, {effort.steps} evaluations; the error of modes 1 to {MODES}"
     text += f" is at most {lowest:.1f} %, of {MODES + 1} to {MORE_MODES} at most {next_ones:.1f} %"
-    return dataclasses.replace(
-        fit.organ,
-        provenance={**fit.organ.provenance, "fit": text},
-        spring_stiffness=made["spring_stiffness"],
-        angular_stiffness=made["angular_stiffness"],
-        return_stiffness=made["return_stiffness"],
-        cell_mu=made["cell_mu"],
-        cell_lambda=made["cell_lambda"],
-        mass=made["mass"],
-        damping=made["damping"],
-    )
+    values: dict[str, Any] = {name: value for name, value in made.items() if name != "modes_off"}
+    return dataclasses.replace(fit.organ, provenance={**fit.organ.provenance, "fit": text}, **values)
 
 
 def fitted(body: Body, organ: Organ, kind: str, effort: Effort) -> dict[str, NDArray]:
