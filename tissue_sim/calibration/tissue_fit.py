@@ -28,7 +28,7 @@ GROUP_STEPS = 4  # evaluations of the search over groups for each one of the fit
 
 
 class Work(NamedTuple):
-    """What a calibration is done with: its settings, its intermediate results, and where it reports."""
+    """Context of a calibration: its settings, its intermediate results, and its progress reporter."""
 
     settings: Settings
     checkpoint: Checkpoint

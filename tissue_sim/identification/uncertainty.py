@@ -1,4 +1,4 @@
-"""How sure a fitted modulus is, and which further press would determine it best."""
+"""Uncertainty of a fitted modulus, and the further press that would reduce it most."""
 
 from __future__ import annotations
 

@@ -373,7 +373,7 @@ class Simulation:
     def forget_scratch(self) -> None:
         """Invalidate working memory that belongs to another state."""
         self.scratch.stale[0] = 1
-        self.scratch.mobility_key[:] = 0.0  # the state may prescribe other nodes, as often
+        self.scratch.mobility_key.step = 0.0  # the state may prescribe other nodes, as often
 
     def apply_force(self, nodes: ArrayLike, forces: ArrayLike) -> None:
         """Add forces to nodes for the coming tick.

@@ -35,7 +35,20 @@ _NUMBERED = re.compile(r"([^:]*:)?[\d.]+")  # 2 or 2.0, also in a layer: not a n
 _PACKAGE = str(Path(__file__).resolve().parents[1])
 
 
-class BuildOptions(TypedDict, total=False):
+class _Shared(TypedDict, total=False):
+    """Options of a source among those of `build` that have no parameter of their own."""
+
+    length: float | None
+    keep_points: bool
+    inclusions: Mapping[str, float]
+    part: int | str | None
+    merge_parts: bool
+    series: str | None
+    seed_voxel: ArrayLike | None
+    segmentation: Mapping[str, float]
+
+
+class BuildOptions(_Shared, total=False):
     """What `build` takes beside its source: the names are those of `tissue_sim build`.
 
     Of the organ: name; points of its surface; atoms, medial ones; branches, `auto` or `none`; interior atoms; organ,
@@ -57,33 +70,17 @@ class BuildOptions(TypedDict, total=False):
     youngs_modulus: float
     poisson_ratio: float
     density: float
-    length: float | None
-    keep_points: bool
-    inclusions: Mapping[str, float]
-    part: int | str | None
-    merge_parts: bool
     refinement: Refinement
-    series: str | None
-    seed_voxel: ArrayLike | None
-    segmentation: Mapping[str, float]
     progress: Progress
 
 
-class SourceOptions(TypedDict, total=False):
-    """Those that say how a source is read; see `build` and `BuildOptions`."""
+class SourceOptions(_Shared, total=False):
+    """All options that determine how a source is read; see `build` and `BuildOptions`."""
 
     seed: ArrayLike
     label: int | str | None
     unit: str | None
     spacing: ArrayLike
-    length: float | None
-    keep_points: bool
-    inclusions: Mapping[str, float]
-    part: int | str | None
-    merge_parts: bool
-    series: str | None
-    seed_voxel: ArrayLike | None
-    segmentation: Mapping[str, float]
 
 
 class Mesh(Protocol):

@@ -18,12 +18,11 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel
-from tissue_sim.model.data.blocks import BLOCK
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.records import Record
 from tissue_sim.model.data.scratch import Scratch
 from tissue_sim.model.data.state import Region, State
-from tissue_sim.model.elasticity.cell_groups import CELLS, OWN, OWN_ROWS
+from tissue_sim.model.elasticity.cell_groups import listed_cell
 
 MIN_VOLUME_RATIO = 0.1  # of the rest volume; with 0.2 nodes are thrown under the deepest pinch
 NEARLY = 0.2  # volume ratio above the limit up to which cells are listed, as they may fall below it meanwhile
@@ -109,14 +108,10 @@ def _find(model: Model, state: State, scratch: Scratch, step: float) -> int:
     if state.status.region != Region.WHOLE:
         return 0
     for index in range(tissue.stiff[0]):
-        group, which = divmod(tissue.compressed_cells[index], CELLS)
-        block, c = divmod(group, BLOCK)
-        constant, node = tissue.groups.constants[block], tissue.groups.nodes[block, c]
-        own = OWN + OWN_ROWS * which
         if found < len(scratch.compressed):
-            inverse, penalty = constant[own * BLOCK + c], constant[(own + 3) * BLOCK + c]
+            nodes, inverse, penalty = listed_cell(tissue, index)
             cell = scratch.compressed[found]
-            cell.node[0], cell.node[1], cell.node[2], cell.node[3] = node[0], node[1], node[2 + which], node[3 + which]
+            cell.node[0], cell.node[1], cell.node[2], cell.node[3] = nodes
             if _take(state, scratch.mobility, cell, inverse, penalty, step):
                 found += 1
     return found

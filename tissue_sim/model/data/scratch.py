@@ -22,6 +22,17 @@ class Plan(Record):
     mass_scaled: bool  # nodes of compressed cells are heavier, see stepping.mass_scaling
 
 
+class MobilityKey(Record):
+    """What mobilities were computed for."""
+
+    step: float  # s; 0: for nothing yet
+    damping: float
+    inertia: float
+    prescriptions: int  # State.status.prescriptions
+    coarse: bool
+    mass_scaled: bool  # as in Plan
+
+
 class Scratch(NamedTuple):
     """Working arrays of a tick; only the region's lists are used after it."""
 
@@ -33,7 +44,7 @@ class Scratch(NamedTuple):
     mass: Floats  # (n,) kg, 0 where held
     push: Floats  # (3n,) s/kg, and
     shrink: Floats  # (3n,), of integrators.symplectic_euler_whole
-    mobility_key: Floats  # (6,) settings and masses that they were computed for
+    mobility_key: MobilityKey  # settings and masses that they were computed for
     coarse: Floats  # (n,) factors on the nodes' masses in coarse steps, and
     mass_factor: Floats  # (n,) in all others, and
     last_mass_factor: Floats  # (n,) in the tick before

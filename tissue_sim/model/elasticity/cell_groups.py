@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Ints, Longs
-from tissue_sim.jit import kernel
+from tissue_sim.jit import inner, kernel
 from tissue_sim.model.data.blocks import BLOCK, pack
 from tissue_sim.model.data.model import CellGroups, Tissue
 from tissue_sim.model.elasticity.cell_law import COMPRESSED, STIFF, minor, pressure_of
@@ -347,6 +347,24 @@ def _list_compressed(work: Floats, constant: Floats, block: int, listed: Longs, 
                 listed[count] = (block * BLOCK + c) * CELLS + which
                 count += 1
     return count
+
+
+@inner
+def listed_cell(tissue: Tissue, index: int) -> tuple[tuple[int, int, int, int], float, float]:
+    """Return the nodes of a listed compressed cell, 1 / (6 V), 1/m^3, and a sixth of its penalty, Pa.
+
+    Parameters
+    ----------
+    tissue : Tissue
+        The cells, with those that the last forces of the whole organ found compressed.
+    index : int
+        Place in their list.
+    """
+    group, which = divmod(tissue.compressed_cells[index], CELLS)
+    block, c = divmod(group, BLOCK)
+    constant, node, own = tissue.groups.constants[block], tissue.groups.nodes[block, c], OWN + OWN_ROWS * which
+    nodes = (node[0], node[1], node[2 + which], node[3 + which])
+    return nodes, constant[own * BLOCK + c], constant[(own + 3) * BLOCK + c]
 
 
 @kernel

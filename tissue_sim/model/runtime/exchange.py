@@ -89,7 +89,7 @@ def make_exchange(worlds: HandleRow, boxes: HandleRow, world: Any, box: Any, lin
 
 @kernel
 def preload(world: World) -> None:
-    """Compute the forces of new arrays once, for nothing: a tick would wait for memory that no cache has yet.
+    """Compute the forces of new arrays once, so that the first tick with them finds them in the cache.
 
     Parameters
     ----------

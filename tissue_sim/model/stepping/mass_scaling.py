@@ -18,10 +18,9 @@ from tissue_sim.array_types import Floats
 from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.contact.volume_limit import has_compressed_cells, volume_of
-from tissue_sim.model.data.blocks import BLOCK
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.state import Region, State
-from tissue_sim.model.elasticity.cell_groups import CELLS, OWN, OWN_ROWS
+from tissue_sim.model.elasticity.cell_groups import listed_cell
 from tissue_sim.model.elasticity.cell_law import COMPRESSED
 
 LARGEST = 4.0  # factor on masses, which halves frequencies
@@ -68,11 +67,7 @@ def _of_cells(model: Model, position: Floats, factor: Floats) -> None:
     tissue: Any = model.tissue
     factor[:] = 1.0
     for index in range(tissue.stiff[0]):
-        group, which = divmod(tissue.compressed_cells[index], CELLS)
-        block, lane = divmod(group, BLOCK)
-        node = tissue.groups.nodes[block, lane]
-        inverse = tissue.groups.constants[block, (OWN + OWN_ROWS * which) * BLOCK + lane]
-        corners = (node[0], node[1], node[2 + which], node[3 + which])
+        corners, inverse, _ = listed_cell(tissue, index)
         short = (COMPRESSED - volume_of(position, corners, inverse)) / RANGE
         scale = 1.0 + (LARGEST - 1.0) * min(1.0, max(0.0, short))
         for corner in corners:

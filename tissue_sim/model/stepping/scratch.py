@@ -12,7 +12,7 @@ from tissue_sim.model.data.blocks import BLOCK, empty_blocks
 from tissue_sim.model.data.contact_set import MAX_CONTACT_POINTS
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.records import Record, Records
-from tissue_sim.model.data.scratch import Plan, Scratch
+from tissue_sim.model.data.scratch import MobilityKey, Plan, Scratch
 from tissue_sim.model.elasticity.cells import CONSTANTS
 from tissue_sim.model.regions.modal_region import MAX_BOUNDARY, MAX_DRIVE
 
@@ -63,7 +63,7 @@ def make_scratch(model: Model, n_bodies: int, n_samples: int = 0) -> Scratch:
         mass=empty(n),
         push=empty(3 * n),
         shrink=empty(3 * n),
-        mobility_key=empty(6),
+        mobility_key=MobilityKey.new(),
         coarse=np.ones(n),
         mass_factor=np.ones(n),
         last_mass_factor=np.ones(n),

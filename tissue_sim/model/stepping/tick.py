@@ -281,10 +281,10 @@ def set_mobility(world: World, step: float) -> None:
     """
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     key, damping, inertia = scratch.mobility_key, damping_of(state, settings), inertia_of(state, settings)
-    changes, coarse = float(state.status.prescriptions), scratch.plan.coarse
-    masses, scaled = 1.0 if coarse else 0.0, scratch.plan.mass_scaled
-    same = key[0] == step and key[1] == damping and key[2] == inertia and key[3] == changes and key[4] == masses
-    if same and not scaled and key[5] == 0.0:
+    changes, coarse, scaled = state.status.prescriptions, scratch.plan.coarse, scratch.plan.mass_scaled
+    same = key.step == step and key.damping == damping and key.inertia == inertia
+    same = same and key.prescriptions == changes and key.coarse == coarse
+    if same and not scaled and not key.mass_scaled:
         return
     factor, last = scratch.coarse if coarse else scratch.mass_factor, scratch.last_mass_factor
     copy(scratch.mass_factor, last)
@@ -292,7 +292,8 @@ def set_mobility(world: World, step: float) -> None:
         write_mass_factors(model, state.position, scratch.mass_factor)
     else:
         scratch.mass_factor[:] = 1.0
-    key[0], key[1], key[2], key[3], key[4], key[5] = step, damping, inertia, changes, masses, 1.0 if scaled else 0.0
+    key.step, key.damping, key.inertia = step, damping, inertia
+    key.prescriptions, key.coarse, key.mass_scaled = changes, coarse, scaled
     mobility, moving, inverse_mass = scratch.mobility, model.moving, model.inverse_mass
     if not same:
         write_masses(model, scratch.mass)
