@@ -11,15 +11,11 @@ from tissue_sim.bench.cutting.cut_body import SAMPLES, Answer
 from tissue_sim.bench.cutting.cuts import Place
 from tissue_sim.bench.cutting.finer import Onto
 from tissue_sim.bench.cutting.reference import force_for, middle_opening
-from tissue_sim.calibration.evaluation import RAMP, TOLERANCE
+from tissue_sim.calibration.evaluation import LONGEST, RAMP, TOLERANCE
 from tissue_sim.model.cutting.cut import CutOrgan
 from tissue_sim.model.elasticity.energy import energy_of
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
-
-# Simulated seconds after which a load is given up. A light copy of a node has the damping of the whole node, so that a
-# tip that little tissue holds creeps to its place for half a minute.
-LONGEST = 60.0
 
 
 class Lips(NamedTuple):

@@ -13,7 +13,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.coagulation import stiffening_of
 from tissue_sim.model.cutting.crossing import Crossing, Earlier, crossing_among
 from tissue_sim.model.cutting.cut_surface import CutSurface, cut_surface, uncut_surface
-from tissue_sim.model.cutting.masses import distributed_masses, fastest_mode
+from tissue_sim.model.cutting.masses import damping_of_copies, distributed_masses, fastest_mode
 from tissue_sim.model.cutting.parts import Parts, divided_by_cuts, merged_parts
 from tissue_sim.model.cutting.sheet import Sheet, finer_organ
 from tissue_sim.organ.organ import Organ
@@ -240,8 +240,8 @@ def _organ_of(organ: Organ, parts: Parts, frequency: float, stiffening: Floats |
     )
     mass = distributed_masses(organ, made, frequency)
     part = mass / organ.mass[source]
-    # Each copy has the damping of the whole node: pressed between lips, a light node would oscillate.
     made = replace(made, mass=mass, return_stiffness=organ.return_stiffness[source] * part)
+    made = replace(made, damping=damping_of_copies(organ, made))
     if stiffening is None:
         return made
     return replace(made, cell_mu=made.cell_mu * stiffening, cell_lambda=made.cell_lambda * stiffening)

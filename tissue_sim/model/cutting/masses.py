@@ -1,4 +1,4 @@
-"""Masses of nodes and their virtual nodes: shared so that the critical step of the uncut organ remains."""
+"""Masses and damping of nodes and their virtual nodes: the critical step remains, and light tips come to rest soon."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ ENOUGH = 1.006  # times the uncut organ's largest eigenvalue: a critical step sh
 MAX_MASS_CHANGE = 0.3  # of a mass's logarithm in a round; also at most twice the relative excess of the eigenvalue
 MIN_MASS_FRACTION = 0.05  # of a node's mass that each of its copies has: a tool would throw a lighter one
 SHARPNESS = 30.0  # exponent by which slower modes count less than the fastest one
+MAX_DAMPING_RATIO = 3.0  # of a copy about its neighbours at rest
 
 
 def distributed_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
@@ -79,6 +80,39 @@ def distributed_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
         sought /= max(float(sought[several].max()), 1e-300)
         mass = shared(mass * np.exp(sought * min(MAX_MASS_CHANGE, 2.0 * (square[-1] / most - 1.0))))
     return best
+
+
+def damping_of_copies(organ: Organ, cut: Organ) -> Floats:
+    """Return the damping of a cut organ's nodes. Damping of nodes that have no copies doesn't change.
+
+    Each copy has the damping of the whole node: pressed between lips, a light one with less would oscillate. But a tip
+    that little tissue holds would then creep to its place for half a minute. So a copy's damping ratio, with its
+    neighbours at rest and in the direction in which they hold it least, is at most MAX_DAMPING_RATIO.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ before.
+    cut : Organ
+        The organ after, with its masses.
+
+    Returns
+    -------
+    Floats, shape (n,), kg/s
+        The damping.
+    """
+    source = np.concatenate([np.arange(organ.n_nodes), cut.virtual_of])
+    several = np.flatnonzero(np.isin(source, cut.virtual_of))
+    slope, volume = shapes_of(cut.rest_positions, cut.cell_nodes)
+    shear, bulk = volume * cut.cell_mu, volume * (cut.cell_mu + cut.cell_lambda)
+    square = np.einsum("cax,cax->ca", slope, slope) * shear[:, None]
+    outer = np.einsum("cax,cay->caxy", slope, slope) * bulk[:, None, None, None]
+    block = np.zeros((len(source), 3, 3))
+    np.add.at(block, cut.cell_nodes, square[..., None, None] * np.eye(3) + outer)
+    least = np.linalg.eigvalsh(block[several])[:, 0]
+    damping: Floats = organ.damping[source]
+    damping[several] = np.minimum(damping[several], 2.0 * MAX_DAMPING_RATIO * np.sqrt(least * cut.mass[several]))
+    return damping
 
 
 def fastest_mode(organ: Organ) -> float:
