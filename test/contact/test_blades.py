@@ -272,6 +272,41 @@ def test_a_hand_that_moves_aside_takes_tissue_along(cut):
     assert np.isfinite(made.simulation.positions).all()
 
 
+@pytest.mark.parametrize("stiffness", [0.0, 500.0])
+def test_a_blade_stays_in_tissue_while_poses_pause(stiffness):
+    """The hand feels nothing during the pause and the same force as before after it."""
+    made = Cutting(friction=500.0)
+    settings = made.simulation.settings
+    settings.coupling_stiffness, settings.coupling_damping = stiffness, 1.0
+    made.begin()
+    made.step(SPEED, 300)
+    made.step(0.0, 300)
+    before, where = made.force.copy(), made.simulation.state.body_pose[0].copy()
+    assert before[2] > 0.3
+    for pause in (80, 900):
+        made.scene.step(pause)
+        assert made.is_cutting
+        assert not made.scene.wrench("knife").any()
+        np.testing.assert_allclose(made.simulation.state.body_pose[0], where, atol=1e-5)
+        made.step(0.0, 300)
+        np.testing.assert_allclose(made.force, before, atol=0.05 * before[2])
+    deep = made.blades.deepest.max()
+    made.step(SPEED, 100)
+    assert made.blades.deepest.max() > deep + 50 * SPEED, "it goes on cutting"
+    assert made.simulation.state.count.slips == 0
+
+
+def test_a_blade_whose_hand_does_not_return_leaves_the_tissue():
+    made = Cutting()
+    made.begin()
+    made.step(SPEED, 300)
+    made.scene.step(1001)
+    assert not made.is_cutting
+    assert not made.blades.embedded.any()
+    made.step(0.0, 50)
+    assert not made.force.any(), "it appeared inside, and is held off until it is outside"
+
+
 def test_a_reset_heals_and_releases():
     made = Cutting()
     made.begin()

@@ -27,6 +27,7 @@ RECENT_DECAY = 0.99  # by which the largest recent force, the mean one, and the 
 FIRST_RETRY_SPEED, LATER_RETRY_SPEED = 0.4, 0.1  # m/s, of a tool that presses again after one slip, and after more
 AFTER_SLIP = 2  # factor on the substeps while a tool presses that has slipped; a larger one would not prevent slips
 MAX_FAST_SLIPS = 2  # slips that may be due to speed, after each of which a tool presses again more slowly
+RESUME_TIME = 1.0  # s without poses after which a returning hand counts as new
 MAX_CATCH_UP_SPEED = 1.0  # m/s, of a body that catches up near tissue: well below the speed of sound in tissue
 
 
@@ -71,6 +72,8 @@ def advance_held(state: State, settings: Settings, scratch: Scratch) -> None:
             is_late = status.age * settings.tick_time > settings.stale_time + settings.ramp_time
             if is_late and not status.released:
                 release_body(status)
+            if status.released and status.age * settings.tick_time >= RESUME_TIME:
+                status.cutting = False
         if status.force_age >= 0:
             status.force_age += 1
         if status.remaining > 0.0:
@@ -85,13 +88,15 @@ def advance_held(state: State, settings: Settings, scratch: Scratch) -> None:
 def release_body(status: BodyStatus) -> None:
     """Release a body whose poses stopped: its next pose may be anywhere.
 
+    A blade in tissue remains there and holds it, without a force on the hand, as long as poses may resume.
+
     Parameters
     ----------
     status : BodyStatus
         Status of the body; updated.
     """
     status.resisted, status.placed = status.engaged or status.resisted, not status.held_off
-    status.engaged = status.held_off = status.cutting = False
+    status.engaged = status.held_off = False
     forget_slips(status)
     status.released = True
     status.releases += 1
@@ -308,7 +313,8 @@ def couple_bodies(
         goal = scratch.goal[body]
         copy(held, goal)
         scratch.give[body] = 0.0
-        if stiffness > 0.0:
+        # A released body, a blade that holds tissue, stays where it is.
+        if stiffness > 0.0 and not state.bodies[body].released:
             scratch.give[body] = 1.0 / (damping + stiffness * step)
             pull, status = stiffness * distance(pose, held), state.bodies[body]
             # If it were slowed like a rigid body, it would be pushed out and return again and again.

@@ -8,7 +8,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.blade_places import forget_blades
 from tissue_sim.model.contact.poses import distance, distance_along_path, quaternion_distance
-from tissue_sim.model.contact.tool_motion import FIRST_RETRY_SPEED, MAX_FAST_SLIPS, forget_slips
+from tissue_sim.model.contact.tool_motion import FIRST_RETRY_SPEED, MAX_FAST_SLIPS, RESUME_TIME, forget_slips
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import POINT_NODES, ContactSet, Engaged, used_words
 from tissue_sim.model.data.model import Model
@@ -20,7 +20,6 @@ from tissue_sim.model.stepping.prescribed import forget_prescribed
 from tissue_sim.model.stepping.relaxation import forget_relaxation
 
 CATCH_UP_TIME = 0.03  # s in which a tool makes up most of its lag behind its poses, unless these were slower
-RESUME_TIME = 1.0  # s without poses after which a returning hand counts as new
 MAX_BACKOFF = 8  # highest factor on the substeps
 LAG_TOLERANCE = 1e-4  # m that a tool may lag behind its hand without counting as fast
 BEARABLE_FRACTION = 0.7  # of the force at which a tool slipped, up to which it is pressed from then on
