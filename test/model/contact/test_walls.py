@@ -10,7 +10,7 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.handles import handle
 from tissue_sim.model.contact.poses import distance_along_path, set_frame
-from tissue_sim.model.contact.walls import MOVES, STEEPEST, WALL, depth_of_wall, find_walls, measure_walls
+from tissue_sim.model.contact.walls import MOVES, STEEPEST, STIFFNESS, WALL, depth_of_wall, find_walls, measure_walls
 
 FOOT = np.array([0.0, 0.0, -RADIUS])  # of the ball, in the middle of its clamp
 
@@ -43,7 +43,9 @@ def test_a_tool_at_the_clamp_stops_there_and_is_resisted_until_it_leaves(tmp_pat
     points = held_points(scene)
     assert len(points) > 5
     assert points.max() == pytest.approx(WALL * scene.tools.smallest[0], rel=1e-6)
-    assert np.all(force[-100:, 2] < -0.2)
+    lag = scene.simulation.state.held_pose[0, 2] - scene.simulation.state.body_pose[0, 2]
+    assert lag > 0.005
+    assert -force[-1, 2] == pytest.approx(STIFFNESS * lag, rel=0.1)  # along the normals of points around
     assert np.ptp(force[-50:, 2]) < 0.05 * -force[-1, 2], "it doesn't shake"
     assert scene.simulation.state.count.slips == scene.simulation.state.count.faults == 0
     assert scene.simulation.state.status.backoff == 1

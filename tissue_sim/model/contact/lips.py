@@ -26,8 +26,8 @@ NEAR = 5e-5  # m: distance within which sides may come to touch while others are
 RECOVERY_SPEED = 0.2  # m/s, largest speed at which a point that was inside is moved out
 FACING = 0.5  # cosine between both walls' normals, from which they face each other
 MAX_SPEED_CHANGE = 2.0  # m/s by which a substep may change the speed at which sides approach
-# Fraction of the impulses that a pass may still change. At 0.02 the number of passes varied from substep to substep, and
-# with it the error that is left: light nodes oscillated.
+# Fraction of the impulses that a pass may still change. At 0.02 the number of passes varied from substep to substep,
+# and with it the error that is left: light nodes oscillated.
 SETTLED = 1e-3
 
 

@@ -321,6 +321,9 @@ def couple_bodies(
             eased = status.bearable / pull if is_force_limited(status) and pull > status.bearable else 1.0
             for c in range(3):
                 goal[c] = pose[c] + scratch.give[body] * stiffness * step * eased * (held[c] - pose[c])
+    if scratch.n_walls[0] > 0:
+        scratch.wall_push[:] = 0.0
+        copy(scratch.impulse, scratch.wall_before)
     advance_bodies(state, shapes, scratch, step)
     for body in range(len(state.body_pose)):
         set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])

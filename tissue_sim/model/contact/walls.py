@@ -1,4 +1,4 @@
-"""Walls: fixed tissue, out of which the tool is moved, since the tissue can't move."""
+"""Walls: fixed tissue, out of which the tool is moved, since the tissue can't move; what that takes is a force."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ import math
 
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact.gap import gap_and_normal, is_on_outer_side, point_in_body
+from tissue_sim.model.contact.impulses import count_on_body
 from tissue_sim.model.contact.poses import distance_along_path, set_frame
 from tissue_sim.model.contact.shapes import signed_distance
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import nodes_of
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Scratch
+from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
 
 WALL = 0.5  # largest depth of a body in fixed tissue, relative to its finest feature, so its middle stays outside
 MOVES = 0.5  # fraction of a contact point's weights on moving nodes, below which it counts as fixed
+STIFFNESS = 500.0  # N/m between the hand and a rigid tool that a wall holds back; a coupled tool has its spring
 STEEPEST = 2.0  # bound on the slope of a distance: 1, and the root of 3 where it is interpolated on a grid
 
 
@@ -56,6 +59,7 @@ def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
         measure_walls(state, shapes, scratch)
     deepest, chosen, body, moved = 0.0, -1, -1, 0.0
     x = y = z = 0.0
+    place = -1
     for index in range(scratch.n_walls[0]):
         entry = scratch.wall[index]
         if body != state.contacts.body[entry]:
@@ -70,14 +74,56 @@ def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
             _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
             _, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
             if is_on_outer_side(state, entry, (nx, ny, nz)):
-                deepest, chosen, x, y, z = deep, body, nx, ny, nz
+                deepest, chosen, place, x, y, z = deep, body, entry, nx, ny, nz
     if chosen < 0:
         return False
+    push, arm = scratch.wall_push[chosen], scratch.wall_arm[chosen]
+    push[0], push[1], push[2] = push[0] + deepest * x, push[1] + deepest * y, push[2] + deepest * z
+    for axis in range(3):
+        arm[axis] = -scratch.origin[chosen, axis]
+        for c in range(nodes_of(state.contacts, place)):
+            arm[axis] += state.contacts.weight[place, c] * state.position[state.contacts.node[place, c], axis]
     for body in range(len(state.body_pose)):
         if shapes.tool[body] == shapes.tool[chosen]:
             pose = state.body_pose[body]
             pose[0], pose[1], pose[2] = pose[0] - deepest * x, pose[1] - deepest * y, pose[2] - deepest * z
     return True
+
+
+@kernel
+def press_walls(state: State, settings: Settings, scratch: Scratch, step: float) -> None:
+    """Add the impulses with which tools press on the walls that have moved them in this substep to scratch.impulse.
+
+    The spring between hand and tool is balanced by tissue and wall: the wall takes what the tissue doesn't.
+
+    Parameters
+    ----------
+    state : State
+        State of the simulation.
+    settings : Settings
+        Settings of the simulation.
+    scratch : Scratch
+        Working memory, with the impulses of this substep on the tissue; updated.
+    step : float, s
+        The substep.
+    """
+    for body in range(len(state.body_pose)):
+        push = scratch.wall_push[body]
+        way = math.sqrt(push[0] * push[0] + push[1] * push[1] + push[2] * push[2])
+        if way == 0.0:
+            continue
+        stiffness = settings.coupling_stiffness if scratch.give[body] > 0.0 else STIFFNESS
+        x, y, z = push[0] / way, push[1] / way, push[2] / way
+        before, now, held, pose = (
+            scratch.wall_before[body],
+            scratch.impulse[body],
+            scratch.held[body],
+            state.body_pose[body],
+        )
+        taken = x * (now[0] - before[0]) + y * (now[1] - before[1]) + z * (now[2] - before[2])
+        beyond = x * (held[0] - pose[0]) + y * (held[1] - pose[1]) + z * (held[2] - pose[2])
+        size = max(0.0, stiffness * step * beyond - max(0.0, taken))
+        count_on_body(scratch, body, scratch.wall_arm[body], (size * x, size * y, size * z))
 
 
 @kernel

@@ -75,7 +75,10 @@ class Scratch(NamedTuple):
     wall: Longs  # (C,) contact points on mostly fixed nodes
     wall_depth: Floats  # (C,) m, see walls.measure_walls, with
     wall_pose: Floats  # (T, 7) poses of the bodies
-    n_walls: Longs  # (1,) their number
+    wall_push: Floats  # (T, 3) m that walls have moved each body in this substep, towards the tissue
+    wall_arm: Floats  # (T, 3) m from each body's origin to where
+    wall_before: Floats  # (T, 6) N s and N m s on the tissue and walls before this substep
+    n_walls: Longs  # (1,) number of contact points on mostly fixed nodes
     walls_measured: Longs  # (1,) 1 where their depths are those of this tick
     # Lists of the region. new_node, previous_hop (n,): nodes that are new in it, and the hops they had.
     new_node: Ints

@@ -24,7 +24,7 @@ from tissue_sim.model.contact.tool_motion import (
     store_body_poses,
 )
 from tissue_sim.model.contact.volume_limit import has_compressed_cells
-from tissue_sim.model.contact.walls import find_walls
+from tissue_sim.model.contact.walls import find_walls, press_walls
 from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.settings import Integrator, Settings
@@ -166,6 +166,8 @@ def take_substep(world: World, substep: int) -> None:
     move_prescribed(state, substep, substeps, step)
     pushed = has_taken_impulses(state, settings)
     state.status.touching = resolve_contacts(world, step, pushed)
+    if scratch.n_walls[0] > 0:
+        press_walls(state, settings, scratch, step)
     store_body_poses(state, scratch)
 
 
