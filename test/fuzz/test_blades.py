@@ -43,7 +43,8 @@ motions = st.builds(
     st.lists(st.tuples(vectors(REACH), vectors(3.0), st.floats(0.0, 1.2)), min_size=2, max_size=4),
     st.floats(0.02, FASTEST),
 )
-acts = st.lists(st.one_of(motions, motions, motions, st.just("reset")), min_size=1, max_size=4)
+pauses = st.integers(60, 1200)  # ticks without poses
+acts = st.lists(st.one_of(motions, motions, motions, pauses, st.just("reset")), min_size=1, max_size=5)
 
 
 @cache
@@ -68,6 +69,9 @@ def test_nothing_is_lost(number, toughness, acts):
                 scene.reset()
                 assert not scene.simulation.cuts
                 assert not scene.simulation.state.blades.embedded.any()
+            elif isinstance(act, int):
+                scene.step(act)
+                assert not scene.wrench("tool").any()
             else:
                 _move(scene, act, centre)
             scene.step(20)
