@@ -310,23 +310,44 @@ def couple_bodies(
         held, pose = scratch.held[body], state.body_pose[body]
         set_frame(pose, scratch.last_origin[body], scratch.last_rotation[body])
         step_pose(held, state.held_pose[body], fraction)
-        goal = scratch.goal[body]
-        copy(held, goal)
-        scratch.give[body] = 0.0
+        copy(held, scratch.goal[body])
         # A released body, a blade that holds tissue, stays where it is.
-        if stiffness > 0.0 and not state.bodies[body].released:
-            scratch.give[body] = 1.0 / (damping + stiffness * step)
-            pull, status = stiffness * distance(pose, held), state.bodies[body]
+        is_coupled = stiffness > 0.0 and not state.bodies[body].released
+        scratch.give[body] = 1.0 / (damping + stiffness * step) if is_coupled else 0.0
+    for body in range(len(state.body_pose) if stiffness > 0.0 else 0):
+        scratch.fraction[body] = spring_fraction(state, shapes, scratch, body, stiffness * step)
+    for body in range(len(state.body_pose)):
+        if scratch.give[body] > 0.0:
+            held, pose, status = scratch.held[body], state.body_pose[body], state.bodies[body]
+            scratch.give[body] *= scratch.fraction[body]
+            pull = stiffness * distance(pose, held)
             # If it were slowed like a rigid body, it would be pushed out and return again and again.
             eased = status.bearable / pull if is_force_limited(status) and pull > status.bearable else 1.0
             for c in range(3):
-                goal[c] = pose[c] + scratch.give[body] * stiffness * step * eased * (held[c] - pose[c])
+                scratch.goal[body, c] = pose[c] + scratch.give[body] * stiffness * step * eased * (held[c] - pose[c])
     if scratch.n_walls[0] > 0:
         scratch.wall_push[:] = 0.0
         copy(scratch.impulse, scratch.wall_before)
     advance_bodies(state, shapes, scratch, step)
     for body in range(len(state.body_pose)):
         set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
+
+
+@kernel
+def spring_fraction(state: State, shapes: Shapes, scratch: Scratch, body: int, impulse: float) -> float:
+    """Return the factor on a body's displacement per impulse, so that no body of its tool moves too far in a step.
+
+    A small tool that is pressed may not move as far as its spring would move it. A larger damper slows it as much, and
+    transmits the whole force of the spring.
+
+    impulse: N s/m, that of the spring in the step, for a metre.
+    """
+    fraction = 1.0
+    for other in range(len(state.body_pose)):
+        if shapes.tool[other] == shapes.tool[body] and shapes.finest[other] > 0.0 and has_contact(state, other):
+            way = scratch.give[other] * impulse * distance(state.body_pose[other], scratch.held[other])
+            fraction = min(fraction, STEP * shapes.finest[other] / max(way, ROUNDING * shapes.finest[other]))
+    return fraction
 
 
 @kernel
