@@ -25,6 +25,7 @@ MAX_BENDING = 0.5
 # Largest distance of a front from its cut, relative to that from another cut in the same surface: half of the tissue
 # between two cuts stays whole.
 BRIDGE = 1.0 / 3.0
+BETWEEN = 0.1  # cosine from which the directions to two cuts count as opposite; they are perpendicular in a corner
 MARGIN = 0.1  # of the front's advance, within which it counts as ending at another cut
 GRID = 12  # samples along each side of a section
 
@@ -195,7 +196,8 @@ def crossing_among(
         reached &= ~_bridged(points, place, sheet, shared.sheets)
     covered = reached.reshape(weight.shape)
     if earlier is not None:
-        covered[np.searchsorted(crossed, earlier.cells)] |= earlier.covered
+        still = np.isin(earlier.cells, crossed)
+        covered[np.searchsorted(crossed, earlier.cells[still])] |= earlier.covered[still]
     cut_fraction = rounded((weight * covered).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300))
     kept = np.flatnonzero(cut_fraction > 0.0) if cut.any() else np.zeros(0, dtype=np.int64)
     chosen = crossed[kept]
@@ -231,8 +233,9 @@ def _bridged(points: Floats, place: Place, sheet: Sheet, others: Sequence[Sheet]
     mine = sheet.nearest(Place(*(part[ask] for part in place)), 0.0) - points[ask]
     for other in others:
         theirs = other.nearest(other.place(points[ask]), 0.0) - points[ask]
-        between = np.einsum("kx,kx->k", mine, theirs) < 0.0
-        bridged[ask] |= between & (np.linalg.norm(mine, axis=1) > BRIDGE * np.linalg.norm(theirs, axis=1))
+        far, farther = np.linalg.norm(mine, axis=1), np.linalg.norm(theirs, axis=1)
+        between = np.einsum("kx,kx->k", mine, theirs) < -BETWEEN * far * farther
+        bridged[ask] |= between & (far > BRIDGE * farther)
     return bridged
 
 

@@ -14,7 +14,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.coagulation import stiffening_of
 from tissue_sim.model.cutting.crossing import Crossing, Earlier, crossing_among
 from tissue_sim.model.cutting.cut_surface import CutSurface, cut_surface, uncut_surface
-from tissue_sim.model.cutting.joining import Divided, Joined, includes, joined_cuts, surfaces_of, way_of
+from tissue_sim.model.cutting.joining import Divided, JoinedCuts, includes, joined_cuts, surfaces_of, way_of
 from tissue_sim.model.cutting.masses import damping_of_copies, distributed_masses, fastest_mode
 from tissue_sim.model.cutting.parts import Parts, divided_by_cuts, merged_parts, with_sides_of_each
 from tissue_sim.model.cutting.sheet import Sheet, finer_organ
@@ -229,7 +229,7 @@ def _beside_others(before: CutOrgan, sheet: Sheet) -> _Beside:
         ]
         if not len(found[-1][0].cells):
             raise UserError(f"the cut divides no cell of organ '{organ.name}'; cut deeper, or elsewhere")
-        groups = surfaces_of(organ, [one for one, _ in found])
+        groups = surfaces_of(organ, sheets, [one for one, _ in found])
         group = next(group for group in groups if len(kept) in group)
         beside = [number for number in sorted(group) if number < len(kept) and not (alone or sheets[number].mark)]
         over = [sheets[number] for number in beside if includes(sheets[number], sheet, organ, found[-1])]
@@ -249,7 +249,7 @@ def _continued(organ: Organ, before: CutOrgan, kept: list[int], divided: Sequenc
 
 
 def _with_walls_of_each(
-    surface: CutSurface, rest: Floats, sheets: Sequence[Sheet], groups: Sequence[Joined]
+    surface: CutSurface, rest: Floats, sheets: Sequence[Sheet], groups: Sequence[JoinedCuts]
 ) -> CutSurface:
     """Return the surface with the number of the nearest cut at each wall, in place of that of its group of cuts."""
     wall = surface.wall.copy()

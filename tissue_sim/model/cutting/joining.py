@@ -22,7 +22,7 @@ from tissue_sim.model.cutting.crossing import (
 from tissue_sim.model.cutting.sheet import Sheet
 from tissue_sim.organ.organ import Organ
 
-# Largest distance between two sheets in one surface, in mean edges of the crossed cells: each may move nodes by half.
+# Largest distance between two sheets in one surface, in mean edges of the crossed cells: half of it moves nodes anyway.
 SAME = 2.0 * MIN_HEIGHT
 # Mean edges of the crossed cells by which two sheets differ at least in each cell that they divide in different ways.
 APART = 1e-6
@@ -30,7 +30,7 @@ APART = 1e-6
 Divided = tuple[Crossing, Samples]
 
 
-class Joined(NamedTuple):
+class JoinedCuts(NamedTuple):
     """Cuts in one surface."""
 
     numbers: tuple[int, ...]  # of the cuts
@@ -41,7 +41,7 @@ class Joined(NamedTuple):
 
 def joined_cuts(
     organ: Organ, sheets: Sequence[Sheet], found: Sequence[Divided], before: Sequence[Sequence[Earlier]]
-) -> list[Joined]:
+) -> list[JoinedCuts]:
     """Return the cuts of an organ, of which those that lie in one surface and meet are joined.
 
     The tissue between two of them stays whole: their fronts are not moved through it.
@@ -62,13 +62,13 @@ def joined_cuts(
     UserError
         If a cut lies in the surface of another one in some cells, and leaves it in others.
     """
-    groups = surfaces_of(organ, [crossing for crossing, _ in found])
+    groups = surfaces_of(organ, sheets, [crossing for crossing, _ in found])
     made = []
     for group in groups:
         first = group[0]
         is_new = not before[first] or sheets[first].mark  # the stages of a blade's cut have been considered already
         if len(group) == 1 and is_new:
-            made.append(Joined((first,), (1,), found[first], (found[first],)))
+            made.append(JoinedCuts((first,), (1,), found[first], (found[first],)))
         else:
             made.append(_joined(organ, sheets, group, found, before))
     for index, one in enumerate(made):
@@ -77,25 +77,34 @@ def joined_cuts(
     return made
 
 
-def surfaces_of(organ: Organ, crossings: Sequence[Crossing]) -> list[list[int]]:
+def surfaces_of(organ: Organ, sheets: Sequence[Sheet], crossings: Sequence[Crossing]) -> list[list[int]]:
     """Return groups of cuts that meet and lie in one surface, that of the first of each group.
 
     Parameters
     ----------
     organ : Organ
         The organ before its cuts.
+    sheets : Sequence[Sheet]
+        The cuts.
     crossings : Sequence[Crossing]
         The cells that each divides.
     """
+    across = [sheet.place(organ.rest_positions).across for sheet in sheets]
     nodes = [np.unique(organ.cell_nodes[crossing.cells]) for crossing in crossings]
 
     def meet(some: list[int], others: list[int]) -> bool:
         return any(len(np.intersect1d(nodes[one], nodes[other])) > 0 for one in some for other in others)
 
+    def lies_in(one: int, lead: int) -> bool:
+        """Return whether a cut lies in the surface of another one, continued, at the nodes of its cells."""
+        there = nodes[one]
+        apart = across[one][there] - way_of(across[one], across[lead], there) * across[lead][there]
+        return bool(np.abs(apart).max(initial=0.0) <= SAME * crossings[one].advance / ADVANCE)
+
     def led(group: list[int]) -> list[int]:
         """Return the group beginning with the cut whose surface all others lie in; empty if there is none."""
         for lead in group:
-            if all(_lies_in(crossings[one], crossings[lead], nodes[one]) for one in group if one != lead):
+            if all(lies_in(one, lead) for one in group if one != lead):
                 return [lead, *(one for one in group if one != lead)]
         return []
 
@@ -140,12 +149,6 @@ def way_of(one: Floats, other: Floats, nodes: Ints | Longs) -> int:
     return 1 if float(one[nodes] @ other[nodes]) >= 0.0 else -1
 
 
-def _lies_in(one: Crossing, lead: Crossing, nodes: Ints | Longs) -> bool:
-    """Return whether one cut lies in the surface of another one, continued, at the nodes of its cells."""
-    apart = one.height[nodes] - way_of(one.height, lead.height, nodes) * lead.height[nodes]
-    return bool(np.abs(apart).max(initial=0.0) <= SAME * one.advance / ADVANCE)
-
-
 def _check_apart(organ: Organ, one: Crossing, other: Crossing) -> None:
     """Refuse sheets that are the same in some cells only."""
     nodes = organ.cell_nodes[np.intersect1d(one.cells, other.cells)]
@@ -160,7 +163,7 @@ def _joined(
     group: list[int],
     found: Sequence[Divided],
     before: Sequence[Sequence[Earlier]],
-) -> Joined:
+) -> JoinedCuts:
     """Return several cuts as one."""
     cells = organ.cell_nodes
     height = found[group[0]][0].height.copy()
@@ -180,7 +183,7 @@ def _joined(
         crossing, samples = part
         fraction = crossing.fraction if way > 0 else 1.0 - crossing.fraction
         parts.append((crossing._replace(height=way * height, fraction=fraction), samples))
-    return Joined((*group,), (*ways,), _together(made), (*parts,))
+    return JoinedCuts((*group,), (*ways,), _together(made), (*parts,))
 
 
 def _together(parts: Sequence[Divided]) -> Divided:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.model.cutting.crossing import Crossing, Samples
-from tissue_sim.model.cutting.joining import Joined
+from tissue_sim.model.cutting.joining import JoinedCuts
 from tissue_sim.model.cutting.meeting import Pieces, groups_of_meeting_cuts, pieces_of
 from tissue_sim.model.cutting.virtual_nodes import Copies, copies_of
 from tissue_sim.organ.organ import Organ
@@ -131,14 +131,14 @@ def merged_parts(organ: Organ, count: int, cuts: Sequence[CutCells]) -> Parts:
     )
 
 
-def with_sides_of_each(parts: Parts, groups: Sequence[Joined]) -> Parts:
+def with_sides_of_each(parts: Parts, groups: Sequence[JoinedCuts]) -> Parts:
     """Return cells with their sides of every cut, in place of those of groups of cuts that lie in one surface.
 
     Parameters
     ----------
     parts : Parts
         The cells.
-    groups : Sequence[Joined]
+    groups : Sequence[JoinedCuts]
         The groups.
     """
     sides = np.zeros((len(parts.cell_of), sum(len(group.numbers) for group in groups)), dtype=np.int64)

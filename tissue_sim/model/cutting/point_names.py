@@ -16,7 +16,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.crossing import Crossing
 from tissue_sim.organ.organ import Organ
 
-LEAST_ANGLE = 1e-9  # rad or so between two sheets in a cell, below which they have no line in common
+PARALLEL = 1e-9  # sum of the minors of two sheets' heights, relative to their sizes, below which they are parallel
 
 Name = tuple[tuple[int, ...], tuple[int, ...]]  # nodes between which a point lies, and sheets on which it lies
 Line = tuple[tuple[int, ...], tuple[int, ...]]  # an edge; or a face and a sheet, whose intersection the line is
@@ -54,7 +54,7 @@ class Names:
                 minors = [np.linalg.det(np.delete(at, k, axis=1)) for k in range(len(nodes))] if sheets else [1.0]
                 found = signs * minors
                 total = found.sum()
-                if not abs(total) > LEAST_ANGLE * np.abs(found).sum():
+                if not abs(total) > PARALLEL * np.abs(found).sum():
                     raise UserError(
                         "the cut lies partly in the surface of an earlier one; move it by a millimetre, or keep to it"
                     )
