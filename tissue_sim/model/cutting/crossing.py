@@ -22,6 +22,10 @@ MIN_HEIGHT = 0.02
 # Largest distance of a cell's section from a sheet that bends, in edges of the cell; a cell with a larger one lies
 # between two parts of the sheet.
 MAX_BENDING = 0.5
+# Largest distance of a front from its cut, relative to that from another cut in the same surface: half of the tissue
+# between two cuts stays whole.
+BRIDGE = 1.0 / 3.0
+BETWEEN = 0.1  # cosine from which the directions to two cuts count as opposite; they are perpendicular in a corner
 MARGIN = 0.1  # of the front's advance, within which it counts as ending at another cut
 GRID = 12  # samples along each side of a section
 
@@ -56,6 +60,13 @@ class Earlier(NamedTuple):
     cells: Longs  # (k,) which they are, ascending
     height: Floats  # (n,) m, of every node above that stage's sheet
     covered: Mask  # (k, g) samples of each section that it has cut, with the front's advance
+
+
+class Shared(NamedTuple):
+    """Surface that a sheet has in common with others."""
+
+    height: Floats  # (n,) m, of every node above it; never 0
+    sheets: tuple[Sheet, ...]  # the others
 
 
 def _sections() -> Longs:
@@ -122,6 +133,7 @@ def crossing_among(
     sheet: Sheet,
     others: Sequence[Sheet] = (),
     earlier: Earlier | None = None,
+    shared: Shared | None = None,
 ) -> tuple[Crossing, Samples]:
     """Return the cells that a sheet divides in an organ that other sheets may cut, too.
 
@@ -143,15 +155,17 @@ def crossing_among(
         Sheets of other cuts, beyond which the front is not moved.
     earlier : Earlier | None, optional
         Of the same cut; None: there was none.
+    shared : Shared | None, optional
+        The surface in which other sheets lie, too; None: none does.
 
     Returns
     -------
     tuple[Crossing, Samples]
         The cells, none where the sheet passes between them, and samples of their sections.
     """
-    across = sheet.place(rest).across
+    across = sheet.place(rest).across if shared is None else shared.height
     held = np.zeros(0, dtype=np.int64) if earlier is None else np.unique(cells[earlier.cells])
-    if earlier is not None:
+    if earlier is not None and shared is None:
         across[held] = earlier.height[held]
     at = across[cells]
     near = np.flatnonzero((at.min(axis=1) <= 0.0) & (at.max(axis=1) >= 0.0))
@@ -159,8 +173,10 @@ def crossing_among(
     edges = np.stack([np.linalg.norm(corner[:, a] - corner[:, b], axis=1) for a, b in CELL_EDGES], axis=1).mean(axis=1)
     typical = float(edges.mean()) if len(edges) else 0.0
     least = MIN_HEIGHT * typical
-    height = np.where(np.abs(across) < least, np.copysign(least, across), across)
-    height[held] = across[held]
+    height = across
+    if shared is None:
+        height = np.where(np.abs(across) < least, np.copysign(least, across), across)
+        height[held] = across[held]
     at = height[cells]
     crossed = np.flatnonzero((at.min(axis=1) < 0.0) & (at.max(axis=1) > 0.0))
     size = edges[np.searchsorted(near, crossed)]  # no other cell is crossed
@@ -176,9 +192,12 @@ def crossing_among(
     cut = bare > 0.0
     advance = ADVANCE * float(size[cut].mean()) if cut.any() else 0.0
     reached = sheet.covers(place, advance) & ~_beyond(points, place, sheet, others, MARGIN * advance)
+    if shared is not None:
+        reached &= ~_bridged(points, place, sheet, shared.sheets)
     covered = reached.reshape(weight.shape)
     if earlier is not None:
-        covered[np.searchsorted(crossed, earlier.cells)] |= earlier.covered
+        still = np.isin(earlier.cells, crossed)
+        covered[np.searchsorted(crossed, earlier.cells[still])] |= earlier.covered[still]
     cut_fraction = rounded((weight * covered).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300))
     kept = np.flatnonzero(cut_fraction > 0.0) if cut.any() else np.zeros(0, dtype=np.int64)
     chosen = crossed[kept]
@@ -205,6 +224,19 @@ def _beyond(points: Floats, place: Place, sheet: Sheet, others: Sequence[Sheet],
         parted = (here.across < 0.0) != (there.across < 0.0)
         beyond[ask] |= parted & (other.covers(here) | other.covers(there))
     return beyond
+
+
+def _bridged(points: Floats, place: Place, sheet: Sheet, others: Sequence[Sheet]) -> Mask:
+    """Return which points (k,) between a sheet and others in its surface its front is not moved to."""
+    bridged = np.zeros(len(points), dtype=bool)
+    ask = np.flatnonzero(~sheet.covers(place))
+    mine = sheet.nearest(Place(*(part[ask] for part in place)), 0.0) - points[ask]
+    for other in others:
+        theirs = other.nearest(other.place(points[ask]), 0.0) - points[ask]
+        far, farther = np.linalg.norm(mine, axis=1), np.linalg.norm(theirs, axis=1)
+        between = np.einsum("kx,kx->k", mine, theirs) < -BETWEEN * far * farther
+        bridged[ask] |= between & (far > BRIDGE * farther)
+    return bridged
 
 
 def _coordinates(corner: Floats, points: Floats) -> Floats:

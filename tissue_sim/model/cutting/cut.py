@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,8 +14,9 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.coagulation import stiffening_of
 from tissue_sim.model.cutting.crossing import Crossing, Earlier, crossing_among
 from tissue_sim.model.cutting.cut_surface import CutSurface, cut_surface, uncut_surface
+from tissue_sim.model.cutting.joining import Divided, JoinedCuts, includes, joined_cuts, surfaces_of, way_of
 from tissue_sim.model.cutting.masses import damping_of_copies, distributed_masses, fastest_mode
-from tissue_sim.model.cutting.parts import Parts, divided_by_cuts, merged_parts
+from tissue_sim.model.cutting.parts import Parts, divided_by_cuts, merged_parts, with_sides_of_each
 from tissue_sim.model.cutting.sheet import Sheet, finer_organ
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.tool_resolution import CUT_EDGES
@@ -40,6 +42,7 @@ class CutReport(NamedTuple):
     critical_step_after: float = math.nan  # s
     finer: str = ""  # command that makes an organ which resolves the cut, and its cost
     stiffer_cells: int = 0  # at walls that a hot tool has coagulated, of all cuts together
+    includes_another: bool = False  # it was there already when a path within it was to be cut, which changed nothing
 
     def __str__(self) -> str:
         text = (
@@ -47,6 +50,8 @@ class CutReport(NamedTuple):
             f" ({self.front_cells} in part), {self.new_cells} cells and {self.new_nodes} nodes more, critical step"
             f" {1e6 * self.critical_step_before:.0f} us before and {1e6 * self.critical_step_after:.0f} us after"
         )
+        if self.includes_another:
+            text += "; it was there already, and the path lies within it: nothing has changed"
         if self.stiffer_cells:
             text += f"; {self.stiffer_cells} cells at coagulated walls are stiffer"
         if self.pieces > 1:
@@ -73,9 +78,10 @@ class CutOrgan(NamedTuple):
     reports: tuple[CutReport, ...]  # of each cut, as it was made
     sides: Longs  # (m, s) the same for each of the cuts
     divided: tuple[Earlier, ...]  # cells that each of the cuts has divided
+    continued: Longs  # (e, 2) for each cut before the last one, the cut here of which it is part, and 1 or -1: its way
 
     def origin(self, earlier: CutOrgan) -> Longs:
-        """Return the node (n,) of the same organ after fewer cuts which each node replaces.
+        """Return the node (n,) of the same organ before the last cut which each node replaces.
 
         Parameters
         ----------
@@ -87,8 +93,8 @@ class CutOrgan(NamedTuple):
         nodes = self.organ.cell_nodes
         cells = np.flatnonzero((nodes >= virtual).any(axis=1))
         # The copy of the earlier organ on the same sides; the cell itself if it wasn't divided yet.
-        place = [[one.deepens(other) for one in self.sheets].index(True) for other in earlier.sheets]
-        mine = self.sides[cells][:, place]
+        place, way = self.continued.T
+        mine = self.sides[cells][:, place] * way
         copies = np.flatnonzero(np.isin(earlier.cell_of, self.cell_of[cells]))
         order = copies[np.argsort(earlier.cell_of[copies], kind="stable")]
         cell = earlier.cell_of[order]
@@ -123,15 +129,17 @@ def without_cuts(organ: Organ) -> CutOrgan:
     whole = np.arange(len(organ.cell_nodes))
     side, fraction = np.zeros(len(whole), dtype=np.int64), np.ones(len(whole))
     sides = np.zeros((len(whole), 0), dtype=np.int64)
-    return CutOrgan(organ, organ, fastest_mode(organ), (), whole, side, fraction, uncut_surface(organ), (), sides, ())
+    none = np.zeros((0, 2), dtype=np.int64)
+    frequency, surface = fastest_mode(organ), uncut_surface(organ)
+    return CutOrgan(organ, organ, frequency, (), whole, side, fraction, surface, (), sides, (), none)
 
 
 def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     """Return an organ after one more cut.
 
     The cut is made in the uncut organ together with the earlier ones, so that the order of cuts doesn't matter. A cut
-    that continues the last ones to a greater depth replaces them. Cells that a blade has divided stay divided in the
-    later stages of its cut.
+    that includes earlier ones replaces them, and one that an earlier one includes changes nothing. Cells that a blade
+    has divided stay divided in the later stages of its cut.
 
     Parameters
     ----------
@@ -146,39 +154,36 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
         If the cut divides no cell, or meets an earlier one where the surface can't be split.
     """
     organ = before.uncut
-    kept = tuple(one for one in before.sheets if not sheet.deepens(one))
-    sheets = (*kept, sheet)
-    found = [
-        crossing_among(
-            organ.rest_positions,
-            organ.cell_nodes,
-            one,
-            [other for other in sheets if other is not one],
-            _earlier(before, one),
-        )
-        for one in sheets
-    ]
-    crossing = found[-1][0]
-    if not len(crossing.cells):
-        raise UserError(f"the cut divides no cell of organ '{organ.name}'; cut deeper, or elsewhere")
-    cuts = divided_by_cuts(organ, found, organ.fixed)
-    parts = merged_parts(organ, len(sheets), cuts)
+    here = _beside_others(before, sheet)
+    if here.over is not None:
+        made = cut_again(before, here.over)
+        return made._replace(reports=(*made.reports[:-1], made.reports[-1]._replace(includes_another=True)))
+    kept, sheets = here.kept, here.sheets
+    held = [[before.divided[number]] for number in kept]
+    held.append([one for number, one in enumerate(before.divided) if number not in kept])
+    groups = joined_cuts(organ, sheets, here.found, held)
+    cuts = divided_by_cuts(organ, [group.whole for group in groups], organ.fixed)
+    parts = with_sides_of_each(merged_parts(organ, len(groups), cuts), groups)
+    found = [group.parts[group.numbers.index(k)] for k in range(len(sheets)) for group in groups if k in group.numbers]
     stiffening = stiffening_of(organ, parts, sheets, [one for one, _ in found])
     after = _organ_of(organ, parts, before.frequency, stiffening)
-    surface = cut_surface(organ, cuts)
+    surface = _with_walls_of_each(cut_surface(organ, cuts), after.rest_positions, sheets, groups)
     # Pieces are counted as if fixed nodes had virtual nodes, too.
-    free_parts = merged_parts(organ, len(sheets), divided_by_cuts(organ, found, organ.fixed[:0]))
+    free_parts = merged_parts(
+        organ, len(groups), divided_by_cuts(organ, [group.whole for group in groups], organ.fixed[:0])
+    )
     pieces, free = _count(organ, free_parts)
     stiffer = 0 if stiffening is None else int(np.count_nonzero(stiffening != 1.0))
-    report = _report(organ, sheet, crossing)._replace(pieces=pieces, free_pieces=free, stiffer_cells=stiffer)
-    if any(len(sheets) - 1 in cut.numbers and len(cut.numbers) > 1 for cut in cuts):
+    report = _report(organ, sheet, found[-1][0])._replace(pieces=pieces, free_pieces=free, stiffer_cells=stiffer)
+    last = next(index for index, group in enumerate(groups) if len(sheets) - 1 in group.numbers)
+    if len(groups[last].numbers) > 1 or any(last in cut.numbers and len(cut.numbers) > 1 for cut in cuts):
         report = report._replace(
             new_cells=len(parts.nodes) - len(before.organ.cell_nodes),
             new_nodes=len(parts.virtual_of) - before.organ.n_virtual,
         )
     else:
         report = report._replace(new_nodes=len(cuts[-1].pieces.virtual_of))
-    earlier = [report for report, one in zip(before.reports, before.sheets, strict=True) if not sheet.deepens(one)]
+    divided = tuple(Earlier(one.cells, one.height, samples.covered) for one, samples in found)
     return CutOrgan(
         organ=after,
         uncut=organ,
@@ -188,10 +193,73 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
         side=parts.side,
         fraction=parts.fraction,
         surface=surface,
-        reports=(*earlier, report),
+        reports=(*(before.reports[number] for number in kept), report),
         sides=parts.sides,
-        divided=tuple(Earlier(one.cells, one.height, samples.covered) for one, samples in found),
+        divided=divided,
+        continued=_continued(organ, before, kept, divided),
     )
+
+
+class _Beside(NamedTuple):
+    """A new cut, and those that remain beside it."""
+
+    kept: list[int]  # numbers of the earlier ones that the new one doesn't include
+    sheets: tuple[Sheet, ...]  # these, and the new one
+    found: list[Divided]  # cells that each of them divides by itself
+    over: Sheet | None  # earlier one that includes the new one
+
+
+def _beside_others(before: CutOrgan, sheet: Sheet) -> _Beside:
+    """Return a new cut, and the earlier ones that it doesn't include."""
+    organ = before.uncut
+    kept = [number for number, one in enumerate(before.sheets) if not sheet.deepens(one)]
+    # A blade's cut may still grow, and one that is made again has been compared with the others before.
+    alone = sheet.mark > 0 or any(one is sheet for one in before.sheets)
+    while True:
+        sheets = (*(before.sheets[number] for number in kept), sheet)
+        found = [
+            crossing_among(
+                organ.rest_positions,
+                organ.cell_nodes,
+                one,
+                [other for other in sheets if other is not one],
+                _earlier(before, one),
+            )
+            for one in sheets
+        ]
+        if not len(found[-1][0].cells):
+            raise UserError(f"the cut divides no cell of organ '{organ.name}'; cut deeper, or elsewhere")
+        groups = surfaces_of(organ, sheets, [one for one, _ in found])
+        group = next(group for group in groups if len(kept) in group)
+        beside = [number for number in sorted(group) if number < len(kept) and not (alone or sheets[number].mark)]
+        over = [sheets[number] for number in beside if includes(sheets[number], sheet, organ, found[-1])]
+        within = [kept[number] for number in beside if includes(sheet, sheets[number], organ, found[number])]
+        if over or not within:
+            return _Beside(kept, sheets, found, over[0] if over else None)
+        kept = [number for number in kept if number not in within]
+
+
+def _continued(organ: Organ, before: CutOrgan, kept: list[int], divided: Sequence[Earlier]) -> Longs:
+    """Return for each cut before the last one the cut of which it is part now, and its way there (e, 2)."""
+    found = np.empty((len(before.sheets), 2), dtype=np.int64)
+    for number, one in enumerate(before.divided):
+        place = kept.index(number) if number in kept else len(kept)
+        found[number] = place, way_of(one.height, divided[place].height, np.unique(organ.cell_nodes[one.cells]))
+    return found
+
+
+def _with_walls_of_each(
+    surface: CutSurface, rest: Floats, sheets: Sequence[Sheet], groups: Sequence[JoinedCuts]
+) -> CutSurface:
+    """Return the surface with the number of the nearest cut at each wall, in place of that of its group of cuts."""
+    wall = surface.wall.copy()
+    for index, group in enumerate(groups):
+        mine = np.flatnonzero(surface.wall == index + 1)
+        middle = surface.at(rest)[surface.triangles[mine]].mean(axis=1)
+        numbers = np.array(group.numbers)
+        away = [np.linalg.norm(sheets[k].nearest(sheets[k].place(middle), 0.0) - middle, axis=1) for k in numbers]
+        wall[mine] = numbers[np.argmin(away, axis=0)] + 1
+    return surface._replace(wall=wall)
 
 
 def _earlier(before: CutOrgan, sheet: Sheet) -> Earlier | None:

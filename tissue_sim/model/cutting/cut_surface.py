@@ -104,9 +104,11 @@ def cut_surface(organ: Organ, cuts: Sequence[CutCells]) -> CutSurface:
     kept = triangles[:, 0] >= 0
     whole = CutSurface(nodes, weights, triangles[kept].astype(np.int32), wall[kept], partner, side)
     found = without_idle_points(whole, organ.n_surface)
+    volume = signed_volume(found.at(organ.rest_positions[_sources(organ, cuts)]), found.triangles)
+    if len(open_edges(triangles[kept])) or not np.isfinite(volume):
+        raise UserError("the surface can't be closed at the cut; move it by a millimetre")
     if any(not cut.copies for cut in cuts):
-        volume = signed_volume(found.at(organ.rest_positions[_sources(organ, cuts)]), found.triangles)
-        if len(open_edges(triangles[kept])) or abs(volume / organ.volume - 1.0) > MAX_LOST_VOLUME:
+        if not abs(volume / organ.volume - 1.0) <= MAX_LOST_VOLUME:
             raise UserError(
                 "the cuts meet where cells of the organ are too flat to be divided; move it by a millimetre"
             )

@@ -9,6 +9,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.model.cutting.crossing import Crossing, Samples
+from tissue_sim.model.cutting.joining import JoinedCuts
 from tissue_sim.model.cutting.meeting import Pieces, groups_of_meeting_cuts, pieces_of
 from tissue_sim.model.cutting.virtual_nodes import Copies, copies_of
 from tissue_sim.organ.organ import Organ
@@ -120,14 +121,36 @@ def merged_parts(organ: Organ, count: int, cuts: Sequence[CutCells]) -> Parts:
         fraction.append(pieces.fraction[own:])
         cell_of.append(pieces.cell[own:])
     signs = np.concatenate(sides)
-    side = np.zeros(len(signs), dtype=np.int64)
-    for column in signs.T:
-        side = np.where(column != 0, column, side)
     return Parts(
         nodes=np.concatenate(nodes),
         cell_of=np.concatenate(cell_of),
         sides=signs,
-        side=side,
+        side=_last_side(signs),
         fraction=np.concatenate(fraction),
         virtual_of=np.concatenate([cut.pieces.virtual_of for cut in cuts]),
     )
+
+
+def with_sides_of_each(parts: Parts, groups: Sequence[JoinedCuts]) -> Parts:
+    """Return cells with their sides of every cut, in place of those of groups of cuts that lie in one surface.
+
+    Parameters
+    ----------
+    parts : Parts
+        The cells.
+    groups : Sequence[JoinedCuts]
+        The groups.
+    """
+    sides = np.zeros((len(parts.cell_of), sum(len(group.numbers) for group in groups)), dtype=np.int64)
+    for column, group in zip(parts.sides.T, groups, strict=True):
+        for number, way, (crossing, _) in zip(group.numbers, group.ways, group.parts, strict=True):
+            sides[:, number] = np.where(np.isin(parts.cell_of, crossing.cells), way * column, 0)
+    return parts._replace(sides=sides, side=_last_side(sides))
+
+
+def _last_side(sides: Longs) -> Longs:
+    """Return the sides (m,) of the last cuts that divide cells, by those of all cuts (m, s)."""
+    side = np.zeros(len(sides), dtype=np.int64)
+    for column in sides.T:
+        side = np.where(column != 0, column, side)
+    return side

@@ -12,8 +12,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
 from tissue_sim.model.cutting.crossing import Crossing
 from tissue_sim.organ.organ import Organ
+
+PARALLEL = 1e-9  # sum of the minors of two sheets' heights, relative to their sizes, below which they are parallel
 
 Name = tuple[tuple[int, ...], tuple[int, ...]]  # nodes between which a point lies, and sheets on which it lies
 Line = tuple[tuple[int, ...], tuple[int, ...]]  # an edge; or a face and a sheet, whose intersection the line is
@@ -50,7 +53,12 @@ class Names:
                 signs = (-1.0) ** np.arange(len(nodes))
                 minors = [np.linalg.det(np.delete(at, k, axis=1)) for k in range(len(nodes))] if sheets else [1.0]
                 found = signs * minors
-                found = found / found.sum()
+                total = found.sum()
+                if not abs(total) > PARALLEL * np.abs(found).sum():
+                    raise UserError(
+                        "the cut lies partly in the surface of an earlier one; move it by a millimetre, or keep to it"
+                    )
+                found = found / total
             self._weights[name] = found
         return found
 
