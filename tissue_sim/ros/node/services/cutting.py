@@ -23,7 +23,7 @@ from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.contact.contact_worker import ContactWorker
-from tissue_sim.ros.node.services.cut_process import CutProcess
+from tissue_sim.ros.node.services.cut_process import CutProcess, Ending
 from tissue_sim.ros.node.services.simulation_parts import Prepared, SomeCut
 from tissue_sim.ros.node.settings.live_settings import LiveSettings
 from tissue_sim.ros.node.shared.deferred_service import DeferredService, Work
@@ -246,6 +246,8 @@ class OrganCutting:
                         break  # the organ was reset, and these cuts with it
                     try:
                         self._take_up(self._served.physics.simulation, (sheet,), time.monotonic(), heals)
+                    except Ending:
+                        break
                     except (UserError, TimeoutError) as error:
                         if heals == self._heals:
                             then = self._blades.refuse(sheet)
