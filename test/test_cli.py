@@ -14,6 +14,11 @@ from tissue_sim.cli import main
         (["build", "ct.nii", "--pionts=300"], "tissue_sim build: error: unrecognized arguments: --pionts=300"),
         (["export", "a.npz", "b.ply", "--skeletom", "c.vtp"], "unrecognized arguments: --skeletom c.vtp"),
         (["bench", "tikc"], "invalid choice: 'tikc'"),
+        (
+            ["export", "a.npz", "a.ply", "--out", "b"],
+            "unrecognized arguments: --out b (see 'tissue_sim export --help')",
+        ),
+        (["calibrate", "a.npz", "--out=b.npz", "--points", "-3"], "unrecognized arguments: --points=-3 (see "),
         (["info", "a.npz", "--wholly-else"], "unrecognized arguments: --wholly-else (see 'tissue_sim info --help')"),
     ],
 )

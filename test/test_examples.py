@@ -15,6 +15,7 @@ from helpers.patience import LIMIT
 FOLDER = ROOT / "docs" / "examples"
 SCRIPTS = sorted(FOLDER.glob("*.py"))
 PAGE = (ROOT / "docs" / "examples.md").read_text()
+CUTTING = (ROOT / "docs" / "cutting.md").read_text()
 
 
 def run(name: str, folder: Path) -> str:
@@ -123,6 +124,22 @@ def test_a_gripper_pulls_a_half_aside_and_lets_go(tmp_path):
     assert len(forces) == 5
     assert forces[3] > 0.1, "the half pulls back while it is spread"
     assert forces[0] == forces[4] == 0.0
+
+
+@pytest.mark.extended
+def test_a_knife_cuts_and_says_how_far_its_force_falls(tmp_path):
+    text = run("blade", tmp_path)
+    area, force, fall = map(float, re.search(r"^([\d.]+) mm\^2 cut.*\n([\d.]+) N .* (\d+) %", text).groups())
+    assert area > 200.0
+    assert 2.0 < force < 6.0
+    assert abs(fall - int(re.search(r"the force falls by up to (\d+) %", CUTTING)[1])) < 10.0
+
+
+@pytest.mark.extended
+def test_scissors_cut_into_a_pole(tmp_path):
+    area, depth = map(float, re.match(r"([\d.]+) mm\^2 cut, ([\d.]+) mm deep", run("scissors", tmp_path)).groups())
+    assert area > 500.0
+    assert depth > 25.0, "as deep as the tips"
 
 
 @pytest.mark.extended

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from tissue_sim.errors import UserError
-from tissue_sim.outputs import check_folder, check_organ_file, make_folder, write_json
+from tissue_sim.outputs import check_file, check_folder, make_folder, write_json
 
 
 def test_a_missing_folder_is_named(tmp_path):
@@ -14,10 +14,12 @@ def test_a_missing_folder_is_named(tmp_path):
         check_folder(tmp_path / "missing" / "report.html", "the report")
 
 
-def test_an_organ_file_has_its_ending(tmp_path):
-    check_organ_file(tmp_path / "organ.npz")
+def test_a_file_has_the_ending_of_its_format(tmp_path):
+    check_file("--out", tmp_path / "organ.NPZ", ".npz", "the organ file")
     with pytest.raises(UserError, match=r"--out .*organ\.obj must end in \.npz"):
-        check_organ_file(tmp_path / "organ.obj")
+        check_file("--out", tmp_path / "organ.obj", ".npz", "the organ file")
+    with pytest.raises(UserError, match=r"folder .*missing for the organ file does not exist"):
+        check_file("--out", tmp_path / "missing" / "organ.npz", ".npz", "the organ file")
 
 
 def test_a_folder_is_made_where_it_can_be(tmp_path):

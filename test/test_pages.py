@@ -301,6 +301,14 @@ def test_the_tutorial_runs(smaller_organ_ships, tmp_path, monkeypatch):
 
 
 @pytest.mark.extended
+def test_examples_of_cutting_cut_and_print(capsys):
+    run_blocks(DOCS / "cutting.md")
+    areas = re.findall(r"^([\d.]+) mm\^2 cut", capsys.readouterr().out, re.MULTILINE)
+    assert len(areas) == 4
+    assert all(float(area) > 150.0 for area in areas), "of a plane twice, of a knife, and of scissors"
+
+
+@pytest.mark.extended
 def test_examples_for_python_run_with_the_organ_that_ships():
     run_examples(DOCS / "python.md")
 

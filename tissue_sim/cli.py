@@ -50,8 +50,9 @@ class _Parser(argparse.ArgumentParser):
 
 def _meant(word: str, choices: Sequence[str]) -> str:
     """Return the question whether a similar choice was meant; empty where there is none."""
-    close = get_close_matches(word, choices, n=1)
-    return f"; did you mean {close[0]}?" if close else ""
+    names = {choice.lstrip("-"): choice for choice in choices}  # two dashes alone make no words similar
+    close = get_close_matches(word.lstrip("-"), names, n=1)
+    return f"; did you mean {names[close[0]]}?" if close else ""
 
 
 class _Help(argparse.ArgumentDefaultsHelpFormatter):

@@ -27,22 +27,28 @@ def check_folder(path: Path, what: object) -> None:
         raise UserError(f"folder {path.parent} for {what} does not exist; make it first")
 
 
-def check_organ_file(path: Path) -> None:
-    """Check the name and the folder of an organ file that --out gives.
+def check_file(option: str, path: Path, ending: str, what: str) -> None:
+    """Check the name and the folder of a file that an option gives.
 
     Parameters
     ----------
+    option : str
+        The option.
     path : Path
-        The file.
+        The file that will be written.
+    ending : str
+        The ending that its format needs.
+    what : str
+        Its name in the message.
 
     Raises
     ------
     UserError
-        Where it doesn't end in .npz, or its folder doesn't exist.
+        Where it has another ending, or its folder doesn't exist.
     """
-    if path.suffix != ".npz":
-        raise UserError(f"--out {path} must end in .npz")
-    check_folder(path, "the organ file")
+    if path.suffix.lower() != ending:
+        raise UserError(f"{option} {path} must end in {ending}")
+    check_folder(path, what)
 
 
 def make_folder(path: Path) -> None:

@@ -14,7 +14,6 @@ scene.simulation.settings.toughness = 75.0  # J/m^2
 # The edge runs along -z of the knife, here the organ's z, and cuts towards its x, here the organ's y.
 turn = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]).as_quat()
 start = np.array([0.0705, 0.0149, -0.011])
-
 way_in = np.arange(-0.002, DEPTH, STEP)
 forces = []
 for tick, depth in enumerate([*way_in, *way_in[::-1]]):
@@ -25,7 +24,8 @@ for tick, depth in enumerate([*way_in, *way_in[::-1]]):
         cut = scene.simulation.cut_organ
         opened = cut.surface.at(scene.simulation.positions)
 print(scene.simulation.cuts[0])
-
+falls = [1.0 - min(forces[at : at + 11]) / forces[at] for at in range(len(way_in) - 10) if forces[at] > 1.0]
+print(f"{max(forces):.1f} N at most, which fall by up to {100.0 * max(falls):.0f} % within 10 ms")
 figure = plt.figure(figsize=(9, 4), layout="constrained")
 axis = figure.add_subplot(121, xlabel="depth (mm)", ylabel="force (N)")
 for name, part in (("in", forces[: len(way_in)]), ("out", forces[: len(way_in) - 1 : -1])):

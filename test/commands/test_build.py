@@ -208,6 +208,7 @@ def test_wrong_arguments_take_one_line_each(ct, tmp_path, capsys):
         ([image, *here, "--report", str(tmp_path / "r.pdf")], "must end in .html"),
         ([image, *here, "--report", str(tmp_path / "no" / "r.html")], "for the report does not exist"),
         ([image, *here, "--out", str(tmp_path / "no" / "o.npz")], "for the organ file does not exist"),
+        ([image, *here, "--out", str(tmp_path / "kidney.stl")], "kidney.stl must end in .npz"),
         ([image, *here, "--points", "10"], "--points 10 is too few"),
         ([image, *here, "--atoms", "0"], "--atoms 0 is too few"),
         ([image, *here, *FEW, "--fixed", "w<3"], "is not understood"),

@@ -114,6 +114,7 @@ def test_a_cohort_is_the_same_bits_here_and_on_a_cluster_that_loses_a_worker(org
     [
         (("--jobs", "0"), "--jobs 0 is less than 1"),
         (("--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"), "--jobs is for this machine"),
+        (("--json", "figures.txt"), "--json figures.txt must end in .json"),
         (("--jobs", "2", "--report", "folder"), "--report is for a single organ"),
         (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers at tcp://127.0.0.1:1"),
     ],

@@ -96,6 +96,12 @@ def test_missing_organ_is_refused(tmp_path, capsys):
     assert "nowhere.npz does not exist" in refusal(capsys, tmp_path / "nowhere.npz", loads, tmp_path / "u.npz")
 
 
+def test_another_ending_is_refused(organ_file, tmp_path, capsys):
+    loads = write_loads(tmp_path / "loads.npz", two_loads())
+    assert "u.csv must end in .npz" in refusal(capsys, organ_file, loads, tmp_path / "u.csv")
+    assert not (tmp_path / "u.csv").exists()
+
+
 def test_missing_loads_are_refused(organ_file, tmp_path, capsys):
     assert "none.npz does not exist" in refusal(capsys, organ_file, tmp_path / "none.npz", tmp_path / "u.npz")
 
@@ -163,8 +169,8 @@ def refusal_of_output(capsys, *arguments):
 
 def test_result_is_in_the_file_that_was_named(organ_file, tmp_path):
     loads = write_loads(tmp_path / "loads.npz", two_loads()[:1])
-    assert solve(organ_file, loads, tmp_path / "result") == 0
-    assert (tmp_path / "result").is_file()
+    assert solve(organ_file, loads, tmp_path / "RESULT.NPZ") == 0
+    assert (tmp_path / "RESULT.NPZ").is_file()
 
 
 @pytest.mark.parametrize(

@@ -121,7 +121,9 @@ def test_a_task_is_learned_by_a_command(tmp_path, capsys):
     [
         (["learn", "Press", "--generations", "0"], "--generations 0 is outside 1..10000"),
         (["learn", "Press", "--seed", "-1"], "seed -1 is outside 0..1000"),
-        (["learn", "Press", "--out", "/nowhere/a.json"], "cannot write /nowhere/a.json: its folder does not exist"),
+        (["learn", "Press", "--out", "/nowhere/a.json"], "folder /nowhere for the policy does not exist"),
+        (["learn", "Press", "--out", "a.npz"], "--out a.npz must end in .json"),
+        (["learn", "Press", "--plot", "a.txt"], "--plot a.txt must end in .png"),
         (["learn", "Press", "--organ", "none.npz"], "none.npz"),
     ],
 )

@@ -155,6 +155,8 @@ def test_a_stream_in_a_table_is_fitted_like_a_bag(organ, presses, tmp_path, caps
         (["--bag", "a", "--csv", "b"], "not allowed with"),
         (["--out", "folder/fitted.npz"], "does not exist"),
         (["--out", "fitted.txt"], "must end in .npz"),
+        (["--report", "fitted.pdf"], "--report fitted.pdf must end in .html"),
+        (["--json", "fitted.npz"], "--json fitted.npz must end in .json"),
     ],
 )
 def test_wrong_use_is_reported(organ, tmp_path, monkeypatch, capsys, given, what):

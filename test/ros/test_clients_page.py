@@ -91,11 +91,16 @@ def test_the_client_stays_outside_until_a_node_that_is_ready_answers_its_pose():
 
 
 def test_what_is_in_place_of_ros2_is_answered(said):
-    _, parameters, started, stopped, diagnostics = said
+    _, parameters, started, stopped, diagnostics, _ = said
     assert "successful=True" in parameters
     assert started == stopped
     assert "'tissue_sim: physics':" in diagnostics
     assert "'tissue_sim: tool left':" in diagnostics
+
+
+def test_the_organ_is_cut_as_deep_as_the_page_says(said):
+    depth = float(re.search(r"([\d.]+) mm deep", said[-1])[1])
+    assert round(depth) == int(re.search(r"the organ, (\d+) mm deep", PAGE)[1])
 
 
 def test_every_page_that_uses_ros2_says_what_to_do_without(said):

@@ -28,7 +28,7 @@ from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 from tissue_sim.organ.tool_resolution import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, usual_edge
-from tissue_sim.outputs import check_folder
+from tissue_sim.outputs import check_file, check_folder
 from tissue_sim.progress import task
 
 # Relative durations of the stages of a usual build; only the pace of the progress bar depends on them.
@@ -142,7 +142,7 @@ def _run(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     source = _source(args)
     out = Path(args.out)
-    check_folder(out, "the organ file")
+    check_file("--out", out, ".npz", "the organ file")
     report = report_path(args, out)
     _check_counts(args)
     name = args.name or name_of(args.organ, args.label, args.part, stem_of(Path(source)))

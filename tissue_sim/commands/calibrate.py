@@ -30,7 +30,7 @@ from tissue_sim.interrupts import leaving
 from tissue_sim.json_types import JsonObject
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.refined import refined
-from tissue_sim.outputs import check_organ_file, make_folder
+from tissue_sim.outputs import check_file, make_folder
 from tissue_sim.version import __version__
 
 MEAN, WORST, SHARP = 5.5, 12.0, 15.0  # %, bounds of --check: smooth loads' mean and worst, sharp ones' mean
@@ -110,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
     several = len(args.organ) > 1 or out.is_dir()
     if several or any(option is not None for option in (args.jobs, args.scheduler, args.json)):
         return _run_many(args, settings)
-    check_organ_file(out)
+    check_file("--out", out, ".npz", "the organ file")
     if args.report and importlib.util.find_spec("matplotlib") is None:
         raise UserError("--report needs matplotlib: pip install 'tissue_sim[calibration]'")
     with progress.task("reading"):
@@ -156,6 +156,8 @@ def _run_many(args: argparse.Namespace, settings: Settings) -> int:
     folder = Path(args.out)
     if folder.suffix == ".npz":
         raise UserError(f"--out {folder} must be a folder for several organs, or with --jobs, --scheduler or --json")
+    if args.json:
+        check_file("--json", Path(args.json), ".json", "the figures")
     make_folder(folder)
     organs = [Path(name) for name in args.organ]
     outputs = outputs_of(organs, folder)

@@ -17,6 +17,7 @@ from tissue_sim.commands import build
 from tissue_sim.commands.calibrate_many import add_cluster, calibrate_many, check_cluster, write_figures
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
+from tissue_sim.outputs import check_file
 from tissue_sim.unexpected_errors import catch_all
 
 _LIVER, _HEART = 0.2, 0.12  # m, longest side of meshes without a unit
@@ -78,6 +79,8 @@ def main() -> int:
     args = parser.parse_args()
     try:
         check_cluster(args)
+        if args.json:
+            check_file("--json", Path(args.json), ".json", "the figures")
         chosen = [source for source in SOURCES if not args.only or source.name in args.only]
         organs = built(chosen, Path(args.data), Path(args.out) / "built")
         outputs = [Path(args.out) / organ.name for organ in organs]

@@ -19,7 +19,7 @@ from tissue_sim.identification.stream import Stream, found_in
 from tissue_sim.identification.table import STREAM, is_stream, presses_of, read_columns
 from tissue_sim.interrupts import leaving
 from tissue_sim.organ.organ import Organ
-from tissue_sim.outputs import check_organ_file, write_json
+from tissue_sim.outputs import check_file, write_json
 from tissue_sim.version import __version__
 
 LARGEST = 0.5  # m, radius of a tool
@@ -122,7 +122,11 @@ def organ_of(word: str) -> Organ:
 
 def _check(args: argparse.Namespace) -> None:
     out = Path(args.out)
-    check_organ_file(out)
+    check_file("--out", out, ".npz", "the organ file")
+    if args.report:
+        check_file("--report", Path(args.report), ".html", "the report")
+    if args.json:
+        check_file("--json", Path(args.json), ".json", "the result")
     if args.report and not (importlib.util.find_spec("matplotlib") and importlib.util.find_spec("jinja2")):
         raise UserError("--report needs matplotlib and jinja2: pip install 'tissue_sim[image]'")
     if args.radius is not None and not 0.0 < args.radius <= LARGEST:

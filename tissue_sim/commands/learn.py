@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from tissue_sim.errors import UserError
 from tissue_sim.interrupts import leaving
 from tissue_sim.organ.organ import Organ
+from tissue_sim.outputs import check_file
 
 if TYPE_CHECKING:
     from tissue_sim.environments.policies import Learned
@@ -25,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, help="new episodes at the end (default: the task's)")
     parser.add_argument("--seed", type=int, default=1, help="seed of policies and episodes")
     parser.add_argument("--threads", type=int, default=0, help="threads; 0 for one on each core")
-    parser.add_argument("--plot", metavar="PICTURE", help="picture of the learning curve to write")
+    parser.add_argument("--plot", metavar="PICTURE", help="picture (.png) of the learning curve to write")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,9 +34,10 @@ def run(args: argparse.Namespace) -> int:
     for name in ("generations", "episodes"):
         if getattr(args, name) is not None and not 1 <= getattr(args, name) <= 10_000:
             raise UserError(f"--{name} {getattr(args, name)} is outside 1..10000")
-    for path in (args.out, args.plot):  # minutes of work would be lost
-        if path is not None and not Path(path).resolve().parent.is_dir():
-            raise UserError(f"cannot write {path}: its folder does not exist")
+    if args.out is not None:
+        check_file("--out", Path(args.out), ".json", "the policy")
+    if args.plot is not None:
+        check_file("--plot", Path(args.plot), ".png", "the picture")
     try:
         from tissue_sim.environments.training import PLANS, learn
     except ImportError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 import zipfile
+from pathlib import Path
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from tissue_sim.model.data.settings import INTEGRATORS, LOCAL_REGIONS
 from tissue_sim.model.elasticity.assembly import MODEL_NAMES
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
+from tissue_sim.outputs import check_file
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"--tolerance {args.tolerance:g} is outside 0..1")
     if not 0.0 < args.longest <= 3600.0:
         raise UserError(f"--longest {args.longest:g} is outside 0..3600 s")
+    check_file("--out", Path(args.out), ".npz", args.out)
     organ = Organ.load(args.organ)
     forces = read_loads(args.loads, organ.n_surface)
     simulation = Simulation(
@@ -76,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
             displacements[load], converged[load] = simulation.settle(forces[load], args.tolerance, args.longest)
             seconds[load] = time.perf_counter() - start
     try:
-        with open(args.out, "wb") as stream:  # numpy would add .npz to a bare name
+        with open(args.out, "wb") as stream:  # numpy would add .npz to .NPZ
             np.savez_compressed(stream, displacements=displacements, seconds=seconds, converged=converged)
     except OSError as error:
         raise UserError(f"cannot write {args.out}: {error.strerror}") from None

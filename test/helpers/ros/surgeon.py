@@ -4,6 +4,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
+from rclpy.duration import Duration
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
@@ -46,14 +47,12 @@ class Surgeon(Client):
             message.poses.append(pose)
         assert self.spin_until(lambda: self.path.get_subscription_count() > 0)
         self.path.publish(message)
+        assert self.path.wait_for_all_acked(Duration(seconds=30)), "a call that follows must not overtake it"
 
     def cut(self, edge=EDGE, depth=DEPTH, hand=None):
         assert self.set_parameter("cut_depth", depth).successful
         self.send_path(edge)
-        answer = self.ask_to_cut(hand)
-        while "no path" in answer.message:  # the path is still on its way
-            answer = self.ask_to_cut(hand)
-        return answer
+        return self.ask_to_cut(hand)
 
     def ask_to_cut(self, hand=None):
         """The answer, however long it takes: a call that is repeated would find the first one at work.

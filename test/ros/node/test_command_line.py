@@ -26,7 +26,7 @@ def node(tmp_path_factory):
     needle = "tools:=[left,right,needle]", "needle.radius:=0.001"
     parameters = "local_region:=off", "right.allow_empty_frame:=true", "stale_time:=5.0", *needle, *MISSPELT
     parameters += "rate:=1000", "gravity:=[0, 0, 0]", "right.allow_zero_stamp:=true", "needle.reliable:=true"
-    parameters += ("left.measured_cf:=somewhere",)
+    parameters += "left.measured_cf:=somewhere", "left.links:=[]"
     with running_node(folder, *parameters) as process:
         yield process
 
@@ -37,6 +37,11 @@ def client(node):
     client.meet()
     yield client
     client.close()
+
+
+def test_an_empty_list_of_links_is_the_default(client):
+    found = client.call(GetParameters, "/tissue_sim/get_parameters", GetParameters.Request(names=["left.links"]))
+    assert found.values[0].string_array_value == [""]
 
 
 @pytest.mark.extended

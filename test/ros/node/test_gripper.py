@@ -81,14 +81,21 @@ def gripper(client):
 
 @pytest.mark.extended
 def test_angle_that_is_none_is_refused_and_counted(client, node, gripper):
-    for message, counter in ((JointState(position=[float("nan")]), "nan_angle"), (JointState(), "no_angle")):
+    for message, counter in (
+        (JointState(position=[float("nan")]), "nan_angle"),
+        (JointState(), "no_angle"),
+        (JointState(position=[30.0]), "wide_angle"),
+        (JointState(position=[-5.0]), "wide_angle"),
+    ):
+        refused = int(client.diagnostics.get(f"left.refused.{counter}", 0))
 
-        def is_reported(message=message, name=counter):
+        def is_reported(message=message, name=counter, before=refused):
             gripper.joint.publish(message)
-            return f"left.refused.{name}" in client.diagnostics
+            return int(client.diagnostics.get(f"left.refused.{name}", 0)) > before
 
         assert client.spin_until(is_reported), client.diagnostics
     assert "tool 'left': angle refused" in node.text()
+    assert "its angle of 30 rad is outside -2.5..2.5; angles are in radians" in node.text()
 
 
 def test_jaws_that_open_change_the_force_and_a_bag_of_it_replays(folder, client, node, gripper):

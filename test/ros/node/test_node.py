@@ -241,7 +241,7 @@ def test_tool_that_is_pressed_too_deep_is_held_and_reported(client, node):
         """Of the log, and of a report that may have come just when the tool was put back: as soon as it is."""
         return client.spin_until(lambda: client.ask(place + next(depths) * inward) or holds())
 
-    assert is_true(lambda: "deeper than the surface can bear, and is pressed with at most" in node.text())
+    assert is_true(lambda: "deeper than the surface can bear, and presses on it with at most" in node.text())
     assert is_true(lambda: float(client.diagnostics["left.force_n"]) > 0.1), "and felt"
     client.ask(place - 0.02 * inward)
     outside = place - 0.02 * inward
@@ -363,6 +363,11 @@ REFUSED_STARTS = {
     "rate:=1.0": "outside",
     "rate:=fast": "wrong type",
     "model:=solid": "choose one of auto, hybrid, cells",
+    **{
+        f"{name}:=[]": f"parameter '{name}' is empty; expected a list like ["
+        for name in ("tools", "gravity", "organ_pose", "left.base_pose", "left.wrench_rotation")
+    },
+    "rate:=[]": "parameter 'rate' is empty; expected a float",
     "tools:=[a, a]": "not a valid or unique name",
     "left.shape:=cube": "sphere, capsule, gripper, mesh",
     "left.pose_type:=Twist": "choose one of PoseStamped, Pose, TransformStamped, Odometry",

@@ -69,6 +69,11 @@ class Organs:
         return self.each[0].settings()
 
     @property
+    def force_clamp(self) -> float:
+        """Largest published force, N."""
+        return self.each[0].force_clamp
+
+    @property
     def stale_time(self) -> float:
         """Time without input after which it is stale, s."""
         return self.each[0].stale_time

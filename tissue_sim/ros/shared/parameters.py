@@ -100,13 +100,14 @@ class Parameters:
         given = self._node._parameter_overrides.get(name)  # rclpy shows no other way to it
         if given is not None:
             self._node._parameter_overrides[name] = self._as_meant(given)
+            if given.type_ == Parameter.Type.NOT_SET and spec.default != [""]:  # rcl reads so an empty list
+                raise UserError(f"parameter '{name}' is empty; expected a {_kind_of(spec)}: {spec.text}")
         try:
             self._node.declare_parameter(name, spec.default, descriptor)
         except InvalidParameterTypeException:
-            kind = type(spec.default).__name__
-            if kind == "list":
-                kind = f"list like {spec.default}"
-            raise UserError(f"parameter '{name}' has the wrong type; expected a {kind}: {spec.text}") from None
+            raise UserError(
+                f"parameter '{name}' has the wrong type; expected a {_kind_of(spec)}: {spec.text}"
+            ) from None
         except InvalidParameterValueException:
             value = given.value if given is not None else "its value"
             raise UserError(
@@ -132,13 +133,15 @@ class Parameters:
             self._node.get_logger().warning(f"parameter '{name}' is unknown and has no effect; {hint}")
 
     def _as_meant(self, parameter: Parameter) -> Parameter:
-        """Return a parameter as it was meant: a choice that YAML reads as false, or decimals read as whole numbers."""
+        """Return a parameter as it was meant: false for off, whole numbers for decimals, or none of a list's names."""
         spec = self._specs.get(parameter.name)
         if spec is None:
             return parameter
         if OFF in spec.choices and parameter.value is False:
             return Parameter(parameter.name, value=OFF)
         kind = Parameter.Type
+        if parameter.type_ == kind.NOT_SET and spec.default == [""]:
+            return Parameter(parameter.name, value=spec.default)
         if isinstance(spec.default, float) and parameter.type_ == kind.INTEGER:
             return Parameter(parameter.name, value=float(parameter.value))
         if _is_decimals(spec.default) and parameter.type_ == kind.INTEGER_ARRAY:
@@ -193,6 +196,12 @@ def _problem(name: str, spec: Spec, value: Any) -> str:
         except ValueError as error:
             return f"parameter '{name}' {error}"
     return ""
+
+
+def _kind_of(spec: Spec) -> str:
+    """Return the type of a parameter's values in words."""
+    kind = type(spec.default).__name__
+    return f"list like {spec.default}" if kind == "list" else kind
 
 
 def _is_decimals(value: object) -> bool:

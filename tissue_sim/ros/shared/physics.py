@@ -46,6 +46,7 @@ class Physics:
         self._journal_read = 0
         self._oldest = 0  # ns, the age up to which a wrench may be published
         self.stale_time = self.ramp_time = self.tick_time = 0.0  # s, of the newest settings
+        self.force_clamp = 0.0  # N, of these
         size = len(self.simulation.state.results)
         place = results_in(np.arange(size), self.n_bodies)  # positions of the haptic output in these words
         self._result_words, self._tick_at = size, int(place.status.tick)
@@ -96,7 +97,7 @@ class Physics:
         """Post new settings; return their sequence number."""
         with self._settings_lock:
             self.stale_time, self.ramp_time = float(settings.stale_time), float(settings.ramp_time)
-            self.tick_time = float(settings.tick_time)
+            self.tick_time, self.force_clamp = float(settings.tick_time), float(settings.force_clamp)
             lasts = min(self.stale_time + self.ramp_time, LONGEST)
             self._oldest = round(1e9 * max(lasts, 2.0 * self.tick_time))
             return int(mb.put(self._settings, 0, words_of(settings)))

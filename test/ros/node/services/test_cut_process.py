@@ -1,6 +1,9 @@
 """Cuts made in another process: the same as in this one, refused with the same words, and again after it was killed."""
 
-from contextlib import closing
+import pickle
+import threading
+from contextlib import closing, nullcontext
+from types import SimpleNamespace
 
 import numba
 import numpy as np
@@ -12,7 +15,8 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.data.records import words_of
 from tissue_sim.model.data.shapes import sphere_tools
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.ros.node.services.cut_process import CutProcess
+from tissue_sim.ros.node.services.cut_process import CutProcess, Ending
+from tissue_sim.ros.node.services.cutting import OrganCutting
 
 EDGE = np.array([[0.044, -0.01, 0.05], [0.046, 0.05, 0.05]])  # m
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -99,6 +103,38 @@ def test_after_it_was_killed_one_is_reported_and_the_next_cut_starts_it_again(pr
     monkeypatch.undo()
     assert process.cut(before, (EDGE, DOWN, DEPTH)).simulation.cuts
     assert process.start().pid != child.pid
+
+
+def test_a_cut_that_is_made_when_the_node_ends_is_given_up_without_a_word_of_signals(before, monkeypatch):
+    made = CutProcess()
+    child = made.start()
+    dump = pickle.dump
+
+    def ask_and_close(*arguments):
+        dump(*arguments)
+        made.close()
+
+    monkeypatch.setattr(pickle, "dump", ask_and_close)
+    with pytest.raises(Ending, match=r"^the node is ending, and makes no more cuts$"):
+        made.cut(before, (EDGE, DOWN, DEPTH))
+    assert child.wait(60.0) != 0
+
+
+def test_a_blades_cut_that_the_end_of_the_node_breaks_off_is_no_warning():
+    def end(*_):
+        raise Ending
+
+    lines, noted = [], SimpleNamespace(noted=nullcontext)
+    cutting = OrganCutting.__new__(OrganCutting)  # without a node
+    cutting._node, cutting._log = SimpleNamespace(unexpected_errors=noted), SimpleNamespace(warning=lines.append)
+    cutting._served = SimpleNamespace(physics=SimpleNamespace(simulation=None))
+    cutting._parts = SimpleNamespace(process=SimpleNamespace(cut=end))
+    cutting._name, cutting._blades = "the organ", SimpleNamespace(refuse=str)
+    cutting._busy, cutting._heals = threading.Lock(), 0
+    assert cutting._busy.acquire(blocking=False)
+    cutting._open([None], 0)
+    assert not lines
+    assert not cutting._busy.locked()
 
 
 def test_it_ends_with_its_input_and_starts_no_more(before):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from helpers.ros.processes import UNHURRIED, press_until_contact, running_node, shipped
 from helpers.ros.replaying import repeated
@@ -95,6 +95,33 @@ def test_a_paused_node_is_cut_at_once(client):
     assert client.report()["tick"] == before
     assert client.spin_until(lambda: len(client.surface()) > 3 * len(shipped().surface_triangles))
     assert client.report()["cuts"] == "1"
+
+
+def test_a_call_that_is_repeated_gets_the_answer_of_the_first(client):
+    assert client.set_parameter("cut_depth", DEPTH).successful
+    client.send_path(EDGE)
+    service = client.node.create_client(Trigger, f"{client.below}/cut")
+    assert service.wait_for_service(30.0)
+    before = int(client.report()["cuts_made"])
+    asked = [service.call_async(Trigger.Request()) for _ in range(3)]
+    assert client.spin_until(lambda: all(one.done() for one in asked))
+    first, *others = [one.result() for one in asked]
+    assert first.success, first.message
+    assert all(other == first for other in others)
+    assert int(client.report()["cuts_made"]) == before + 1
+
+
+def test_another_cut_meanwhile_is_refused_and_told_where_the_first_one_appears(client):
+    client.send_path(EDGE)
+    service = client.node.create_client(Trigger, f"{client.below}/cut")
+    assert service.wait_for_service(30.0)
+    asked = service.call_async(Trigger.Request())
+    assert client.set_parameter("cut_depth", DEPTH + 0.003).successful
+    other = service.call_async(Trigger.Request())
+    assert client.spin_until(lambda: other.done() and asked.done())
+    assert asked.result().success, asked.result().message
+    assert not other.result().success
+    assert other.result().message.endswith("is being made, and appears on /tissue_sim/cuts; then call again")
 
 
 def test_what_cannot_be_cut_is_refused_with_the_reason(client, node):

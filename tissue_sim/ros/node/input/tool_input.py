@@ -14,6 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
 from tissue_sim.array_types import Floats
+from tissue_sim.contact.gripper import WIDEST
 from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import shown
 from tissue_sim.ros.node.input.freshness import Freshness
@@ -199,7 +200,13 @@ class ToolInput:
                     raise Refused("no_joint", f"it contains no position of the joint '{wanted}'")
                 at = message.name.index(wanted)
             _check_finite(message.position[at : at + 1], "nan_angle")
-            self._angle = float(message.position[at])
+            angle = float(message.position[at])
+            if not wanted and abs(angle) > WIDEST:  # a URDF has limits of its own
+                raise Refused(
+                    "wide_angle",
+                    f"its angle of {angle:g} rad is outside -{WIDEST:g}..{WIDEST:g}; angles are in radians",
+                )
+            self._angle = angle
 
     def _on_force(self, raw: bytes) -> None:
         if not self.enabled or not self._force_gate.passes():

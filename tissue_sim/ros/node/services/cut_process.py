@@ -20,6 +20,13 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NU
 PATIENCE = 2.0  # s for the process to end by itself
 
 
+class Ending(UserError):
+    """Error: the node is ending, and with it the process that makes cuts."""
+
+    def __init__(self) -> None:
+        super().__init__("the node is ending, and makes no more cuts")
+
+
 class CutProcess:
     """Process that makes cuts, one after the other; it is started before the first one, and again where it has ended.
 
@@ -34,11 +41,11 @@ class CutProcess:
     def start(self) -> subprocess.Popen[bytes]:
         """Start the process where it doesn't run, and return it; it then needs a second or two until it works.
 
-        Raises UserError after `close`.
+        Raises Ending after `close`.
         """
         with self._starting:
             if self._closed:
-                raise UserError("the node is ending, and makes no more cuts")
+                raise Ending
             if self._process is None or self._process.poll() is not None:
                 self._process = subprocess.Popen(
                     [sys.executable, "-m", "tissue_sim.ros.node.services.cut_program"],
@@ -54,7 +61,7 @@ class CutProcess:
 
         before: the simulation, which may be running; cut: a blade's edge, shape (m, 3), m, the direction in which it is
         moved, and how far, m (or a sheet). Raises UserError as `prepared_cut` does, and where the process has ended;
-        RuntimeError where it fails.
+        Ending after `close`; RuntimeError where it fails.
         """
         with self._working:
             process = self.start()
@@ -66,6 +73,8 @@ class CutProcess:
                 kind, found = pickle.load(process.stdout)
             except (BrokenPipeError, EOFError, pickle.UnpicklingError):
                 process.kill()  # half of an answer would be taken for the next one
+                if self._closed:
+                    raise Ending from None
                 raise UserError(f"the process that makes cuts {_ended(process)}; call the service again") from None
         if kind == REFUSED:
             raise UserError(found)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -21,7 +23,7 @@ from tissue_sim.model.joined import Joined
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.contact.contact_worker import ContactWorker
-from tissue_sim.ros.node.services.cut_process import CutProcess
+from tissue_sim.ros.node.services.cut_process import CutProcess, Ending
 from tissue_sim.ros.node.services.simulation_parts import Prepared, SomeCut
 from tissue_sim.ros.node.settings.live_settings import LiveSettings
 from tissue_sim.ros.node.shared.deferred_service import DeferredService, Work
@@ -35,6 +37,20 @@ from tissue_sim.ros.shared.report import Report
 PARALLEL = 1e-3  # by which the directions of a path's poses may differ
 BLADE_PERIOD = 0.02  # s, after which it is seen whether blades have cut
 HEALED = "the organ was reset while its cut was computed, and is uncut; call the service again"
+
+
+class _Asked(NamedTuple):
+    """A cut that the service was asked for, and the description of what was cut, once it is there."""
+
+    polyline: Floats  # (m, 3) m
+    direction: Floats  # (3,)
+    depth: float  # m
+    made: Future[str]
+
+    def is_same(self, polyline: Floats, direction: Floats, depth: float) -> bool:
+        """Return whether it is the same cut, which isn't there yet."""
+        same_path = np.array_equal(self.polyline, polyline) and np.array_equal(self.direction, direction)
+        return same_path and self.depth == depth and not self.made.done()
 
 
 class OrganCutting:
@@ -59,7 +75,8 @@ class OrganCutting:
         self._name = f"organ '{served.name}'" if served.name else "the organ"
         self._uncut: Simulation | None = None  # as it was before its first cut
         self._path: tuple[Floats, Floats] | None = None  # polyline (m, 3) m, and direction (3,)
-        self._refused = "no path has come: publish its points on cut_path first"
+        self._refused = "no path has come: publish its points on cut_path first, with reliable QoS"
+        self._asked: _Asked | None = None  # newest cut that the service was asked for
         self._busy, self._exchanging = threading.Lock(), threading.Lock()
         self._heals = self.made = self.refused = 0
         self.seconds = 0.0  # that the newest cut took
@@ -150,23 +167,29 @@ class OrganCutting:
         if path is None:
             response.success, response.message = False, self._refused
             return None
+        cut = *path, self._depth()
+        if self._asked is not None and self._asked.is_same(*cut):
+            made = self._asked.made  # the client repeats a call whose answer takes long
+            return lambda: _tell(response, made)
         if not self._busy.acquire(blocking=False):
             response.success, response.message = (
                 False,
-                f"another cut of {self._name} is being made; wait for its answer",
+                f"another cut of {self._name} is being made, and appears on {self._cuts.topic_name}; then call again",
             )
             return None
-        depth = self._depth()
+        asked = self._asked = _Asked(*cut, Future())
 
         def work() -> None:
             try:
-                response.message = self._cut(*path, depth)
-                response.success = True
-            except (UserError, TimeoutError) as error:
-                self.refused += 1
-                response.success, response.message = False, str(error)
-            finally:
+                text = self._cut(*cut)
+            except Exception as error:  # of any kind: all who wait get it
+                self.refused += isinstance(error, (UserError, TimeoutError))
                 self._busy.release()
+                asked.made.set_exception(error)
+            else:
+                self._busy.release()
+                asked.made.set_result(text)
+            _tell(response, asked.made)
 
         return work
 
@@ -223,6 +246,8 @@ class OrganCutting:
                         break  # the organ was reset, and these cuts with it
                     try:
                         self._take_up(self._served.physics.simulation, (sheet,), time.monotonic(), heals)
+                    except Ending:
+                        break
                     except (UserError, TimeoutError) as error:
                         if heals == self._heals:
                             then = self._blades.refuse(sheet)
@@ -292,6 +317,15 @@ class CuttingParts:
         self._joined.exchange(number, simulation, plan)
         self._contacts.exchange(number, finder, recorder.physics.version)
         self._settings.renew(number)
+
+
+def _tell(response: Trigger.Response, made: Future[str]) -> None:
+    """Answer with what a cut has become, once that is known."""
+    try:
+        response.message = made.result()
+        response.success = True
+    except (UserError, TimeoutError) as error:
+        response.success, response.message = False, str(error)
 
 
 def _status(number: int, cut: CutReport) -> DiagnosticStatus:

@@ -198,9 +198,11 @@ class ToolPort:
 
     def _slipped(self, bearable: float) -> str:
         """Return a line about a tool that has slipped into an organ. bearable: N, with which it is pressed at most."""
+        clamp = self._organs.force_clamp
+        published = f"; its published force is clamped to {clamp:.3g} N (force_clamp)" if bearable > clamp else ""
         return (
-            f"tool '{self.name}' slipped into the tissue: it was pressed deeper than the surface can bear, and is"
-            f" pressed with at most {bearable:.2g} N until it has been outside"
+            f"tool '{self.name}' slipped into the tissue: it was pressed deeper than the surface can bear, and"
+            f" presses on it with at most {bearable:.2g} N until it has been outside{published}"
         )
 
     def report(self, report: Report) -> None:
