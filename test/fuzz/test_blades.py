@@ -58,13 +58,19 @@ def made(number: int) -> Scene:
 
 
 @examples(6)
-@given(number=st.integers(0, len(TOOLS) - 1), toughness=st.floats(0.0, 200.0), acts=acts)
-def test_nothing_is_lost(number, toughness, acts):
+@given(
+    number=st.integers(0, len(TOOLS) - 1),
+    toughness=st.floats(0.0, 200.0),
+    stiffness=st.sampled_from([0.0, 0.0, 200.0, 2000.0]),  # N/m of the coupling; 0: rigid
+    acts=acts,
+)
+def test_nothing_is_lost(number, toughness, stiffness, acts):
     scene, centre = made(number), kidney().surface_positions.mean(axis=0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # cuts that can't be opened are reported
         for act in acts:
-            scene.simulation.settings.toughness = toughness
+            settings = scene.simulation.settings
+            settings.toughness, settings.coupling_stiffness, settings.coupling_damping = toughness, stiffness, 1.0
             if act == "reset":
                 scene.reset()
                 assert not scene.simulation.cuts
