@@ -137,9 +137,8 @@ def test_a_knife_cuts_and_says_how_far_its_force_falls(tmp_path):
 
 @pytest.mark.extended
 def test_scissors_cut_into_a_pole(tmp_path):
-    area, depth = map(float, re.match(r"([\d.]+) mm\^2 cut, ([\d.]+) mm deep", run("scissors", tmp_path)).groups())
-    assert area > 500.0
-    assert depth > 25.0, "as deep as the tips"
+    area = float(re.match(r"([\d.]+) mm\^2 cut", run("scissors", tmp_path))[1])
+    assert 500.0 < area < 900.0, "25 mm of a pole that is up to 33 mm thick"
 
 
 @pytest.mark.extended
