@@ -11,7 +11,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
-BESIDE = [[0.0202, -0.01, 0.031], [0.0202, 0.04, 0.031]], *INCISION[1:]  # 0.2 mm beside nodes: it leaves thin tips
+BESIDE = [[0.0201, -0.01, 0.031], [0.0201, 0.04, 0.031]], *INCISION[1:]  # 0.1 mm beside nodes: it leaves thin tips
 
 
 @pytest.fixture(scope="module")
