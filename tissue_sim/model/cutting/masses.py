@@ -17,7 +17,7 @@ ENOUGH = 1.006  # times the uncut organ's largest eigenvalue: a critical step sh
 MAX_MASS_CHANGE = 0.3  # of a mass's logarithm in a round; also at most twice the relative excess of the eigenvalue
 MIN_MASS_FRACTION = 0.05  # of a node's mass that each of its copies has: a tool would throw a lighter one
 SHARPNESS = 30.0  # exponent by which slower modes count less than the fastest one
-MAX_DAMPING_RATIO = 6.0  # of a copy about its neighbours at rest
+MAX_DAMPING_RATIO = 4.0  # of a copy about its neighbours at rest
 
 
 def distributed_masses(organ: Organ, cut: Organ, frequency: float) -> Floats:
