@@ -52,6 +52,21 @@ def test_a_tool_at_the_clamp_stops_there_and_is_resisted_until_it_leaves(tmp_pat
     assert not lead(scene, 0, line(inside, outside, 150), hold=50)[-1].any()
 
 
+@pytest.mark.parametrize("radius", [0.005, 0.001])
+def test_a_coupled_tool_at_the_clamp_is_held_by_its_spring(radius):
+    """The bound on a small tool's way in a substep is none on its force."""
+    scene = Scene(ball_of_cells(), [Tool("tool", radius=radius)])
+    settings = scene.simulation.settings
+    settings.coupling_stiffness, settings.coupling_damping = 300.0, 1.0
+    force = lead(scene, 0, line(FOOT - [0.0, 0.0, 0.008], FOOT + [0.0, 0.0, 0.005], 300), hold=300)
+    state = scene.simulation.state
+    way = state.held_pose[0, :3] - state.body_pose[0, :3]
+    assert way[2] > 0.005
+    assert force[-1, 2] == pytest.approx(-300.0 * way[2], rel=0.05)
+    np.testing.assert_allclose(force[-1, :2], -300.0 * way[:2], atol=0.15 * 300.0 * way[2])  # it slides between facets
+    assert np.ptp(force[-50:, 2]) < 0.05 * -force[-1, 2], "it doesn't shake"
+
+
 @pytest.mark.parametrize("shape", ["sphere", "jaw", "ring"])
 def test_a_fixed_point_gets_no_deeper_than_the_tool_has_moved(tmp_path, shape):
     if shape == "ring":  # not convex: its distance is interpolated on a grid

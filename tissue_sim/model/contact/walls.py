@@ -13,7 +13,6 @@ from tissue_sim.model.data.arrays import copy
 from tissue_sim.model.data.contact_set import nodes_of
 from tissue_sim.model.data.model import Model
 from tissue_sim.model.data.scratch import Scratch
-from tissue_sim.model.data.settings import Settings
 from tissue_sim.model.data.shapes import Shapes
 from tissue_sim.model.data.state import State
 
@@ -91,17 +90,16 @@ def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
 
 
 @kernel
-def press_walls(state: State, settings: Settings, scratch: Scratch, step: float) -> None:
+def press_walls(state: State, scratch: Scratch, step: float) -> None:
     """Add the impulses with which tools press on the walls that have moved them in this substep to scratch.impulse.
 
-    The spring between hand and tool is balanced by tissue and wall: the wall takes what the tissue doesn't.
+    A coupled tool was moved by its spring and its damper, and a wall has undone that. A rigid one has a spring of
+    STIFFNESS, of which the wall takes what the tissue doesn't.
 
     Parameters
     ----------
     state : State
         State of the simulation.
-    settings : Settings
-        Settings of the simulation.
     scratch : Scratch
         Working memory, with the impulses of this substep on the tissue; updated.
     step : float, s
@@ -112,17 +110,19 @@ def press_walls(state: State, settings: Settings, scratch: Scratch, step: float)
         way = math.sqrt(push[0] * push[0] + push[1] * push[1] + push[2] * push[2])
         if way == 0.0:
             continue
-        stiffness = settings.coupling_stiffness if scratch.give[body] > 0.0 else STIFFNESS
         x, y, z = push[0] / way, push[1] / way, push[2] / way
-        before, now, held, pose = (
-            scratch.wall_before[body],
-            scratch.impulse[body],
-            scratch.held[body],
-            state.body_pose[body],
-        )
-        taken = x * (now[0] - before[0]) + y * (now[1] - before[1]) + z * (now[2] - before[2])
-        beyond = x * (held[0] - pose[0]) + y * (held[1] - pose[1]) + z * (held[2] - pose[2])
-        size = max(0.0, stiffness * step * beyond - max(0.0, taken))
+        if scratch.give[body] > 0.0:
+            size = way / scratch.give[body]
+        else:
+            before, now, held, pose = (
+                scratch.wall_before[body],
+                scratch.impulse[body],
+                scratch.held[body],
+                state.body_pose[body],
+            )
+            taken = x * (now[0] - before[0]) + y * (now[1] - before[1]) + z * (now[2] - before[2])
+            beyond = x * (held[0] - pose[0]) + y * (held[1] - pose[1]) + z * (held[2] - pose[2])
+            size = max(0.0, STIFFNESS * step * beyond - max(0.0, taken))
         count_on_body(scratch, body, scratch.wall_arm[body], (size * x, size * y, size * z))
 
 

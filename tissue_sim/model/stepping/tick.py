@@ -167,7 +167,7 @@ def take_substep(world: World, substep: int) -> None:
     pushed = has_taken_impulses(state, settings)
     state.status.touching = resolve_contacts(world, step, pushed)
     if scratch.n_walls[0] > 0:
-        press_walls(state, settings, scratch, step)
+        press_walls(state, scratch, step)
     store_body_poses(state, scratch)
 
 
