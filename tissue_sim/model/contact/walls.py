@@ -57,8 +57,7 @@ def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
     if scratch.walls_measured[0] == 0:
         measure_walls(state, shapes, scratch)
     deepest, chosen, body, moved = 0.0, -1, -1, 0.0
-    x = y = z = 0.0
-    place = -1
+    x = y = z = px = py = pz = 0.0
     for index in range(scratch.n_walls[0]):
         entry = scratch.wall[index]
         if body != state.contacts.body[entry]:
@@ -70,18 +69,16 @@ def leave_wall(state: State, shapes: Shapes, scratch: Scratch) -> bool:
             continue
         deep = depth_of_wall(state, shapes, scratch, entry)
         if deep > deepest:  # rare; the normal is only computed here
-            _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
+            ox, oy, oz, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
             _, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
             if is_on_outer_side(state, entry, (nx, ny, nz)):
-                deepest, chosen, place, x, y, z = deep, body, entry, nx, ny, nz
+                deepest, chosen, x, y, z = deep, body, nx, ny, nz
+                px, py, pz = ox, oy, oz
     if chosen < 0:
         return False
-    push, arm = scratch.wall_push[chosen], scratch.wall_arm[chosen]
+    push, arm, origin = scratch.wall_push[chosen], scratch.wall_arm[chosen], scratch.origin[chosen]
     push[0], push[1], push[2] = push[0] + deepest * x, push[1] + deepest * y, push[2] + deepest * z
-    for axis in range(3):
-        arm[axis] = -scratch.origin[chosen, axis]
-        for c in range(nodes_of(state.contacts, place)):
-            arm[axis] += state.contacts.weight[place, c] * state.position[state.contacts.node[place, c], axis]
+    arm[0], arm[1], arm[2] = px - origin[0], py - origin[1], pz - origin[2]
     for body in range(len(state.body_pose)):
         if shapes.tool[body] == shapes.tool[chosen]:
             pose = state.body_pose[body]

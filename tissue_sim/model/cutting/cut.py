@@ -162,16 +162,15 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
     held = [[before.divided[number]] for number in kept]
     held.append([one for number, one in enumerate(before.divided) if number not in kept])
     groups = joined_cuts(organ, sheets, here.found, held)
-    cuts = divided_by_cuts(organ, [group.whole for group in groups], organ.fixed)
+    whole = [group.whole for group in groups]
+    cuts = divided_by_cuts(organ, whole, organ.fixed)
     parts = with_sides_of_each(merged_parts(organ, len(groups), cuts), groups)
     found = [group.parts[group.numbers.index(k)] for k in range(len(sheets)) for group in groups if k in group.numbers]
     stiffening = stiffening_of(organ, parts, sheets, [one for one, _ in found])
     after = _organ_of(organ, parts, before.frequency, stiffening)
     surface = _with_walls_of_each(cut_surface(organ, cuts), after.rest_positions, sheets, groups)
     # Pieces are counted as if fixed nodes had virtual nodes, too.
-    free_parts = merged_parts(
-        organ, len(groups), divided_by_cuts(organ, [group.whole for group in groups], organ.fixed[:0])
-    )
+    free_parts = merged_parts(organ, len(groups), divided_by_cuts(organ, whole, organ.fixed[:0]))
     pieces, free = _count(organ, free_parts)
     stiffer = 0 if stiffening is None else int(np.count_nonzero(stiffening != 1.0))
     report = _report(organ, sheet, found[-1][0])._replace(pieces=pieces, free_pieces=free, stiffer_cells=stiffer)

@@ -19,6 +19,7 @@ from tissue_sim.model.cutting.crossing import (
     crossing_among,
     rounded,
 )
+from tissue_sim.model.cutting.point_names import PARTLY_SHARED
 from tissue_sim.model.cutting.sheet import Sheet
 from tissue_sim.organ.organ import Organ
 
@@ -154,7 +155,7 @@ def _check_apart(organ: Organ, one: Crossing, other: Crossing) -> None:
     nodes = organ.cell_nodes[np.intersect1d(one.cells, other.cells)]
     apart = np.minimum(*(np.abs(one.height[nodes] - way * other.height[nodes]).max(axis=1) for way in (1, -1)))
     if np.any(apart < APART * one.advance / ADVANCE):
-        raise UserError("the cut lies partly in the surface of an earlier one; move it by a millimetre, or keep to it")
+        raise UserError(PARTLY_SHARED)
 
 
 def _joined(

@@ -18,6 +18,8 @@ from tissue_sim.organ.organ import Organ
 
 PARALLEL = 1e-9  # sum of the minors of two sheets' heights, relative to their sizes, below which they are parallel
 
+PARTLY_SHARED = "the cut lies partly in the surface of an earlier one; move it by a millimetre, or keep to it"
+
 Name = tuple[tuple[int, ...], tuple[int, ...]]  # nodes between which a point lies, and sheets on which it lies
 Line = tuple[tuple[int, ...], tuple[int, ...]]  # an edge; or a face and a sheet, whose intersection the line is
 
@@ -55,9 +57,7 @@ class Names:
                 found = signs * minors
                 total = found.sum()
                 if not abs(total) > PARALLEL * np.abs(found).sum():
-                    raise UserError(
-                        "the cut lies partly in the surface of an earlier one; move it by a millimetre, or keep to it"
-                    )
+                    raise UserError(PARTLY_SHARED)
                 found = found / total
             self._weights[name] = found
         return found

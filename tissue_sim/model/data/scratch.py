@@ -23,7 +23,7 @@ class Plan(Record):
 
 
 class MobilityKey(Record):
-    """What mobilities were computed for."""
+    """Values for which the mobilities were computed."""
 
     step: float  # s; 0: for nothing yet
     damping: float
