@@ -108,6 +108,29 @@ def running_node(folder: Path, *parameters: str, **environment: str) -> Iterator
     assert "Traceback" not in process.text()
 
 
+@contextmanager
+def stopped(pid: int) -> Iterator[None]:
+    """A process stands still meanwhile, however long a busy machine takes to stop it."""
+    os.kill(pid, signal.SIGSTOP)
+    threads = Path(f"/proc/{pid}/task")
+    try:
+        wait_for(lambda: all(one.read_text().rpartition(")")[2].split()[0] == "T" for one in threads.glob("*/stat")))
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+def cut_process(node: Process) -> int:
+    """Number of the process that makes a node's cuts, which it starts before the first one."""
+
+    def found() -> list[int]:
+        children = " ".join(one.read_text() for one in Path(f"/proc/{node.child.pid}/task").glob("*/children"))
+        return [int(pid) for pid in children.split() if "cut_program" in Path(f"/proc/{pid}/cmdline").read_text()]
+
+    wait_for(lambda: bool(found()), "the node makes no cuts")
+    return found()[0]
+
+
 def start_publisher(folder: Path, depth: float) -> Process:
     """A second process that presses the shipped kidney by depth m with tool `left`; on SIGTERM it leaves and ends."""
     return Process([PUBLISHER, f"--depth={depth}"], folder / "publisher.log")

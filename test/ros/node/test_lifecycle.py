@@ -27,6 +27,7 @@ from helpers.ros.processes import (
     running_node,
     shipped,
     start_node,
+    stopped,
 )
 from helpers.ros.replaying import repeated
 from helpers.scenes import ball
@@ -119,12 +120,9 @@ def test_a_small_load_that_moves_a_local_region_is_counted_and_its_bag_repeats(t
 
 
 def hold_up(child, seconds):
-    """Stop a process for so many s, counted from when it stands: a busy machine takes its time to stop it."""
-    os.kill(child.pid, signal.SIGSTOP)
-    stopped = Path(f"/proc/{child.pid}/task")
-    wait_for(lambda: all(one.read_text().rpartition(")")[2].split()[0] == "T" for one in stopped.glob("*/stat")))
-    time.sleep(seconds)
-    os.kill(child.pid, signal.SIGCONT)
+    """Stop a process for so many s, counted from when it stands."""
+    with stopped(child.pid):
+        time.sleep(seconds)
 
 
 def test_time_that_was_lost_is_reported(client, node):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from std_srvs.srv import SetBool, Trigger
 
-from helpers.ros.processes import UNHURRIED, press_until_contact, running_node, shipped
+from helpers.ros.processes import UNHURRIED, cut_process, press_until_contact, running_node, shipped, stopped
 from helpers.ros.replaying import repeated
 from helpers.ros.surgeon import DEPTH, EDGE, Surgeon
 from tissue_sim.model.simulation import Simulation
@@ -97,13 +97,15 @@ def test_a_paused_node_is_cut_at_once(client):
     assert client.report()["cuts"] == "1"
 
 
-def test_a_call_that_is_repeated_gets_the_answer_of_the_first(client):
+def test_a_call_that_is_repeated_gets_the_answer_of_the_first(client, node):
     assert client.set_parameter("cut_depth", DEPTH).successful
     client.send_path(EDGE)
     service = client.node.create_client(Trigger, f"{client.below}/cut")
     assert service.wait_for_service(30.0)
     before = int(client.report()["cuts_made"])
-    asked = [service.call_async(Trigger.Request()) for _ in range(3)]
+    with stopped(cut_process(node)):
+        asked = [service.call_async(Trigger.Request()) for _ in range(3)]
+        client.spin(1.0)
     assert client.spin_until(lambda: all(one.done() for one in asked))
     first, *others = [one.result() for one in asked]
     assert first.success, first.message
@@ -111,14 +113,17 @@ def test_a_call_that_is_repeated_gets_the_answer_of_the_first(client):
     assert int(client.report()["cuts_made"]) == before + 1
 
 
-def test_another_cut_meanwhile_is_refused_and_told_where_the_first_one_appears(client):
+def test_another_cut_meanwhile_is_refused_and_told_where_the_first_one_appears(client, node):
     client.send_path(EDGE)
     service = client.node.create_client(Trigger, f"{client.below}/cut")
     assert service.wait_for_service(30.0)
-    asked = service.call_async(Trigger.Request())
-    assert client.set_parameter("cut_depth", DEPTH + 0.003).successful
-    other = service.call_async(Trigger.Request())
-    assert client.spin_until(lambda: other.done() and asked.done())
+    with stopped(cut_process(node)):
+        asked = service.call_async(Trigger.Request())
+        assert client.set_parameter("cut_depth", DEPTH + 0.003).successful
+        other = service.call_async(Trigger.Request())
+        assert client.spin_until(other.done)
+        assert not asked.done()
+    assert client.spin_until(asked.done)
     assert asked.result().success, asked.result().message
     assert not other.result().success
     assert other.result().message.endswith("is being made, and appears on /tissue_sim/cuts; then call again")
