@@ -1,6 +1,5 @@
 """How the node starts, lives beside others, changes while it runs, and ends: real processes."""
 
-import os
 import re
 import signal
 import time
