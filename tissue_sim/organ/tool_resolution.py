@@ -16,7 +16,7 @@ from tissue_sim.organ.surfaces import sizing
 
 FINE, FINE_WITHIN = 1.0, 8.0  # mean edges, %
 FAIR, FAIR_WITHIN = 0.5, 15.0
-CUT_EDGES = 2.0  # edges of the surface, from which depth on a cut counts as resolved
+CUT_EDGES = 2.0  # edges of the surface that a cut must be deep, and its lips thick, to count as resolved
 MOST_POINTS = 20_000  # that a balloon has been tried with
 KIDNEY = 1.34e-4  # m^3; in a smaller organ lengths that a kidney is judged by shrink with the root of its volume
 

@@ -191,7 +191,7 @@ def crossing_among(
     bare = (weight * sheet.covers(place).reshape(weight.shape)).sum(axis=1)
     cut = bare > 0.0
     advance = ADVANCE * float(size[cut].mean()) if cut.any() else 0.0
-    reached = sheet.covers(place, advance) & ~_beyond(points, place, sheet, others, MARGIN * advance)
+    reached = sheet.covers_advanced(place, advance) & ~_beyond(points, place, sheet, others, MARGIN * advance)
     if shared is not None:
         reached &= ~_bridged(points, place, sheet, shared.sheets)
     covered = reached.reshape(weight.shape)

@@ -18,6 +18,7 @@ from tissue_sim.model.cutting.joining import Divided, JoinedCuts, includes, join
 from tissue_sim.model.cutting.masses import damping_of_copies, distributed_masses, fastest_mode
 from tissue_sim.model.cutting.parts import Parts, divided_by_cuts, merged_parts, with_sides_of_each
 from tissue_sim.model.cutting.sheet import Sheet, finer_organ
+from tissue_sim.model.cutting.thickness import lip_thickness, with_ligament
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.tool_resolution import CUT_EDGES
 from tissue_sim.organ.topology import cell_pieces
@@ -29,8 +30,9 @@ class CutReport(NamedTuple):
     centre: tuple[float, float, float]  # m, of the divided cells at rest
     area: float  # m^2, of the sheet inside the tissue
     depth: float  # m below the surface, where it is deepest
-    resolved: bool  # deep enough for the surface's edges
-    resolved_from: float  # m, least depth at which it is resolved
+    resolved: bool  # it is deep enough for the surface's edges, and its lips are thick enough
+    resolved_from: float  # m, least depth, and least thickness of its lips, at which it is resolved
+    lip: float  # m, thickness of the thinner lip: from the sheet to the surface
     advance: float  # m by which the front was moved, as the cells are too coarse for the stress there
     cells_cut: int  # divided cells
     front_cells: int  # those of them that are cut partly
@@ -57,9 +59,10 @@ class CutReport(NamedTuple):
         if self.pieces > 1:
             text += f"; {self.pieces} pieces, {self.free_pieces} of them free"
         if not self.resolved:
-            text += (
-                f"; not resolved: a cut is from {1e3 * self.resolved_from:.1f} mm on, two edges of the surface there"
-            )
+            least = f"{1e3 * self.resolved_from:.1f} mm"
+            lip = f"its thinner lip is {1e3 * self.lip:.1f} mm thick, and a lip is from {least} on"
+            why = f"a cut is from {least} on" if self.depth < self.resolved_from else lip
+            text += f"; not resolved: {why}, two edges of the surface there"
             text += f"; {self.finer}" if self.finer else ""
         return text
 
@@ -154,6 +157,7 @@ def cut_again(before: CutOrgan, sheet: Sheet) -> CutOrgan:
         If the cut divides no cell, or meets an earlier one where the surface can't be split.
     """
     organ = before.uncut
+    sheet = with_ligament(organ, sheet)
     here = _beside_others(before, sheet)
     if here.over is not None:
         made = cut_again(before, here.over)
@@ -270,14 +274,17 @@ def _earlier(before: CutOrgan, sheet: Sheet) -> Earlier | None:
 def _report(organ: Organ, sheet: Sheet, crossing: Crossing) -> CutReport:
     """Return the report of a cut from its sheet and the cells that it crosses."""
     resolved_from = CUT_EDGES * sheet.edge_at(organ)
+    lip = lip_thickness(organ, sheet)
+    resolved = min(sheet.reached, lip) >= resolved_from
     front = int(np.count_nonzero(crossing.cut_fraction < 1.0))
     x, y, z = organ.rest_positions[organ.cell_nodes[crossing.cells]].mean(axis=(0, 1)).tolist()
     return CutReport(
         centre=(x, y, z),
         area=crossing.area,
         depth=sheet.reached,
-        resolved=sheet.reached >= resolved_from,
+        resolved=resolved,
         resolved_from=resolved_from,
+        lip=lip,
         advance=crossing.advance,
         cells_cut=len(crossing.cells),
         front_cells=front,
@@ -285,7 +292,7 @@ def _report(organ: Organ, sheet: Sheet, crossing: Crossing) -> CutReport:
         new_nodes=0,
         pieces=1,
         free_pieces=0,
-        finer="" if sheet.reached >= resolved_from else finer_organ(organ, sheet),
+        finer="" if resolved else finer_organ(organ, sheet, lip),
     )
 
 

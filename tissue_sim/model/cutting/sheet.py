@@ -26,7 +26,13 @@ NEAR = 1.5  # mean edges from a sheet within which the surface's edges are those
 FINER_WITHIN = 1.5  # mean edges around a cut within which a finer surface is proposed
 MAX_REPORTED = 8  # points of a polyline in a message
 SAMPLES = 4  # points of the polyline per mean edge, at which its depth below the surface is computed
+# Parts of the tissue beyond an end of the sheet, and below it, by which the front is moved there at most: the rest
+# holds both sides together. Below, it is a hinge, which bends easily.
+PART_BESIDE, PART_BELOW = 0.5, 0.75
 CLOSEST = 2.0  # mean edges, least distance between different parts of a polyline
+
+
+Each = float | Floats  # for all points, or for each
 
 
 class Place(NamedTuple):
@@ -44,6 +50,19 @@ class Coagulation(NamedTuple):
     spread: float = 0.0  # m from the cut that the heat reaches
 
 
+class Ligament(NamedTuple):
+    """Thickness of the tissue beyond a sheet, as far as the surface; MAX_DEPTH where its front is not in tissue.
+
+    k places along the sheet, j of each end.
+    """
+
+    along: Floats  # (k,) m along the polyline
+    below: Floats  # (k,) m, of the tissue below the sheet
+    deep: Floats  # (j,) m from the polyline along the direction
+    before: Floats  # (j,) m, of the tissue before its beginning
+    after: Floats  # (j,) m, and after its end
+
+
 class Sheet(NamedTuple):
     """Ruled surface between a polyline and the same polyline moved by the depth along a direction."""
 
@@ -56,6 +75,7 @@ class Sheet(NamedTuple):
     depths: Floats  # (m,) m, of each corner of the polyline, and linear between them
     mark: int = 0  # number of the blade's cut of which it is a stage; 0: not made by a blade
     coagulation: Coagulation = Coagulation()
+    ligament: Ligament | None = None  # None: not yet known
 
     @property
     def flat(self) -> Floats:
@@ -107,10 +127,38 @@ class Sheet(NamedTuple):
         more : float, m, optional
             Distance by which its front is moved.
         """
+        return self._covers(place, more, more, more)
+
+    def covers_advanced(self, place: Place, advance: float) -> Mask:
+        """Return which of the points are on the sheet itself, with its front moved into the tissue.
+
+        Where little tissue is left beyond the front, it is moved by a part of that, so that both sides hang together.
+
+        Parameters
+        ----------
+        place : Place
+            Where the points lie.
+        advance : float, m
+            Distance by which the front is moved elsewhere.
+        """
+        if self.ligament is None:
+            return self.covers(place, advance)
+        along, below, deep, before, after = self.ligament
+        before, after = (np.minimum(PART_BESIDE * each, advance) for each in (before, after))
+        below = np.minimum(PART_BELOW * below, advance)
+        return self._covers(
+            place,
+            np.interp(place.below, deep, before),
+            np.interp(place.below, deep, after),
+            np.interp(place.along, along, below),
+        )
+
+    def _covers(self, place: Place, before: Each, after: Each, below: Each) -> Mask:
+        """Return which points are covered by the sheet and so much more, m: before, after and below it."""
         begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.flat, axis=0), axis=1))])
-        within = (place.along >= -more) & (place.along <= begins[-1] + more)
+        within = (place.along >= -before) & (place.along <= begins[-1] + after)
         depth = np.interp(place.along, begins, self.depths)
-        covered: Mask = within & (place.below >= -self.rise) & (place.below <= depth + more)
+        covered: Mask = within & (place.below >= -self.rise) & (place.below <= depth + below)
         return covered
 
     def nearest(self, place: Place, margin: float) -> Floats:
@@ -211,7 +259,7 @@ def sheet_of(organ: Organ, polyline: ArrayLike, direction: ArrayLike, depth: flo
     return found
 
 
-def finer_organ(organ: Organ, sheet: Sheet) -> str:
+def finer_organ(organ: Organ, sheet: Sheet, lip: float = float("inf")) -> str:
     """Return the text of a command that makes an organ which resolves a cut, and of its cost.
 
     Parameters
@@ -220,10 +268,12 @@ def finer_organ(organ: Organ, sheet: Sheet) -> str:
         The organ.
     sheet : Sheet
         The cut.
+    lip : float, m, optional
+        Thickness of its thinner lip.
     """
     positions, triangles = organ.surface_positions, organ.surface_triangles
     edge = mean_edge(positions, triangles)
-    wanted, radius = sheet.reached / CUT_EDGES, FINER_WITHIN * edge
+    wanted, radius = min(sheet.reached, lip) / CUT_EDGES, FINER_WITHIN * edge
     place = sheet.place(positions)
     near = (np.abs(place.across) < NEAR * edge) & sheet.covers(place, 0.5 * edge)
     sunk = float(np.median(place.below[near])) if near.any() else 0.0

@@ -339,6 +339,7 @@ def _status(number: int, cut: CutReport) -> DiagnosticStatus:
         "z_m": z,
         "area_m2": cut.area,
         "depth_m": cut.depth,
+        "lip_m": cut.lip,
         "resolved": cut.resolved,
         "pieces": cut.pieces,
         "free_pieces": cut.free_pieces,

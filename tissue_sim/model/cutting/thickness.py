@@ -1,0 +1,87 @@
+"""Thickness of the tissue around a cut: beyond its front, which bounds the advance of that, and of its lips."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.model.cutting.sheet import MAX_DEPTH, SAMPLES, Ligament, Sheet
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surfaces.line_hits import line_hits
+from tissue_sim.organ.surfaces.sizing import mean_edge
+from tissue_sim.organ.winding import inside
+
+SLANT = 0.5**0.5  # cosine of the angle between the two lines along which tissue beyond an end is measured
+LIP_SAMPLES = 8  # places along a sheet, and as many below each, at which the thickness of its lips is computed
+
+
+def with_ligament(organ: Organ, sheet: Sheet) -> Sheet:
+    """Return a sheet that knows how much tissue there is beyond it; itself where it does already.
+
+    Beyond an end, tissue is measured along it, straight and on a slant into the organ, and the larger thickness counts:
+    beside a surface that is flat or curved there is little straight ahead.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    sheet : Sheet
+        The cut.
+    """
+    if sheet.ligament is not None:
+        return sheet
+    flat = sheet.flat
+    begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])
+    edge = mean_edge(organ.surface_positions, organ.surface_triangles)
+    count = int(np.ceil(SAMPLES * begins[-1] / edge)) + 1
+    along = np.linspace(0.0, begins[-1], count)
+    deep = np.linspace(0.0, sheet.depth, int(np.ceil(SAMPLES * sheet.depth / edge)) + 1)
+    top = np.stack([np.interp(along, begins, sheet.polyline[:, axis]) for axis in range(3)], axis=1)
+    front = top + np.interp(along, begins, sheet.depths)[:, None] * sheet.direction
+    ends = []
+    for corner, (last, other) in ((sheet.polyline[0], flat[:2]), (sheet.polyline[-1], flat[:-3:-1])):
+        outward = (last - other) / np.linalg.norm(last - other) @ sheet.frame
+        points = corner + deep[:, None] * sheet.direction
+        straight = _tissue_beyond(organ, points, outward)
+        slanted = _tissue_beyond(organ, points, SLANT * (outward + sheet.direction))
+        ends.append(np.maximum(straight, SLANT * slanted))
+    return sheet._replace(ligament=Ligament(along, _tissue_beyond(organ, front, sheet.direction), deep, *ends))
+
+
+def _tissue_beyond(organ: Organ, points: Floats, direction: Floats) -> Floats:
+    """Return how far it is from points (k, 3) m along a direction to the surface, (k,) m; MAX_DEPTH outside."""
+    where = line_hits(organ, points, direction)
+    first = np.where(where > 0.0, where, MAX_DEPTH).min(axis=1)
+    return np.where(inside(points, organ.surface_positions, organ.surface_triangles), first, MAX_DEPTH)
+
+
+def lip_thickness(organ: Organ, sheet: Sheet) -> float:
+    """Return the thickness, m, of the thinner lip of a cut: across the sheet, from there to the surface.
+
+    It is the median over the part of the sheet that lies in tissue; infinite where none does.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    sheet : Sheet
+        The cut.
+    """
+    begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(sheet.flat, axis=0), axis=1))])
+    middle = (np.arange(LIP_SAMPLES) + 0.5) / LIP_SAMPLES
+    along = middle * begins[-1]
+    top = np.stack([np.interp(along, begins, sheet.polyline[:, axis]) for axis in range(3)], axis=1)
+    below = middle * np.interp(along, begins, sheet.depths)[:, None] + np.zeros((LIP_SAMPLES, LIP_SAMPLES))
+    points = top[:, None] + below[:, :, None] * sheet.direction
+    within = inside(points.reshape(-1, 3), organ.surface_positions, organ.surface_triangles)
+    segment = np.searchsorted(begins, along, side="right") - 1
+    thick = [np.zeros((0, 2))]
+    for place, rows, (run_x, run_y) in zip(
+        points, within.reshape(-1, LIP_SAMPLES), np.diff(sheet.flat, axis=0)[segment], strict=True
+    ):
+        normal = np.array([-run_y, run_x]) @ sheet.frame
+        where = line_hits(organ, place[rows], normal / np.linalg.norm(normal))
+        ahead, behind = np.where(where > 0.0, where, np.inf), np.where(where < 0.0, -where, np.inf)
+        thick.append(np.stack([ahead.min(axis=1), behind.min(axis=1)], axis=1))
+    found = np.concatenate(thick)
+    return float(np.median(found, axis=0).min()) if len(found) else float("inf")
