@@ -23,7 +23,7 @@ from tissue_sim.organ.organ import Organ
 
 MOST_MEAN, MOST_WORST, MOST_GAP, MOST_FORCE = 4.0, 15.0, 20.0, 10.0  # %
 _HEAD = ("apart", "uncut", "cut", "gap", "left out", "touch", "cut", "free")
-_OWN = ("edges", "force", "energy", "+-", "points", "cells", "step, us")
+_OWN = ("edges", "lip", "force", "energy", "+-", "points", "cells", "step, us")
 CHANGES = 5.0  # %, by which the cut changes the displacement under a load whose released energy is compared
 
 
@@ -32,6 +32,7 @@ class Compared(NamedTuple):
 
     cut: Cut
     edges: float  # depth, in mean edges of the surface
+    lip: float  # thickness of the thinner lip, in mean edges of the surface
     resolved: bool
     names: tuple[str, ...]
     error: Floats  # (c,) of the displacement
@@ -72,6 +73,7 @@ def compared(organ: Organ, cut: Cut, reference: Reference, edge: float, finer: O
     return Compared(
         cut=cut,
         edges=cut.depth / edge,
+        lip=model.cuts[-1].lip / edge,
         resolved=opened.resolved,
         names=reference.names,
         error=100.0 * errors(moved, reference.displacement),
@@ -174,6 +176,7 @@ def _own(one: Compared) -> JsonObject:
     """Return the figures that belong to a cut as a whole, and those of each load."""
     return {
         "edges": one.edges,
+        "lip_edges": one.lip,
         "resolved": one.resolved,
         "not_settled": int(np.count_nonzero(~one.settled)),
         "force_percent": one.force if math.isfinite(one.force) else None,
@@ -197,7 +200,8 @@ def text(found: JsonObject) -> str:
         "the organ before the cut; left out: of the uncut organ against the cut one; free: against lips that pass",
         "through each other, as the model's do), of the opening along the lips (gap), of the force that opens the cut",
         "by 5 mm, and of the energy that the cut releases; edges: depth in mean edges of the surface, * not resolved;",
-        "+-: error of the finite elements, at most; points of the surface, cells after the cut, critical step",
+        "lip: thickness of the thinner lip, in the same; +-: error of the finite elements, at most; points of the",
+        "surface, cells after the cut, critical step",
         "",
         *aligned([["cut, mm", *_HEAD, *_OWN], *map(_cells, found["rows"])]),
         "",
@@ -220,7 +224,7 @@ def _cells(row: JsonObject) -> list[str]:
 
     apart, touch = row["apart"], row["touch"]
     edges = "-" if "edges" not in row else f"{row['edges']:.1f}{'' if row['resolved'] else ' *'}"
-    own = [_number(row.get(key)) for key in ("force_percent", "energy_percent", "reference_percent")]
+    own = [_number(row.get(key)) for key in ("lip_edges", "force_percent", "energy_percent", "reference_percent")]
     own += [f"{row[key]:.0f}" if key in row else "-" for key in ("points", "cells", "critical_step_us")]
     return [
         *(row["name"], str(apart["loads"]), pair("apart", "uncut_"), pair("apart", ""), _number(apart["gap_percent"])),

@@ -18,6 +18,7 @@ from tissue_sim.calibration.calibrate import calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.model.cutting.sheet import FINER_WITHIN, Sheet
+from tissue_sim.model.cutting.thickness import lip_thickness
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.refined import places_on, refined
 from tissue_sim.organ.refinement import Along, Refinement
@@ -27,7 +28,7 @@ from tissue_sim.organ.topology import node_area
 from tissue_sim.result_cache import user_cache
 from tissue_sim.version import __version__
 
-HALF = 0.5  # of the edges that there are: wanted at the cut, or shorter ones where it is less than two of these deep
+HALF = 0.5  # of the edges that there are: wanted at the cut, or shorter ones where it is less than two of these deep, or a lip thick
 # Its assessment by held-out loads takes half of a calibration's time and doesn't change the organ.
 SETTINGS = Settings(smooth=1, sharp=0)
 
@@ -66,9 +67,9 @@ def finer_organ(organ: Organ, cut: Cut) -> Organ:
     Returns the finer organ; it is kept in the user's cache. Raises UserError as a calibration does.
     """
     edge = mean_edge(organ.surface_positions, organ.surface_triangles)
-    line = placed(organ, cut).sheet.polyline
-    wanted = min(HALF * edge, cut.depth / CUT_EDGES)
-    start = refined(organ, Refinement(places=(Along(line, FINER_WITHIN * edge, wanted),)))
+    sheet = placed(organ, cut).sheet
+    wanted = min(HALF * edge, min(cut.depth, lip_thickness(organ, sheet)) / CUT_EDGES)
+    start = refined(organ, Refinement(places=(Along(sheet.polyline, FINER_WITHIN * edge, wanted),)))
     inputs = {"organ": start.digest(), "version": __version__, **asdict(SETTINGS)}
     folder = user_cache() / f"finer-{__version__}"
     path = folder / f"{cut.organ}-{start.digest()[:16]}.npz"
