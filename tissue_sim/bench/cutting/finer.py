@@ -28,7 +28,7 @@ from tissue_sim.organ.topology import node_area
 from tissue_sim.result_cache import user_cache
 from tissue_sim.version import __version__
 
-HALF = 0.5  # of the edges that there are: wanted at the cut, or shorter ones where it is less than two of these deep, or a lip thick
+HALF = 0.5  # of the edges that there are: wanted at the cut, or half of its depth or of a lip if that is less
 # Its assessment by held-out loads takes half of a calibration's time and doesn't change the organ.
 SETTINGS = Settings(smooth=1, sharp=0)
 
