@@ -255,7 +255,7 @@ def test_a_shallow_cut_is_told_as_not_resolved():
     polyline = [[-0.01, 0.0, 0.03], [0.01, 0.0, 0.03]]
     shallow, deep = (Simulation(organ).cut(polyline, DOWN, depth).cuts[0] for depth in (0.01, 0.025))
     assert (shallow.resolved, deep.resolved) == (False, True)
-    assert "not resolved" in str(shallow)
+    assert "not resolved: it is 9.6 mm deep, and needs " in str(shallow)
     assert "calibrate ORGAN --refine=-10.0,0.0," in str(shallow)
     assert "times as long" in str(shallow)
     assert "not resolved" not in str(deep)

@@ -31,7 +31,6 @@ SAMPLES = 4  # points of the polyline per mean edge, at which its depth below th
 PART_BESIDE, PART_BELOW = 0.5, 0.75
 CLOSEST = 2.0  # mean edges, least distance between different parts of a polyline
 
-
 Each = float | Floats  # for all points, or for each
 
 

@@ -12,6 +12,8 @@ from tissue_sim.organ.surfaces.sizing import mean_edge
 from tissue_sim.organ.winding import inside
 
 SLANT = 0.5**0.5  # cosine of the angle between the two lines along which tissue beyond an end is measured
+MAX_SAMPLES = 1000  # places along a front at which the tissue beyond it is measured
+AT_ONCE = 32  # lines through all triangles, which limits the memory that they take
 LIP_SAMPLES = 8  # places along a sheet, and as many below each, at which the thickness of its lips is computed
 
 
@@ -32,10 +34,12 @@ def with_ligament(organ: Organ, sheet: Sheet) -> Sheet:
         return sheet
     flat = sheet.flat
     begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])
-    edge = mean_edge(organ.surface_positions, organ.surface_triangles)
-    count = int(np.ceil(SAMPLES * begins[-1] / edge)) + 1
-    along = np.linspace(0.0, begins[-1], count)
-    deep = np.linspace(0.0, sheet.depth, int(np.ceil(SAMPLES * sheet.depth / edge)) + 1)
+    spacing = mean_edge(organ.surface_positions, organ.surface_triangles) / SAMPLES
+    lowest = float((organ.surface_positions @ sheet.direction).max() - (sheet.polyline @ sheet.direction).min())
+    along, deep = (
+        np.linspace(0.0, far, int(np.ceil(min(far / spacing, MAX_SAMPLES))) + 1)
+        for far in (begins[-1], min(sheet.depth, max(lowest, spacing)))
+    )
     top = np.stack([np.interp(along, begins, sheet.polyline[:, axis]) for axis in range(3)], axis=1)
     front = top + np.interp(along, begins, sheet.depths)[:, None] * sheet.direction
     ends = []
@@ -50,9 +54,12 @@ def with_ligament(organ: Organ, sheet: Sheet) -> Sheet:
 
 def _tissue_beyond(organ: Organ, points: Floats, direction: Floats) -> Floats:
     """Return how far it is from points (k, 3) m along a direction to the surface, (k,) m; MAX_DEPTH outside."""
-    where = line_hits(organ, points, direction)
-    first = np.where(where > 0.0, where, MAX_DEPTH).min(axis=1)
-    return np.where(inside(points, organ.surface_positions, organ.surface_triangles), first, MAX_DEPTH)
+    found = np.full(len(points), MAX_DEPTH)
+    within = np.flatnonzero(inside(points, organ.surface_positions, organ.surface_triangles))
+    for part in np.split(within, range(AT_ONCE, len(within), AT_ONCE)):
+        where = line_hits(organ, points[part], direction)
+        found[part] = np.where(where > 0.0, where, MAX_DEPTH).min(axis=1)
+    return found
 
 
 def lip_thickness(organ: Organ, sheet: Sheet) -> float:
