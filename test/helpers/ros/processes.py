@@ -127,8 +127,7 @@ def cut_process(node: Process) -> int:
         children = " ".join(one.read_text() for one in Path(f"/proc/{node.child.pid}/task").glob("*/children"))
         return [int(pid) for pid in children.split() if "cut_program" in Path(f"/proc/{pid}/cmdline").read_text()]
 
-    wait_for(lambda: bool(found()), "the node makes no cuts")
-    return found()[0]
+    return wait_for(found, "the node makes no cuts")[0]
 
 
 def start_publisher(folder: Path, depth: float) -> Process:

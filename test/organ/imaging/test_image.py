@@ -223,6 +223,7 @@ def test_a_large_ct_takes_little_more_than_its_own_memory(tmp_path):
     code = (  # the first image brings libraries and kernels with it, which are not the image's
         "import re, sys; from tissue_sim.organ.imaging.image_file import read_image; read_image(sys.argv[2])\n"
         "peak = lambda: 1024 * int(re.search(r'VmHWM:\\s+(\\d+)', open('/proc/self/status').read())[1])\n"
+        "open('/proc/self/clear_refs', 'w').write('5')  # the peak counts from here\n"
         "before = peak(); volume = read_image(sys.argv[1]); print((peak() - before) / volume.array.size)"
     )
     for source, most in (("ct.nrrd", 6.8), ("series", 5.2)):  # bytes a voxel: float32, and int16 before it
@@ -232,8 +233,7 @@ def test_a_large_ct_takes_little_more_than_its_own_memory(tmp_path):
             text=True,
             check=True,
         )
-        # Below 4 where a machine short of memory has put some of it elsewhere.
-        assert 2.0 < float(run.stdout) < most, source
+        assert 3.5 < float(run.stdout) < most, source
 
 
 def test_masks_choose_a_label(tmp_path):

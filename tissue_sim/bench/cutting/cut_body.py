@@ -184,9 +184,8 @@ def _mesh(organ: Organ, sheet: Sheet, sizes: Sizes, parted: bool) -> Opened:
 
 def _places(sheet: Sheet, spacing: float) -> tuple[Floats, Floats]:
     """Return points within a sheet, and along its front, about so far apart, m."""
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(sheet.flat, axis=0), axis=1))])
-    run = np.linspace(0.0, length[-1], int(np.ceil(length[-1] / spacing)) + 1)
-    edge = np.stack([np.interp(run, length, sheet.polyline[:, axis]) for axis in range(3)], axis=1)
+    length = sheet.begins[-1]
+    edge = sheet.top(np.linspace(0.0, length, int(np.ceil(length / spacing)) + 1))
     deep = np.linspace(0.0, sheet.depth, int(np.ceil(sheet.depth / spacing)) + 1)
     grid = edge[:, None] + deep[:, None] * sheet.direction
     front = np.concatenate([grid[:, -1], grid[0], grid[-1]])

@@ -42,7 +42,7 @@ class Settled(NamedTuple):
 def lips_of(cut: CutOrgan) -> Lips:
     """Return places evenly along the lips of an organ's last cut."""
     sheet, uncut = cut.sheets[-1], cut.uncut
-    points = _along(sheet.polyline, sheet.flat)
+    points = sheet.top(np.linspace(0.0, sheet.begins[-1], SAMPLES))
     below, above = np.flatnonzero(cut.side < 0), np.flatnonzero(cut.side > 0)
     below = below[np.argsort(cut.cell_of[below])]
     above = above[np.argsort(cut.cell_of[above])]
@@ -53,13 +53,6 @@ def lips_of(cut: CutOrgan) -> Lips:
     best = np.argmax(weights.min(axis=2), axis=1)
     nodes = cut.organ.cell_nodes.astype(np.int64)
     return Lips(nodes[below[best]], nodes[above[best]], weights[np.arange(SAMPLES), best])
-
-
-def _along(polyline: Floats, flat: Floats) -> Floats:
-    """Return points (SAMPLES, 3) m evenly along a polyline, measured in the plane (m, 2) across its direction."""
-    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])
-    places = np.linspace(0.0, run[-1], SAMPLES)
-    return np.stack([np.interp(places, run, polyline[:, axis]) for axis in range(3)], axis=1)
 
 
 class Modelled:

@@ -59,10 +59,10 @@ class CutReport(NamedTuple):
         if self.pieces > 1:
             text += f"; {self.pieces} pieces, {self.free_pieces} of them free"
         if not self.resolved:
-            size = self.depth if self.depth < self.resolved_from else self.lip
-            what = "it is {:.1f} mm deep" if size == self.depth else "its thinner lip is {:.1f} mm thick"
-            text += f"; not resolved: {what.format(1e3 * size)}, and needs {1e3 * self.resolved_from:.1f} mm,"
-            text += " two edges of the surface there"
+            deep, lip = f"it is {1e3 * self.depth:.1f} mm deep", f"its thinner lip is {1e3 * self.lip:.1f} mm thick"
+            lack = deep if self.depth < self.resolved_from else lip
+            needed = f"{1e3 * self.resolved_from:.1f} mm, two edges of the surface there"
+            text += f"; not resolved: {lack}, and needs {needed}"
             text += f"; {self.finer}" if self.finer else ""
         return text
 

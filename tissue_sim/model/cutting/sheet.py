@@ -12,6 +12,7 @@ from tissue_sim.array_types import Floats, Mask
 from tissue_sim.directions import across
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.polyline import arc_length
 from tissue_sim.organ.refinement import Along, Refinement, points_with
 from tissue_sim.organ.surfaces.line_hits import line_hits
 from tissue_sim.organ.surfaces.sizing import local_edges, mean_edge
@@ -81,6 +82,16 @@ class Sheet(NamedTuple):
         """The polyline's corners (m, 2) m in the plane across the direction."""
         flat: Floats = self.polyline @ self.frame.T
         return flat
+
+    @property
+    def begins(self) -> Floats:
+        """The places of the polyline's corners along it, (m,) m; the last one is its length."""
+        return arc_length(self.flat)
+
+    def top(self, along: Floats) -> Floats:
+        """Return the points (k, 3) m of the polyline at places along it, (k,) m."""
+        begins = self.begins
+        return np.stack([np.interp(along, begins, self.polyline[:, axis]) for axis in range(3)], axis=1)
 
     def place(self, points: Floats) -> Place:
         """Return the places of points relative to the sheet.
@@ -154,7 +165,7 @@ class Sheet(NamedTuple):
 
     def _covers(self, place: Place, before: Each, after: Each, below: Each) -> Mask:
         """Return which points are covered by the sheet and so much more, m: before, after and below it."""
-        begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.flat, axis=0), axis=1))])
+        begins = self.begins
         within = (place.along >= -before) & (place.along <= begins[-1] + after)
         depth = np.interp(place.along, begins, self.depths)
         covered: Mask = within & (place.below >= -self.rise) & (place.below <= depth + below)
@@ -170,9 +181,8 @@ class Sheet(NamedTuple):
         margin : float, m
             Their distance from the sheet's edge.
         """
-        begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.flat, axis=0), axis=1))])
-        along = np.clip(place.along, min(margin, 0.5 * begins[-1]), max(begins[-1] - margin, 0.5 * begins[-1]))
-        top = np.stack([np.interp(along, begins, self.polyline[:, axis]) for axis in range(3)], axis=1)
+        length = self.begins[-1]
+        top = self.top(np.clip(place.along, min(margin, 0.5 * length), max(length - margin, 0.5 * length)))
         found: Floats = top + np.clip(place.below, -self.rise, max(self.depth - margin, 0.0))[:, None] * self.direction
         return found
 
@@ -302,7 +312,7 @@ def _samples(corners: Floats, step: Floats, spacing: float) -> Floats:
 def _check_apart(flat: Floats, step: Floats, least: float) -> None:
     """Refuse a polyline that comes so close to itself that cells would be crossed twice."""
     points = _samples(flat, step, 0.25 * least)
-    begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    begins = arc_length(points)
     between = np.linalg.norm(points[:, None] - points[None], axis=2)
     apart = np.abs(begins[:, None] - begins[None]) > 2.0 * least
     if np.any(apart & (between < least)):

@@ -32,33 +32,35 @@ def with_ligament(organ: Organ, sheet: Sheet) -> Sheet:
     """
     if sheet.ligament is not None:
         return sheet
-    flat = sheet.flat
-    begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])
+    flat, begins = sheet.flat, sheet.begins
     spacing = mean_edge(organ.surface_positions, organ.surface_triangles) / SAMPLES
     lowest = float((organ.surface_positions @ sheet.direction).max() - (sheet.polyline @ sheet.direction).min())
     along, deep = (
         np.linspace(0.0, far, int(np.ceil(min(far / spacing, MAX_SAMPLES))) + 1)
         for far in (begins[-1], min(sheet.depth, max(lowest, spacing)))
     )
-    top = np.stack([np.interp(along, begins, sheet.polyline[:, axis]) for axis in range(3)], axis=1)
-    front = top + np.interp(along, begins, sheet.depths)[:, None] * sheet.direction
+    front = sheet.top(along) + np.interp(along, begins, sheet.depths)[:, None] * sheet.direction
     ends = []
     for corner, (last, other) in ((sheet.polyline[0], flat[:2]), (sheet.polyline[-1], flat[:-3:-1])):
         outward = (last - other) / np.linalg.norm(last - other) @ sheet.frame
         points = corner + deep[:, None] * sheet.direction
-        straight = _tissue_beyond(organ, points, outward)
-        slanted = _tissue_beyond(organ, points, SLANT * (outward + sheet.direction))
+        straight, slanted = _tissue_beyond(organ, points, outward, SLANT * (outward + sheet.direction))
         ends.append(np.maximum(straight, SLANT * slanted))
-    return sheet._replace(ligament=Ligament(along, _tissue_beyond(organ, front, sheet.direction), deep, *ends))
+    (below,) = _tissue_beyond(organ, front, sheet.direction)
+    return sheet._replace(ligament=Ligament(along, below, deep, *ends))
 
 
-def _tissue_beyond(organ: Organ, points: Floats, direction: Floats) -> Floats:
-    """Return how far it is from points (k, 3) m along a direction to the surface, (k,) m; MAX_DEPTH outside."""
-    found = np.full(len(points), MAX_DEPTH)
+def _tissue_beyond(organ: Organ, points: Floats, *directions: Floats) -> Floats:
+    """Return how far it is from points (k, 3) m along each of d directions to the surface, (d, k) m.
+
+    MAX_DEPTH outside.
+    """
+    found = np.full((len(directions), len(points)), MAX_DEPTH)
     within = np.flatnonzero(inside(points, organ.surface_positions, organ.surface_triangles))
     for part in np.split(within, range(AT_ONCE, len(within), AT_ONCE)):
-        where = line_hits(organ, points[part], direction)
-        found[part] = np.where(where > 0.0, where, MAX_DEPTH).min(axis=1)
+        for row, direction in zip(found, directions, strict=True):
+            where = line_hits(organ, points[part], direction)
+            row[part] = np.where(where > 0.0, where, MAX_DEPTH).min(axis=1)
     return found
 
 
@@ -74,12 +76,11 @@ def lip_thickness(organ: Organ, sheet: Sheet) -> float:
     sheet : Sheet
         The cut.
     """
-    begins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(sheet.flat, axis=0), axis=1))])
+    begins = sheet.begins
     middle = (np.arange(LIP_SAMPLES) + 0.5) / LIP_SAMPLES
     along = middle * begins[-1]
-    top = np.stack([np.interp(along, begins, sheet.polyline[:, axis]) for axis in range(3)], axis=1)
-    below = middle * np.interp(along, begins, sheet.depths)[:, None] + np.zeros((LIP_SAMPLES, LIP_SAMPLES))
-    points = top[:, None] + below[:, :, None] * sheet.direction
+    below = np.outer(np.interp(along, begins, sheet.depths), middle)
+    points = sheet.top(along)[:, None] + below[:, :, None] * sheet.direction
     within = inside(points.reshape(-1, 3), organ.surface_positions, organ.surface_triangles)
     segment = np.searchsorted(begins, along, side="right") - 1
     thick = [np.zeros((0, 2))]

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.organ.skeletons.polyline import arc_length
+from tissue_sim.organ.polyline import arc_length
 from tissue_sim.organ.skeletons.skeleton_tree import Line, Tree
 
 _MERGED = 0.5  # radii: junctions nearer than this are one

@@ -21,8 +21,8 @@ from skimage.measure import euler_number
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.directions import across
 from tissue_sim.errors import UserError
+from tissue_sim.organ.polyline import arc_length
 from tissue_sim.organ.skeletons.atom_placement import place_atoms
-from tissue_sim.organ.skeletons.polyline import arc_length
 from tissue_sim.organ.skeletons.skeleton_tree import Limb, Line, find_limbs, join, longest_chain, path_between
 from tissue_sim.organ.skeletons.voxel_tree import approach, grow_tree, middle_path
 from tissue_sim.organ.surfaces.solid_ball import flip_simple

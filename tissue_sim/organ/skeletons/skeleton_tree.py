@@ -16,7 +16,7 @@ from scipy.ndimage import label, map_coordinates, uniform_filter1d
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.directions import across
-from tissue_sim.organ.skeletons.polyline import arc_length
+from tissue_sim.organ.polyline import arc_length
 from tissue_sim.organ.skeletons.voxel_tree import approach
 
 InnerEnd = Callable[[Floats, Floats], int]
@@ -182,7 +182,7 @@ def _judged(depth: Floats, ids: Longs, skeleton: Longs, inner_end: InnerEnd) -> 
     if base < 2:
         return None
     ball = int(gap[base].argmin())
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[: base + 1], axis=0), axis=1))])
+    arc = arc_length(path[: base + 1])
     tip = inner_end(path[:base], thickness[:base])
     own = float(np.median(thickness[tip:base]))
     length = float(arc[-1] - arc[tip])

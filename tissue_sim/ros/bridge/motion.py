@@ -12,6 +12,7 @@ from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation, Slerp
 
 from tissue_sim.array_types import Floats
+from tissue_sim.organ.polyline import arc_length
 
 PEAK_OVER_MEAN = 1.875  # peak over mean speed of a minimum-jerk motion
 FAST, OPENING = 0.150, 0.075  # m/s, peak
@@ -142,7 +143,7 @@ class Path:
         """Return this path with one more leg."""
         before, shut = self.poses[-1], self.angles[-1]
         lines = [np.vstack([pose[:3], leg.to.get(tool, pose[:3])]) for tool, pose in enumerate(before)]
-        along = [np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))) for line in lines]
+        along = [arc_length(line) for line in lines]
         turns = [Rotation.from_quat([pose[3:], leg.turn.get(tool, pose[3:])]) for tool, pose in enumerate(before)]
         opening = np.array([leg.angle.get(tool, now) for tool, now in enumerate(shut)]) - shut
         turning = max((end * start.inv()).magnitude() for start, end in turns)

@@ -12,8 +12,8 @@ def arc_length(points: Floats) -> Floats:
 
     Parameters
     ----------
-    points : Floats, shape (m, 3)
-        Points.
+    points : Floats, shape (m, d)
+        Points of d coordinates.
 
     Returns
     -------
